@@ -269,7 +269,12 @@ impl EncryptedShow {
         let keys = Keys::make(&["left", "right", "anna"]);
         let servers = ["left", "right"].map(|name| {
             let own = keys.path(&format!("{name}.key_secret"));
-            gateway(&["--key", &own, "--client-key", &keys.path("anna.key")])
+            let device = format!("{name}=sim:gripper");
+            let client = keys.path("anna.key");
+            let server =
+                Server::gateway_with(&[&device], &["--key", &own, "--client-key", &client]);
+            server.wait_ready(name);
+            server
         });
         let remotes = ["left", "right"].iter().zip(&servers).map(|(name, server)| {
             format!(
@@ -278,7 +283,7 @@ impl EncryptedShow {
             )
         });
         let remotes = format!("remotes:\n{}", remotes.collect::<String>());
-        let script = "show(delay=0):\n  both:\n    left:\n      gripper: {finger: 3}\n    right:\n      gripper: {finger: 4}\n";
+        let script = "show(delay=0):\n  both:\n    left: {finger: 3}\n    right: {finger: 4}\n";
         std::fs::write(keys.0.path("remotes.yaml"), remotes).expect("to write");
         std::fs::write(keys.0.path("show.yaml"), script).expect("to write");
         Self {
@@ -305,8 +310,8 @@ fn a_script_is_checked_and_played_on_encrypted_servers() {
     for words in [
         "ps --remote left -c remotes.yaml",
         "describe --remote right -c remotes.yaml",
-        "task-client --exit-status --remote right -c remotes.yaml gripper:finger:5",
-        "remote-task --exit-status -c remotes.yaml left gripper:finger:5",
+        "task-client --exit-status --remote right -c remotes.yaml right:finger:5",
+        "remote-task --exit-status -c remotes.yaml left left:finger:5",
     ] {
         let ended = show.run(words);
         assert_eq!(ended.code, Some(0), "{words}: {ended:?}");

@@ -62,7 +62,13 @@ fn a_path_in_use_is_refused() {
     let endpoint = format!("ipc://{}", scratch.path("robot.sock").display());
     let first = TaskServer::bind(&endpoint).expect("a place");
     let second = TaskServer::bind(&endpoint).map(drop);
-    assert!(matches!(second, Err(BindError::InUse { .. })), "{second:?}");
+    match second {
+        Err(error @ BindError::InUse { .. }) => {
+            let told = error.to_string();
+            assert!(told.contains("the path is in use"), "{told}");
+        }
+        other => panic!("{other:?}"),
+    }
     // The first keeps its place.
     serves(first);
     // A file that is no socket is not replaced.

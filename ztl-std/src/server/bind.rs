@@ -9,7 +9,7 @@ use crate::keys::KeyError;
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum BindError {
-    /// The port is in use.
+    /// The port, or the path of a socket in the file system, is in use.
     InUse {
         /// The endpoint.
         endpoint: String,
@@ -30,10 +30,16 @@ pub enum BindError {
 impl std::fmt::Display for BindError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::InUse { endpoint } => write!(
-                f,
-                "cannot listen at {endpoint}: the port is in use; stop what uses it, or choose another port"
-            ),
+            Self::InUse { endpoint } => {
+                let what = match endpoint.starts_with("ipc://") {
+                    true => "path",
+                    false => "port",
+                };
+                write!(
+                    f,
+                    "cannot listen at {endpoint}: the {what} is in use; stop what uses it, or choose another {what}"
+                )
+            }
             Self::Endpoint { endpoint, why } => write!(f, "cannot listen at {endpoint}: {why}"),
             Self::NoCurve => KeyError::NoCurve.fmt(f),
             Self::System(cause) => write!(f, "cannot open a socket: {cause}"),
