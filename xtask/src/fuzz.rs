@@ -12,7 +12,7 @@ use crate::project::Project;
 /// The package of the targets, which is not in the workspace.
 pub(crate) const MANIFEST: &str = "fuzz/Cargo.toml";
 
-/// Without comparison tracing, which records addresses that differ in every run; a few seconds per target.
+/// Without comparison tracing, which records addresses that differ in every run; up to half a minute per target.
 const SAME_INPUTS: [&str; 4] = ["-seed=1", "-use_cmp=0", "-reload=0", "-runs=30000"];
 
 /// The flags of cargo-fuzz, without the sanitizer.
