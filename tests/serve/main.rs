@@ -4,6 +4,7 @@ mod abort;
 mod access;
 mod client_handles;
 mod decisions;
+mod encrypted;
 mod examples;
 mod file;
 mod floods;

@@ -1,0 +1,282 @@
+//! Encrypted connections: who may use a server by key and scope, and which keys a client has.
+
+use std::process::Command;
+
+use ztl_std::keys::KeyPair;
+use ztl_std::server::MAX_MESSAGE;
+use ztl_std::{RemoteTask, TriggerError};
+use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
+
+use crate::access::{client, gateway};
+
+#[test]
+fn libzmq_without_encryption_rejects_keys_and_does_not_start() {
+    let keys = Keys::make(&["robot"]);
+    let words = "gateway -p 0 -s /lab -d gripper=sim:gripper --transport libzmq --key";
+    let key = keys.path("robot.key_secret");
+    let ended = Process::run(ztl().args(words.split(' ')).arg(key));
+    assert!(ended.code.is_some_and(|code| code != 0), "{ended:?}");
+    assert!(ended.stderr.contains("libzmq cannot encrypt"), "{ended:?}");
+}
+
+/// Pairs of keys made by `ztl keys`.
+struct Keys(Scratch);
+
+impl Keys {
+    #[track_caller]
+    fn make(names: &[&str]) -> Self {
+        let keys = Self(Scratch::new());
+        for name in names {
+            let ended = Process::run(ztl().arg("keys").arg(keys.0.path(name)));
+            assert_eq!(ended.code, Some(0), "{ended:?}");
+        }
+        keys
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path(name).display().to_string()
+    }
+
+    /// The options of a client.
+    fn of(&self, name: &str, server: &str) -> [String; 4] {
+        let (own, server) = (format!("{name}.key_secret"), format!("{server}.key"));
+        [
+            "--key".into(),
+            self.path(&own),
+            "--server-key".into(),
+            self.path(&server),
+        ]
+    }
+}
+
+#[track_caller]
+fn client_as(server: &Server, keys: &[String]) -> Ended {
+    let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
+    client(server, &keys)
+}
+
+#[test]
+fn only_a_client_with_an_allowed_key_is_served() {
+    let keys = Keys::make(&["robot", "anna", "mallory", "other"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    server.process.wait_for("encrypted, with an allowed key");
+
+    let ended = client_as(&server, &keys.of("anna", "robot"));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    // A client without a key, with another key, or for another server gets nothing: the outcome is unknown.
+    let mallory = client_as(&server, &keys.of("mallory", "robot"));
+    assert_eq!(mallory.code, Some(5), "{mallory:?}");
+    server.process.wait_for("with the key");
+    assert_eq!(client(&server, &[]).code, Some(5));
+    assert_eq!(client_as(&server, &keys.of("anna", "other")).code, Some(5));
+    // It keeps serving allowed clients.
+    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+}
+
+#[test]
+fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let server = gateway(&["--key", &keys.path("robot.key_secret")]);
+    server.process.wait_for("no client can connect");
+    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
+}
+
+/// As with libzmq, the overhead of encryption is part of a message.
+#[test]
+fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let anna = format!("{SCOPE}={}", keys.path("anna.key"));
+    let own = keys.path("robot.key_secret");
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    let [anna, robot] = ["anna.key_secret", "robot.key_secret"]
+        .map(|name| KeyPair::read(keys.0.path(name).as_path()).expect("keys"));
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_keys(anna, robot.public()).expect("encryption");
+    let most = MAX_MESSAGE - 33;
+    let payload = |bytes| "x".repeat(bytes - SCOPE.len() - ";1;-1;".len());
+    let refused = remote.trigger_payload(&payload(most));
+    assert!(
+        matches!(refused, Err(TriggerError::Refused { .. })),
+        "it is no task: {refused:?}"
+    );
+    let error = remote.trigger_payload(&payload(most + 1));
+    let told = format!(
+        "has {} bytes, and the server at {} takes at most {most}",
+        most + 1,
+        server.endpoint()
+    );
+    let error = error.expect_err("it is too long").to_string();
+    assert!(error.contains(&told), "{error}");
+}
+
+#[test]
+fn a_key_for_another_scope_gives_no_access() {
+    let keys = Keys::make(&["robot", "anna", "bert"]);
+    let here = format!("{SCOPE}={}", keys.path("anna.key"));
+    let elsewhere = format!("/elsewhere={}", keys.path("bert.key"));
+    let own = keys.path("robot.key_secret");
+    let server = gateway(&[
+        "--key",
+        &own,
+        "--client-key",
+        &here,
+        "--client-key",
+        &elsewhere,
+    ]);
+    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+
+    let bert = KeyPair::read(keys.0.path("bert.key_secret").as_path()).expect("keys");
+    let robot = KeyPair::read(keys.0.path("robot.key_secret").as_path()).expect("keys");
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_keys(bert, robot.public()).expect("encryption");
+    match remote.trigger("gripper", "finger", "5") {
+        Err(TriggerError::Refused { reason, .. }) => {
+            assert!(reason.starts_with("No controller for scope"), "{reason}");
+        }
+        other => panic!("{other:?}"),
+    }
+    // It does not learn what the server offers either.
+    let probe = remote
+        .ask_server("probe")
+        .expect("an answer")
+        .expect("known");
+    assert!(
+        !probe.contains(SCOPE) && !probe.contains("gripper"),
+        "{probe}"
+    );
+    let tasks = remote
+        .ask_server("tasks")
+        .expect("an answer")
+        .expect("known");
+    assert!(tasks.contains("\"tasks\":[]"), "{tasks}");
+    assert_eq!(remote.ask_server("devices"), Ok(None));
+}
+
+#[test]
+fn a_client_in_python_uses_the_same_files() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    let script = r#"
+import sys, zmq, zmq.auth
+port, own, server = sys.argv[1:]
+socket = zmq.Context().socket(zmq.REQ)
+socket.curve_publickey, socket.curve_secretkey = zmq.auth.load_certificate(own)
+socket.curve_serverkey, _ = zmq.auth.load_certificate(server)
+socket.connect(f"tcp://127.0.0.1:{port}")
+socket.send(b"$ztl;2;-1;probe")
+print(socket.recv().decode() if socket.poll(5000) else "nothing")
+"#;
+    let mut command = Command::new(python());
+    command.args(["-c", script, &server.port.to_string()]);
+    let ended = Process::run(command.args([keys.path("anna.key_secret"), keys.path("robot.key")]));
+    assert!(
+        ended.stdout.contains("\"gripper\": [\"finger\"]"),
+        "{ended:?}"
+    );
+}
+
+/// Two encrypted gateways with keys of their own, a configuration file that names both, and a script for them.
+struct EncryptedShow {
+    directory: Scratch,
+    _servers: [Server; 2],
+}
+
+impl EncryptedShow {
+    #[track_caller]
+    fn new() -> Self {
+        let keys = Keys::make(&["left", "right", "anna"]);
+        let servers = ["left", "right"].map(|name| {
+            let own = keys.path(&format!("{name}.key_secret"));
+            let device = format!("{name}=sim:gripper");
+            let client = keys.path("anna.key");
+            let server =
+                Server::gateway_with(&[&device], &["--key", &own, "--client-key", &client]);
+            server.wait_ready(name);
+            server
+        });
+        let remotes = ["left", "right"].iter().zip(&servers).map(|(name, server)| {
+            format!(
+                "  {name}: {{host: 127.0.0.1, port: {}, scope: {SCOPE}, key: anna.key_secret, server-key: {name}.key}}\n",
+                server.port
+            )
+        });
+        let remotes = format!("remotes:\n{}", remotes.collect::<String>());
+        let script = "show(delay=0):\n  both:\n    left: {finger: 3}\n    right: {finger: 4}\n";
+        std::fs::write(keys.0.path("remotes.yaml"), remotes).expect("to write");
+        std::fs::write(keys.0.path("show.yaml"), script).expect("to write");
+        Self {
+            directory: keys.0,
+            _servers: servers,
+        }
+    }
+
+    #[track_caller]
+    fn run(&self, words: &str) -> Ended {
+        let mut command = ztl();
+        command.current_dir(self.directory.path(""));
+        Process::run(command.args(words.split(' ')))
+    }
+}
+
+#[test]
+fn a_script_is_checked_and_played_on_encrypted_servers() {
+    let show = EncryptedShow::new();
+    let ended = show.run("check show.yaml -c remotes.yaml --live");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let ended = show.run("run-script -s show.yaml -c remotes.yaml --yes --plain");
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    for words in [
+        "ps --remote left -c remotes.yaml",
+        "describe --remote right -c remotes.yaml",
+        "task-client --exit-status --remote right -c remotes.yaml right:finger:5",
+        "remote-task --exit-status -c remotes.yaml left left:finger:5",
+    ] {
+        let ended = show.run(words);
+        assert_eq!(ended.code, Some(0), "{words}: {ended:?}");
+    }
+    // The options' keys are for servers without keys in the file.
+    let text = std::fs::read_to_string(show.directory.path("remotes.yaml")).expect("a file");
+    let text = text.replace(", key: anna.key_secret, server-key: left.key", "");
+    std::fs::write(show.directory.path("remotes.yaml"), text).expect("to write");
+    let words =
+        "check show.yaml -c remotes.yaml --live --key anna.key_secret --server-key left.key";
+    let ended = show.run(words);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
+#[test]
+fn wrong_keys_in_the_configuration_file_are_reported_with_their_place() {
+    let show = EncryptedShow::new();
+    let remotes = show.directory.path("remotes.yaml");
+    let text = std::fs::read_to_string(&remotes).expect("a file");
+    for (from, to, expected) in [
+        (
+            ", server-key: left.key",
+            "",
+            "an encrypted connection needs both",
+        ),
+        ("server-key: left.key", "server-key: none.key", "none.key: "),
+        (
+            "key: anna.key_secret",
+            "key: remotes.yaml",
+            "there is no line `public-key",
+        ),
+    ] {
+        std::fs::write(&remotes, text.replacen(from, to, 1)).expect("to write");
+        for words in [
+            "check show.yaml -c remotes.yaml",
+            "ps --remote left -c remotes.yaml",
+        ] {
+            let ended = show.run(words);
+            assert!(
+                ended.code.is_some_and(|code| code != 0),
+                "{words}: {ended:?}"
+            );
+            let told = format!("{}{}", ended.stdout, ended.stderr);
+            assert!(told.contains("remotes.yaml:2:"), "{words}: {told}");
+            assert!(told.contains(expected), "{words}: {told}");
+        }
+    }
+}
