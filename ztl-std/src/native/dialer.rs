@@ -44,6 +44,8 @@ pub(crate) struct Dialer {
     again: Instant,
     pause: Duration,
     received: VecDeque<Vec<Vec<u8>>>,
+    /// Whether the system may have more bytes.
+    more: bool,
     piece: Box<[u8]>,
     /// Looks up the host's address, which may take long.
     lookup: Option<Receiver<Option<SocketAddr>>>,
@@ -61,6 +63,7 @@ impl Dialer {
             again: Instant::now(),
             pause: SHORTEST,
             received: VecDeque::new(),
+            more: false,
             piece: vec![0; PIECE].into_boxed_slice(),
             lookup: None,
         })
@@ -141,6 +144,7 @@ impl Dialer {
             self.close();
             return Ok(());
         }
+        let limit = if self.more { Duration::ZERO } else { limit };
         match self.poll.poll(&mut self.events, Some(limit.min(handshake))) {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => return Ok(()),
             done => done?,
@@ -213,39 +217,39 @@ impl Dialer {
         }
     }
 
-    /// Reads what has arrived, until enough messages wait.
+    /// Reads a piece of what has arrived, unless enough messages wait to be received, or bytes to be sent.
     fn read(&mut self) {
-        while self.received.len() < WAITING {
-            let Some(open) = &mut self.open else {
-                return;
-            };
-            let count = match open.stream.read(&mut self.piece) {
-                Ok(0) => return self.close(),
-                Ok(count) => count,
-                Err(error) if is_later(&error) => return,
-                Err(_) => return self.close(),
-            };
-            let mut bytes = self.piece.get(..count).unwrap_or_default();
-            loop {
-                match open.inbound.next(&mut bytes, &mut open.out) {
-                    Ok(Step::Taken) => break,
-                    Ok(Step::Asks) => {
-                        open.inbound.accept(&mut open.out);
-                        self.pause = SHORTEST;
-                    }
-                    Ok(Step::Subscription(..)) => {}
-                    Ok(Step::Message(message)) => {
-                        let frames = message.frames().map(<[u8]>::to_vec);
-                        self.received.push_back(frames.collect());
-                    }
-                    Err(_) => return self.close(),
+        self.more = false;
+        let Some(open) = &mut self.open else {
+            return;
+        };
+        if self.received.len() >= WAITING || open.out.waiting() > PIECE {
+            return;
+        }
+        let count = match open.stream.read(&mut self.piece) {
+            Ok(0) => return self.close(),
+            Ok(count) => count,
+            Err(error) if is_later(&error) => return,
+            Err(_) => return self.close(),
+        };
+        let mut bytes = self.piece.get(..count).unwrap_or_default();
+        loop {
+            match open.inbound.next(&mut bytes, &mut open.out) {
+                Ok(Step::Taken) => break,
+                Ok(Step::Asks) => {
+                    open.inbound.accept(&mut open.out);
+                    self.pause = SHORTEST;
                 }
-            }
-            self.flush();
-            if count < PIECE {
-                return;
+                Ok(Step::Subscription(..)) => {}
+                Ok(Step::Message(message)) => {
+                    let frames = message.frames().map(<[u8]>::to_vec);
+                    self.received.push_back(frames.collect());
+                }
+                Err(_) => return self.close(),
             }
         }
+        self.more = count == PIECE;
+        self.flush();
     }
 
     fn close(&mut self) {

@@ -15,7 +15,7 @@ use mio::{Events, Interest, Poll, Token};
 use tracing::{debug, warn};
 use ztl_core::Instant;
 use ztl_zmtp::session::{Inbound, Message, Outbound, Security, Step};
-use ztl_zmtp::{Pub, Router};
+use ztl_zmtp::{Fault, Pub, Router};
 
 use super::streams::{Endpoint, Listener, Stream};
 use crate::keys::PublicKey;
@@ -134,6 +134,8 @@ struct Peer<S> {
     readable: bool,
     /// The system has its end, perhaps after bytes.
     has_ended: bool,
+    /// Its end was read; it is closed when all is sent.
+    is_leaving: bool,
     /// Messages of it that wait until it has read its answers, and their bytes.
     later: VecDeque<Incoming>,
     later_held: usize,
@@ -168,6 +170,8 @@ pub(crate) struct Peers<S> {
     arrivals: VecDeque<(usize, u32)>,
     /// Peers with something to read, in turns.
     ready: VecDeque<usize>,
+    /// Turns until the next [`wait`](Self::wait), so that those that send only commands stop nobody.
+    turns: usize,
     /// Peers with something to send.
     unsent: Vec<usize>,
     piece: Box<[u8]>,
@@ -202,6 +206,7 @@ impl<S: Served> Peers<S> {
             next_number: 0,
             arrivals: VecDeque::new(),
             ready: VecDeque::new(),
+            turns: 0,
             unsent: Vec::new(),
             piece: vec![0; PIECE].into_boxed_slice(),
             messages: VecDeque::new(),
@@ -268,6 +273,7 @@ impl<S: Served> Peers<S> {
         if self.next_check.is_some_and(|at| at <= now) {
             self.check(now);
         }
+        self.turns = self.ready.len();
         Ok(())
     }
 
@@ -287,6 +293,7 @@ impl<S: Served> Peers<S> {
                     _ => return Some(message),
                 }
             }
+            self.turns = self.turns.checked_sub(1)?;
             let slot = self.ready.pop_front()?;
             self.turn(now(), slot, admit);
         }
@@ -351,6 +358,14 @@ impl<S: Served> Peers<S> {
             return;
         }
         let read = match peer.stream.read(&mut self.piece) {
+            // What it asked for before is sent first.
+            Ok(0) if peer.out.waiting() > 0 => {
+                peer.is_leaving = true;
+                peer.readable = false;
+                peer.took = now;
+                self.next_check.get_or_insert(now + CHECK);
+                return;
+            }
             Ok(0) => return self.close(slot, None),
             Ok(count) => {
                 // A short read has emptied the system's buffer. The next bytes are an event; the end may have been one.
@@ -395,7 +410,7 @@ impl<S: Served> Peers<S> {
                         self.messages.push_back(peer.incoming(slot, None, body));
                     }
                 }
-                Err(fault) => break Some(fault.to_string()),
+                Err(fault) => break Some(fault),
             }
         };
         if is_known {
@@ -404,7 +419,7 @@ impl<S: Served> Peers<S> {
             self.forget_stranger(address);
         }
         if let Some(fault) = fault {
-            return self.close(slot, Some(&fault));
+            return self.close(slot, Some(&self.told(fault)));
         }
         let Some(Some(peer)) = self.slots.get_mut(slot) else {
             return;
@@ -422,6 +437,19 @@ impl<S: Served> Peers<S> {
             self.next_check.get_or_insert(now + CHECK);
         }
         self.count(slot);
+    }
+
+    /// A fault, for the log.
+    fn told(&self, fault: Fault) -> String {
+        match (fault, &self.rules.security) {
+            (Fault::Mechanism, Security::Curve(_)) => {
+                "it does not encrypt, and this server demands keys".to_owned()
+            }
+            (Fault::Mechanism, Security::Null) => {
+                "it encrypts or has a password, and this server has no keys".to_owned()
+            }
+            (fault, _) => fault.to_string(),
+        }
     }
 
     /// Sends what can be sent without waiting.
@@ -450,7 +478,7 @@ impl<S: Served> Peers<S> {
                     }
                 }
             }
-            if failed {
+            if failed || peer.is_leaving && peer.out.waiting() == 0 {
                 self.close(slot, None);
                 continue;
             }
@@ -530,6 +558,7 @@ impl<S: Served> Peers<S> {
             is_unsent: true,
             readable: false,
             has_ended: false,
+            is_leaving: false,
             later: VecDeque::new(),
             later_held: 0,
             took: now,
@@ -610,7 +639,7 @@ impl<S: Served> Peers<S> {
             let Some(Some(peer)) = self.slots.get(slot) else {
                 continue;
             };
-            let unread = peer.out.waiting() >= UNSENT;
+            let unread = peer.out.waiting() >= UNSENT || peer.is_leaving;
             let deadline = peer.inbound.deadline();
             let why = match unread {
                 true if now.since(peer.took) >= UNREAD => Some("it does not read its answers"),
@@ -645,7 +674,11 @@ impl<S: Served> Peers<S> {
         let Some(Some(peer)) = self.slots.get_mut(slot) else {
             return;
         };
-        let held = peer.inbound.held() + peer.out.held() + peer.later_held;
+        // Strangers are bounded by their number.
+        let held = match peer.inbound.is_ready() {
+            true => peer.inbound.held() + peer.out.held() + peer.later_held,
+            false => 0,
+        };
         self.held = self.held + held - peer.held;
         peer.held = held;
         while self.held > self.rules.memory {
@@ -953,6 +986,60 @@ mod tests {
             stream.read_to_end(&mut heard).unwrap();
             assert_eq!(heard.len(), answer);
         }
+    }
+
+    #[test]
+    fn commands_without_end_stop_nobody() {
+        let echo = Echo::new(rules());
+        let context = zmq::Context::new();
+        let socket = libzmq(&context, &echo.endpoint());
+        is_served(&socket, b"before");
+        let served = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            for command in [
+                &b"\x04\x06\x05HELLO"[..],
+                b"\x04\0",
+                b"\x04\x0A\x09SUBSCRIBE",
+            ] {
+                for _ in 0..2 {
+                    let mut flood = raw(&echo);
+                    let served = &served;
+                    scope.spawn(move || {
+                        let commands = command.repeat(20_000);
+                        // Until the others were served, at most for 20 s.
+                        let begin = std::time::Instant::now();
+                        while !served.load(Ordering::SeqCst)
+                            && begin.elapsed() < Duration::from_secs(20)
+                        {
+                            flood.write_all(&commands).unwrap();
+                        }
+                    });
+                }
+            }
+            for _ in 0..20 {
+                is_served(&socket, b"meanwhile");
+            }
+            is_served(&libzmq(&context, &echo.endpoint()), b"a new one");
+            served.store(true, Ordering::SeqCst);
+        });
+    }
+
+    #[test]
+    fn a_client_that_has_ended_its_stream_gets_all_answers() {
+        const REQUESTS: usize = 40_000;
+        let echo = Echo::new(rules());
+        let mut client = raw(&echo);
+        let mut writer = client.try_clone().unwrap();
+        let requests = b"\x01\0\0\x02hi".repeat(REQUESTS);
+        std::thread::scope(|scope| {
+            scope.spawn(move || {
+                writer.write_all(&requests).unwrap();
+                writer.shutdown(std::net::Shutdown::Write).unwrap();
+            });
+            let mut answers = Vec::new();
+            client.read_to_end(&mut answers).unwrap();
+            assert_eq!(answers.len(), REQUESTS * 6);
+        });
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::memory::ServerMemory;
 use super::reporter::{Claim, Inbox, Mailbox};
 use super::router::Router;
 use super::waker::Waker;
+use crate::rate_limit::RateLimit;
 
 /// Sees the requests about tasks.
 pub(super) type Observer = Box<dyn FnMut(Request, TaskId, &str) + Send>;
@@ -34,6 +35,8 @@ pub(super) struct Engine {
     pub(super) next_limits: Arc<Mutex<Option<Limits>>>,
     pub(super) observer: Option<Observer>,
     pub(super) dropped: DroppedLog,
+    /// Limits the lines about requests that are refused, of which anyone can send any number.
+    pub(super) refusals: RateLimit,
     /// Whether it was logged that all task ids are used up.
     pub(super) logged_used_up: bool,
     /// Whether the last turn took a report.

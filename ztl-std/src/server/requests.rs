@@ -54,9 +54,11 @@ impl Engine {
         if let Sender::Client(_) = sender {
             self.dispatcher.memory_mut().hide(hidden);
         }
-        let router = &mut self.router;
+        let (router, refusals) = (&mut self.router, &mut self.refusals);
         let mut out = |peer, reply: &Reply<'_>| {
-            log_refusal(reply, body);
+            if reply.refusal_of().is_some() && refusals.take(now()) {
+                log_refusal(reply, body);
+            }
             router.answer(peer, reply);
         };
         let action = self
@@ -101,7 +103,9 @@ impl Engine {
 fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
     match reply.refusal_of() {
         Some(RefusalOf::Scope) => {
-            warn!(target: TASKS, "No controller for scope '{}', ignoring.", reply.scope());
+            let scope = reply.scope();
+            let shown = scope.get(..scope.floor_char_boundary(200)).unwrap_or(scope);
+            warn!(target: TASKS, "No controller for scope '{shown}', ignoring.");
         }
         Some(RefusalOf::Protocol) => {
             let bytes = match body {

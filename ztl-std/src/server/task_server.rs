@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tracing::{info, warn};
 use ztl_core::dispatcher::{Config, Dispatcher};
@@ -30,7 +31,11 @@ use crate::log_targets::TASKS;
 #[cfg(feature = "gateway")]
 use crate::native::publisher::Publisher;
 use crate::random;
+use crate::rate_limit::RateLimit;
 use crate::transport::Transport;
+
+/// At most so many lines about refused requests at once, and then one in this time.
+const REFUSALS: (u32, Duration) = (100, Duration::from_secs(1));
 
 /// A task server that is bound and does not serve yet.
 ///
@@ -104,6 +109,7 @@ impl ServerBuilder {
                 next_limits: Arc::default(),
                 observer: None,
                 dropped: DroppedLog::new(now()),
+                refusals: RateLimit::new(REFUSALS.0, REFUSALS.1, now()),
                 logged_used_up: false,
                 reported: false,
                 started: false,

@@ -16,6 +16,9 @@ use crate::fault::Fault;
 use crate::receive::first_property;
 use crate::wire::{COMMAND, GREETING, MECHANISM, PARTIAL, PING, SIGNATURE, Socket, old_greeting};
 
+/// Most commands between the frames of one message.
+const WITHIN: u8 = 64;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     /// The first 11 bytes, which tell the peer's version.
@@ -58,6 +61,8 @@ pub struct Inbound<S> {
     begin: usize,
     /// Where the next frame of the incomplete message begins.
     scanned: usize,
+    /// Commands between the frames of the incomplete message.
+    within: u8,
     /// The longest frame.
     most: usize,
     /// How long the peer may be silent; zero for any time.
@@ -87,6 +92,7 @@ impl<S: Socket> Inbound<S> {
             held: Vec::new(),
             begin: 0,
             scanned: 0,
+            within: 0,
             most,
             ttl: Duration::ZERO,
             deadline,
@@ -142,6 +148,9 @@ impl<S: Socket> Inbound<S> {
 
     /// Keeps bytes for a later [`next`](Self::next).
     pub fn keep(&mut self, bytes: &mut &[u8]) {
+        if bytes.is_empty() && self.has_more() {
+            return;
+        }
         self.drop_begin();
         self.held.extend_from_slice(bytes);
         *bytes = &[];
@@ -187,6 +196,9 @@ impl<S: Socket> Inbound<S> {
             let mut scanned = self.scanned;
             let found = scan(from, &mut scanned, self.most, self.total())?;
             self.scanned = scanned;
+            if matches!(found, Scan::Message(_)) {
+                self.within = 0;
+            }
             match found {
                 Scan::Incomplete => {
                     if direct {
@@ -209,13 +221,28 @@ impl<S: Socket> Inbound<S> {
                     if self.phase == Phase::OldTraffic {
                         return Err(Fault::Flags);
                     }
-                    if direct {
-                        self.keep(bytes);
-                    }
-                    let command = self.waiting().get(body..end).unwrap_or_default();
-                    let said = on_command(command, out)?;
-                    // It may be between the frames of a message.
-                    self.held.drain(self.begin + begin..self.begin + end);
+                    let said = if direct && begin == 0 {
+                        let (command, rest) = bytes.split_at_checked(end).unwrap_or_default();
+                        *bytes = rest;
+                        on_command(command.get(body..).unwrap_or_default(), out)?
+                    } else {
+                        if direct {
+                            self.keep(bytes);
+                        }
+                        let command = self.waiting().get(body..end).unwrap_or_default();
+                        let said = on_command(command, out)?;
+                        if begin == 0 {
+                            self.begin += end;
+                        } else {
+                            // Between the frames of a message. Each moves what follows it, so there may be few.
+                            self.within = self.within.saturating_add(1);
+                            if self.within > WITHIN {
+                                return Err(Fault::Unexpected);
+                            }
+                            self.held.drain(self.begin + begin..self.begin + end);
+                        }
+                        said
+                    };
                     if let Some(step) = self.on_said(said) {
                         return Ok(step);
                     }
