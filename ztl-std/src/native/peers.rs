@@ -1026,20 +1026,37 @@ mod tests {
 
     #[test]
     fn a_client_that_has_ended_its_stream_gets_all_answers() {
-        const REQUESTS: usize = 40_000;
-        let echo = Echo::new(rules());
-        let mut client = raw(&echo);
-        let mut writer = client.try_clone().unwrap();
-        let requests = b"\x01\0\0\x02hi".repeat(REQUESTS);
-        std::thread::scope(|scope| {
-            scope.spawn(move || {
-                writer.write_all(&requests).unwrap();
-                writer.shutdown(std::net::Shutdown::Write).unwrap();
-            });
-            let mut answers = Vec::new();
-            client.read_to_end(&mut answers).unwrap();
-            assert_eq!(answers.len(), REQUESTS * 6);
+        let endpoint = Endpoint::parse("tcp://127.0.0.1:*").unwrap();
+        let mut peers = Peers::<Router>::bind(&endpoint, rules()).unwrap();
+        let address: SocketAddr = peers.endpoint().unwrap()[6..].parse().unwrap();
+        let mut client = TcpStream::connect(address).unwrap();
+        client.write_all(GREETING).unwrap();
+        client.write_all(Dealer::READY).unwrap();
+        client.write_all(b"\x01\0\0\x02hi").unwrap();
+        let request = loop {
+            peers.wait(Some(Duration::from_secs(20))).unwrap();
+            if let Some(request) = peers.next(&mut |_, _| true) {
+                break request;
+            }
+        };
+        // More than the system takes.
+        let answer = vec![7; 100_000];
+        let mut sent = GREETING.len() + Router::READY.len();
+        while peers.waiting(request.peer) == Some(0) {
+            peers.send(request.peer, &request.envelope.clone().unwrap(), &answer);
+            sent += 2 + 9 + answer.len();
+        }
+        client.shutdown(std::net::Shutdown::Write).unwrap();
+        let reading = std::thread::spawn(move || {
+            let mut heard = Vec::new();
+            client.read_to_end(&mut heard).unwrap();
+            heard.len()
         });
+        while peers.waiting(request.peer).is_some() {
+            peers.wait(Some(Duration::from_secs(20))).unwrap();
+            assert!(peers.next(&mut |_, _| true).is_none());
+        }
+        assert_eq!(reading.join().unwrap(), sent);
     }
 
     #[test]
