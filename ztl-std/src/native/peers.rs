@@ -1042,11 +1042,22 @@ mod tests {
         // More than the system takes.
         let answer = vec![7; 100_000];
         let mut sent = GREETING.len() + Router::READY.len();
-        while peers.waiting(request.peer) == Some(0) {
+        while peers.waiting(request.peer).unwrap() < 50_000 {
             peers.send(request.peer, &request.envelope.clone().unwrap(), &answer);
             sent += 2 + 9 + answer.len();
+            for _ in 0..10 {
+                peers.wait(Some(Duration::from_millis(1))).unwrap();
+            }
         }
         client.shutdown(std::net::Shutdown::Write).unwrap();
+        let has_ended = |peers: &Peers<Router>| {
+            let peer = peers.slots[request.peer.slot].as_ref();
+            peer.is_none_or(|peer| peer.is_leaving)
+        };
+        while !has_ended(&peers) {
+            peers.wait(Some(Duration::from_secs(20))).unwrap();
+            assert!(peers.next(&mut |_, _| true).is_none());
+        }
         let reading = std::thread::spawn(move || {
             let mut heard = Vec::new();
             client.read_to_end(&mut heard).unwrap();
