@@ -320,3 +320,23 @@ fn a_client_accepts_only_the_server_whose_key_it_has() {
     talk(&mut server, &mut client, 10_000, &mut |_| ());
     assert_eq!(server.fault, Some(Fault::Mechanism));
 }
+
+#[test]
+fn the_lengths_in_each_error_command_are_right() {
+    for error in [
+        Pub::ERROR,
+        Router::ERROR,
+        crate::Rep::ERROR,
+        crate::Req::ERROR,
+        Dealer::ERROR,
+    ] {
+        let (header, body) = error.split_at(2);
+        assert_eq!(header, [4, u8::try_from(body.len()).unwrap()], "{error:?}");
+        let (length, reason) = body
+            .strip_prefix(b"\x05ERROR")
+            .unwrap()
+            .split_first()
+            .unwrap();
+        assert_eq!(usize::from(*length), reason.len(), "{error:?}");
+    }
+}
