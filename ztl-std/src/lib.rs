@@ -62,6 +62,7 @@ pub mod defmt;
 pub mod files;
 #[cfg(feature = "gateway")]
 pub mod gateway;
+pub mod host;
 pub mod keys;
 #[cfg(feature = "libzmq")]
 mod libzmq;
