@@ -85,7 +85,7 @@ pub mod time;
 mod transport;
 
 pub use client::{
-    AbortOnDrop, BackgroundTask, RemoteTask, RequestError, RunError, ServerInfo, Status,
+    AbortOnDrop, BackgroundTask, Obstacle, RemoteTask, RequestError, RunError, ServerInfo, Status,
     TriggerError, Triggered, WaitError,
 };
 #[cfg(feature = "config")]
