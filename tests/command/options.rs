@@ -236,7 +236,7 @@ fn under_the_originals_name_clients_send_their_payload_unchanged() {
 }
 
 #[test]
-fn invalid_ports_give_the_originals_exit_codes() {
+fn invalid_addresses_give_the_originals_exit_codes() {
     let scratch = Scratch::new();
     for (tool, line, code) in [
         ("ztl_task_client", "-r localhost -p 99999 -s /test a:b:c", 0),
@@ -245,6 +245,8 @@ fn invalid_ports_give_the_originals_exit_codes() {
         ("ztl_simple_client", "localhost 99999 /test x", 0),
         ("ztl_simple_client", "localhost -1 /test x", 1),
         ("ztl_simple_client", "localhost http /test x", 1),
+        ("ztl_task_client", "-r ipc:///x -p 1 -s /test a:b:c", 1),
+        ("ztl_simple_client", "tcp://localhost 1 /test x", 1),
     ] {
         let [original, ours] = [original_tool(tool), ours_named(&scratch, tool)]
             .map(|mut tool| Process::run(tool.args(line.split(' '))));
@@ -269,6 +271,24 @@ fn invalid_ports_give_the_originals_exit_codes() {
         ));
         assert_eq!(ended.code, Some(2), "{ended:?}");
         assert!(ended.stderr.contains("65535"), "{ended:?}");
+    }
+}
+
+#[test]
+fn an_endpoint_is_not_taken_for_a_host() {
+    let written = "'tcp://lamp:7' is not a host; write lamp as the host, and 7 as the port";
+    let other = "'ipc:///x' is not a host; a host is a name or an address, as 192.168.1.7";
+    for (line, told) in [
+        ("ps -r tcp://lamp:7", written),
+        ("ps -r tcp://lamp:7 -p 1", written),
+        ("describe -r ipc:///x", other),
+        ("abort --all -r ipc:///x -p 1", other),
+        ("task-client -r ipc:///x -p 1 -s /test a:b:c", other),
+        ("simple-client ipc:///x 1 /test x", other),
+    ] {
+        let ended = sends_nothing(line);
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+        assert!(ended.stderr.contains(told), "{line}: {ended:?}");
     }
 }
 

@@ -204,6 +204,40 @@ fn one_cause_is_one_finding() {
 }
 
 #[test]
+fn a_misspelt_key_for_encryption_is_found_in_every_entry_of_the_configuration() {
+    let robot = ("robot", 1, "/r");
+    let directory = ScriptDirectory::with("s: {step: {robot: {say: hi}}}\n", &[robot]);
+    let write = |text: &str| fs::write(directory.files.path("remotes.yaml"), text).unwrap();
+    let used = "remotes:\n  robot: {host: h, port: 1, scope: /r, server_key: r.key}\n";
+    let unused = "remotes:\n  robot: {host: h, port: 1, scope: /r}\n  \
+                  lamp: {host: h, port: 1, scope: /r, keys: a}\npublishers:\n  \
+                  eyes: {host: h, port: 1, scope: /r, key: a}\n";
+    for (text, found) in [
+        (
+            used,
+            &["remotes.yaml:2:40: unknown key 'server_key'; did you mean 'server-key'?"][..],
+        ),
+        (
+            unused,
+            &[
+                "remotes.yaml:3:39: unknown key 'keys'; did you mean 'key'?",
+                "remotes.yaml:5:44: an encrypted connection needs both: key: robot.key_secret, server-key: far.key",
+            ],
+        ),
+    ] {
+        write(text);
+        let ended = directory.run("check show.yaml -c remotes.yaml");
+        let lines: Vec<&str> = ended
+            .stdout
+            .lines()
+            .filter_map(|line| line.strip_prefix("mistake: "))
+            .collect();
+        assert_eq!(lines, found, "{ended:?}");
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+    }
+}
+
+#[test]
 fn a_mistyped_key_is_one_finding_with_a_suggestion() {
     let colon = "write a space after the colon: echo: 1";
     for (lines, found) in [

@@ -68,10 +68,180 @@ fn only_a_client_with_an_allowed_key_is_served() {
     let mallory = client_as(&server, &keys.of("mallory", "robot"));
     assert_eq!(mallory.code, Some(5), "{mallory:?}");
     server.process.wait_for("with the key");
-    assert_eq!(client(&server, &[]).code, Some(5));
-    assert_eq!(client_as(&server, &keys.of("anna", "other")).code, Some(5));
+    assert!(
+        mallory
+            .stdout
+            .contains("does not admit this client: the server's --client-key must"),
+        "{mallory:?}"
+    );
+    let nobody = client(&server, &[]);
+    assert_eq!(nobody.code, Some(5), "{nobody:?}");
+    assert!(
+        nobody
+            .stdout
+            .contains("encrypts, and this client has no keys"),
+        "{nobody:?}"
+    );
+    let other = client_as(&server, &keys.of("anna", "other"));
+    assert_eq!(other.code, Some(5), "{other:?}");
+    assert!(
+        other
+            .stdout
+            .contains("does not have the key that this client expects"),
+        "{other:?}"
+    );
     // It keeps serving allowed clients.
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+}
+
+#[test]
+fn every_command_says_that_the_server_demands_keys() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    let server = gateway(&["--key", &own, "--client-key", &anna]);
+    let port = server.port;
+    let told = format!(
+        "the server at tcp://127.0.0.1:{port} encrypts, and this client has no keys: \
+         give --key and --server-key (in a configuration file: key and server-key)"
+    );
+    let write = |name: &str, text: &str| std::fs::write(keys.0.path(name), text).expect("to write");
+    let remotes = format!("remotes:\n  robot: {{host: 127.0.0.1, port: {port}, scope: {SCOPE}}}\n");
+    write("remotes.yaml", &remotes);
+    write(
+        "show.yaml",
+        "show:\n  step: {gripper(remote=robot): {finger: 3}}\n",
+    );
+    let forward = format!("{{forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}}}}}");
+    let near = format!("scopes: {{{SCOPE}: {{gripper: {{finger: {forward}}}}}}}\n");
+    write("near.yaml", &near);
+    let mut near = ztl();
+    let near = Server::start(
+        near.args(["serve", "-p", "0"])
+            .arg(keys.0.path("near.yaml")),
+    );
+    let address = format!("-r 127.0.0.1 -p {port}");
+    let commands = [
+        (1, format!("ps {address}")),
+        (1, format!("describe {address}")),
+        (1, format!("devices {address}")),
+        (1, format!("abort {address} --all")),
+        (1, format!("abort {address} 5")),
+        (
+            5,
+            format!("task-client --exit-status {address} -s {SCOPE} gripper:finger:1"),
+        ),
+        (
+            5,
+            format!("task-client --exit-status --json {address} -s {SCOPE} gripper:finger:1"),
+        ),
+        (
+            5,
+            format!("simple-client --exit-status 127.0.0.1 {port} {SCOPE} x"),
+        ),
+        (
+            5,
+            "remote-task --exit-status -c remotes.yaml robot gripper:finger:1".to_owned(),
+        ),
+        (
+            1,
+            "run-script -s show.yaml -c remotes.yaml --yes --plain".to_owned(),
+        ),
+        (1, "check show.yaml -c remotes.yaml --live".to_owned()),
+        (
+            1,
+            format!(
+                "task-client --exit-status -r 127.0.0.1 -p {} -s {SCOPE} gripper:finger:1",
+                near.port
+            ),
+        ),
+    ];
+    let run = |words: &str| {
+        let mut command = ztl();
+        command.current_dir(keys.0.path(""));
+        Process::run(command.args(words.split(' ')))
+    };
+    std::thread::scope(|scope| {
+        let asked = commands
+            .each_ref()
+            .map(|(_, words)| scope.spawn(|| run(words)));
+        for ((code, words), ended) in commands.iter().zip(asked) {
+            let ended = ended.join().expect("it was run");
+            let all = format!("{}{}", ended.stdout, ended.stderr);
+            assert!(all.contains(&told), "{words}: {ended:?}");
+            assert_eq!(ended.code, Some(*code), "{words}: {ended:?}");
+        }
+    });
+    let ended = run(&format!("doctor {address}"));
+    let told = format!("127.0.0.1:{port} encrypts, and this client has no keys\n");
+    assert!(ended.stdout.contains(&told), "{ended:?}");
+    assert!(
+        ended.stdout.contains("-> give --key and --server-key"),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn a_client_with_keys_says_that_a_server_does_not_encrypt() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let ended = client_as(&gateway(&[]), &keys.of("anna", "robot"));
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+    let told = "does not encrypt, and this client has keys: start the server with --key, or connect without keys";
+    assert!(ended.stdout.contains(told), "{ended:?}");
+}
+
+/// libzmq answers a denied client with ERROR; our server only closes the connection.
+#[test]
+fn a_client_says_what_keeps_it_from_a_server_of_libzmq() {
+    let keys = Keys::make(&["robot", "anna", "mallory", "other"]);
+    let script = r#"
+import sys, zmq, zmq.auth
+from zmq.auth.thread import ThreadAuthenticator
+directory, denied = sys.argv[1:]
+context = zmq.Context()
+authenticator = ThreadAuthenticator(context)
+authenticator.start()
+plain, encrypted = context.socket(zmq.REP), context.socket(zmq.REP)
+authenticator.configure_curve(domain="*", location=denied)
+own = zmq.auth.load_certificate(f"{directory}/robot.key_secret")
+encrypted.curve_publickey, encrypted.curve_secretkey = own
+encrypted.curve_server = True
+print("Serving at", *[socket.bind_to_random_port("tcp://127.0.0.1") for socket in (plain, encrypted)], flush=True)
+sys.stdin.read()
+"#;
+    std::fs::create_dir(keys.0.path("nobody")).expect("to make it");
+    let mut command = Command::new(python());
+    command.args(["-c", script, &keys.path(""), &keys.path("nobody")]);
+    let process = Process::start(&mut command);
+    let line = process.wait_for("Serving at ");
+    let ports: Vec<&str> = line.split(' ').skip(2).map(str::trim).collect();
+    let [plain, encrypted] = ports.as_slice() else {
+        panic!("{line}");
+    };
+    for (port, options, told) in [
+        (
+            plain,
+            &keys.of("anna", "robot")[..],
+            "does not encrypt, and this client has keys",
+        ),
+        (encrypted, &[], "encrypts, and this client has no keys"),
+        (
+            encrypted,
+            &keys.of("anna", "other"),
+            "does not have the key that this client expects",
+        ),
+        (
+            encrypted,
+            &keys.of("mallory", "robot"),
+            "does not admit this client",
+        ),
+    ] {
+        let ended = Process::run(
+            ztl()
+                .args(["ps", "-r", "127.0.0.1", "-p", port])
+                .args(options),
+        );
+        assert!(ended.stderr.contains(told), "{options:?}: {ended:?}");
+    }
 }
 
 #[test]
@@ -80,6 +250,85 @@ fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
     server.process.wait_for("no client can connect");
     assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
+}
+
+#[test]
+fn keys_that_let_nobody_in_cause_a_warning() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    std::fs::create_dir(keys.0.path("empty")).expect("to make it");
+    let empty = keys.path("empty");
+    let elsewhere = format!("test={anna}");
+    let here = format!("{SCOPE}={anna}");
+    let monitor = format!("$ztl={anna}");
+    let nobody = "no client's key is allowed, so no client can connect; give --client-key (in a file, client-keys)";
+    let none = format!("{empty}: there is no *.key in this directory");
+    let unserved = format!(
+        "client keys are allowed at scope 'test', which is not served; did you mean '{SCOPE}'?"
+    );
+    let file = keys.path("robot.yaml");
+    let text = format!("scopes: {{{SCOPE}: {{h: {{c: echo}}}}}}\n");
+    std::fs::write(&file, text).expect("to write");
+    let gateway_words = ["gateway", "-s", SCOPE, "-d", "g=sim:gripper"];
+    for (clients, warnings) in [
+        (&[][..], &[nobody][..]),
+        (&[empty.as_str()], &[&none, nobody]),
+        (&[&empty, &anna], &[&none]),
+        (&[&elsewhere], &[&unserved]),
+        (&[&here], &[]),
+        (&[&monitor], &[]),
+    ] {
+        let clients = clients.iter().flat_map(|client| ["--client-key", client]);
+        let access: Vec<&str> = ["-p", "0", "--key", &own]
+            .into_iter()
+            .chain(clients)
+            .collect();
+        let warnings: Vec<String> = warnings
+            .iter()
+            .map(|warning| format!("ztl: warning: {warning}"))
+            .collect();
+        let verdict = match warnings.len() {
+            0 => "Nothing is wrong: ",
+            1 => "Nothing is wrong except a warning: ",
+            _ => "Nothing is wrong except 2 warnings: ",
+        };
+        for server in [&gateway_words[..], &["serve", &file]] {
+            let ended = Process::run(ztl().args(server).args(&access).arg("--check"));
+            assert_eq!(ended.code, Some(0), "{ended:?}");
+            assert!(ended.stdout.starts_with(verdict), "{ended:?}");
+            let told: Vec<&str> = ended.stderr.lines().collect();
+            assert_eq!(told, warnings, "{ended:?}");
+            // The start says the same.
+            let started = Server::start(ztl().args(server).args(&access));
+            for warning in &warnings {
+                started.process.wait_for(warning);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_clients_key_needs_a_key_of_the_server_in_an_option_or_in_the_file() {
+    let keys = Keys::make(&["robot", "anna"]);
+    let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
+    let plain = format!("scope: {SCOPE}\nport: 0\ndevices: {{g: 'sim:gripper'}}\n");
+    let (without, with) = (keys.path("plain.yaml"), keys.path("with.yaml"));
+    std::fs::write(&without, &plain).expect("to write");
+    std::fs::write(&with, format!("{plain}key: robot.key_secret\n")).expect("to write");
+    let check = |file: &str, options: &[&str]| {
+        let mut command = ztl();
+        command.args(["gateway", file, "--check", "--client-key", &anna]);
+        Process::run(command.args(options))
+    };
+    let refused = check(&without, &[]);
+    assert_eq!(refused.code, Some(2), "{refused:?}");
+    let told =
+        format!("ztl: --client-key {anna}: clients can have keys only if the server has one");
+    assert!(refused.stderr.starts_with(&told), "{refused:?}");
+    for ended in [check(&without, &["--key", &own]), check(&with, &[])] {
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert_eq!(ended.stderr, "", "{ended:?}");
+    }
 }
 
 /// As with libzmq, the overhead of encryption is part of a message.

@@ -43,6 +43,10 @@ pub struct KeyFiles {
     pub server: PathBuf,
 }
 
+/// A client's keys in a configuration: its own, and the server's.
+#[cfg(feature = "config")]
+pub(crate) const KEYS: [&str; 2] = ["key", "server-key"];
+
 impl KeyFiles {
     /// Reads both.
     ///
@@ -59,7 +63,7 @@ impl KeyFiles {
         fields: &mut ztl_yaml::Fields<'d>,
         base: &Path,
     ) -> Option<Self> {
-        let [own, server] = ["key", "server-key"].map(|key| fields.optional(key));
+        let [own, server] = KEYS.map(|key| fields.present(key));
         let (own_at, server_at) = match (own, server) {
             (Some(own), Some(server)) => (own, server),
             (None, None) => return None,

@@ -62,6 +62,7 @@ pub mod defmt;
 pub mod files;
 #[cfg(feature = "gateway")]
 pub mod gateway;
+pub mod host;
 pub mod keys;
 #[cfg(feature = "libzmq")]
 mod libzmq;
@@ -84,7 +85,7 @@ pub mod time;
 mod transport;
 
 pub use client::{
-    AbortOnDrop, BackgroundTask, RemoteTask, RequestError, RunError, ServerInfo, Status,
+    AbortOnDrop, BackgroundTask, Obstacle, RemoteTask, RequestError, RunError, ServerInfo, Status,
     TriggerError, Triggered, WaitError,
 };
 #[cfg(feature = "config")]

@@ -69,8 +69,13 @@ impl Listen {
                 bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
             });
         }
-        if let Some(node) = fields.optional("allow") {
+        if let Some(node) = fields.present("allow") {
             let what = "a network, as 192.168.1.0/24, or one address";
+            if one_or_more(node).is_empty() {
+                let message = "the list is empty, which would allow every address";
+                let help = format!("write {what}, or leave out 'allow'");
+                reading.wrong_with(node, message.to_owned(), Some(help));
+            }
             for node in one_or_more(node) {
                 let network = reading.parsed(node, what, |text| {
                     let one = || text.parse::<IpAddr>().map(IpNet::from);
@@ -80,11 +85,11 @@ impl Listen {
                 listen.allow.extend(network);
             }
         }
-        if let Some(node) = fields.optional("key") {
+        if let Some(node) = fields.present("key") {
             let what = "the file of the server's secret key";
             listen.key = reading.parsed(node, what, |text| file(base, text));
         }
-        if let Some(node) = fields.optional("client-keys") {
+        if let Some(node) = fields.present("client-keys") {
             for node in one_or_more(node) {
                 let what = "a client's key, as anna.key or /lab=anna.key";
                 listen

@@ -30,10 +30,11 @@ use std::path::{Path, PathBuf};
 
 use ztl_core::integer::Integer;
 
-use crate::keys::KeyFiles;
+use crate::host;
+use crate::keys::{KEYS, KeyFiles};
 use crate::scope;
 use ztl_yaml::python;
-use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading, closest};
+use ztl_yaml::{Diagnostics, Document, Fields, Node, NodeValue, Reading, closest};
 
 /// A server's or publisher's address and scope.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -242,7 +243,7 @@ fn usual_path_by(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
     path.into()
 }
 
-/// Reads one entry. Other keys are ignored, unless one of the three is missing.
+/// Reads one entry. Other keys are ignored, unless one of the three is missing or a key seems to be meant for encryption.
 fn endpoint(document: &Document, node: &Node) -> Entry {
     let mut reading = document.reading();
     let what = "{host: lamp, port: 12345, scope: /lab}";
@@ -253,7 +254,12 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
         let scope = fields.required("scope", "scope: /lab");
         let base = Path::new(document.name()).parent();
         let key = fields.optional("key");
-        let keys = KeyFiles::take(&mut reading, &mut fields, base.unwrap_or(Path::new("")));
+        // Of an incomplete entry, every unknown key is reported below.
+        let complete = host.is_some() && number.is_some() && scope.is_some();
+        let keys = match complete && misspelt_keys(&mut reading, &fields) {
+            true => None,
+            false => KeyFiles::take(&mut reading, &mut fields, base.unwrap_or(Path::new(""))),
+        };
         if let (Some(key), Some(Err(wrong))) = (key, keys.as_ref().map(KeyFiles::read)) {
             reading.wrong(key, wrong.to_string());
         }
@@ -261,7 +267,11 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
             fields.finish(&mut reading);
             return None;
         };
+        let place = host;
         let host = text(&mut reading, host, "a host, as lamp or 192.168.1.7");
+        if let Some(wrong) = host.as_deref().and_then(host::mistake) {
+            reading.wrong(place, wrong);
+        }
         let port = text(&mut reading, number, "a port, as 12345");
         let port = port.and_then(|text| match port_of(&text) {
             Ok(port) => Some(port),
@@ -282,6 +292,29 @@ fn endpoint(document: &Document, node: &Node) -> Entry {
         })
     })();
     reading.finish(remote)
+}
+
+/// Reports keys that seem to be meant for encryption: without them, the client would speak in plain text.
+fn misspelt_keys<'d>(reading: &mut Reading<'d>, fields: &Fields<'d>) -> bool {
+    let mut found = false;
+    for (name, text) in fields.unknown().filter(|(_, text)| !KEYS.contains(text)) {
+        let lower = text.to_lowercase();
+        let has_key = lower.contains("key");
+        let own = ["client", "own", "private", "secret"];
+        let meant = match closest(text, KEYS) {
+            _ if has_key && own.iter().any(|word| lower.contains(word)) => Some("key"),
+            Some(meant) => Some(meant),
+            None if has_key => None,
+            None => continue,
+        };
+        let help = match meant {
+            Some(meant) => format!("did you mean '{meant}'?"),
+            None => format!("for encryption, there are: {}", KEYS.join(", ")),
+        };
+        reading.wrong_with(name, format!("unknown key '{text}'"), Some(help));
+        found = true;
+    }
+    found
 }
 
 fn port_of(text: &str) -> Result<u16, String> {
@@ -368,6 +401,10 @@ publishers:
                 "{host: [], port: 1, scope: s}",
                 "remotes.yaml:2:13: here is a list",
             ),
+            (
+                "{host: 'tcp://lamp:7', port: 1, scope: s}",
+                "remotes.yaml:2:13: 'tcp://lamp:7' is not a host; write lamp as the host, and 7 as the port",
+            ),
         ] {
             let remotes = read(&format!(
                 "remotes:\n  a: {entry}\n  b: {{host: h, port: 1, scope: /s}}"
@@ -378,6 +415,68 @@ publishers:
             assert_eq!(remotes.mistakes().count(), 1);
             assert!(remotes.task("b").is_ok(), "{entry}");
         }
+    }
+
+    #[test]
+    fn a_misspelt_or_incomplete_key_makes_no_plain_text_entry() {
+        let both = "an encrypted connection needs both: key: robot.key_secret, server-key: far.key";
+        let nothing = "here is nothing; wanted is a file of `ztl keys`";
+        for (keys, messages) in [
+            (
+                "key: a.key_secret, server_key: r.key",
+                &["59: unknown key 'server_key'; did you mean 'server-key'?"][..],
+            ),
+            (
+                "sever-key: r.key",
+                &["40: unknown key 'sever-key'; did you mean 'server-key'?"],
+            ),
+            (
+                "serverkey: r.key",
+                &["40: unknown key 'serverkey'; did you mean 'server-key'?"],
+            ),
+            ("Key: a", &["40: unknown key 'Key'; did you mean 'key'?"]),
+            ("keys: a", &["40: unknown key 'keys'; did you mean 'key'?"]),
+            ("kye: a", &["40: unknown key 'kye'; did you mean 'key'?"]),
+            (
+                "secret-key: a",
+                &["40: unknown key 'secret-key'; did you mean 'key'?"],
+            ),
+            (
+                "ClientKey: a",
+                &["40: unknown key 'ClientKey'; did you mean 'key'?"],
+            ),
+            (
+                "public_key: a",
+                &["40: unknown key 'public_key'; for encryption, there are: key, server-key"],
+            ),
+            (
+                "sever-key: r, keys: a",
+                &[
+                    "40: unknown key 'sever-key'; did you mean 'server-key'?",
+                    "54: unknown key 'keys'; did you mean 'key'?",
+                ],
+            ),
+            ("key: a", &[&format!("45: {both}")]),
+            ("server-key: r", &[&format!("52: {both}")]),
+            ("server-key: r, key: ~", &[&format!("60: {nothing}")]),
+            (
+                "key: ~, server-key: ~",
+                &[&format!("45: {nothing}"), &format!("60: {nothing}")],
+            ),
+        ] {
+            let text = format!("remotes:\n  robot: {{host: h, port: 1, scope: /s, {keys}}}\n");
+            let remotes = read(&text).unwrap();
+            let error = remotes.task("robot").unwrap_err().to_string();
+            let found: Vec<&str> = error
+                .lines()
+                .filter_map(|line| line.strip_prefix("remotes.yaml:2:"))
+                .collect();
+            assert_eq!(found, messages, "{keys}: {error}");
+            assert_eq!(remotes.mistakes().count(), 1);
+        }
+        // As with the original, other keys say nothing.
+        let text = "remotes: {robot: {host: h, port: 1, scope: /s, colour: red, server: big, note: hello}}";
+        assert_eq!(read(text).unwrap().task("robot").unwrap().keys, None);
     }
 
     #[test]

@@ -171,11 +171,24 @@ pub struct Fields<'d> {
 impl<'d> Fields<'d> {
     /// The value of a key; `None` if the key or its value is missing.
     pub fn optional(&mut self, key: &'static str) -> Option<&'d Node> {
+        self.present(key).filter(|value| !value.is_null())
+    }
+
+    /// The value of a key, also an empty one; `None` if the key is missing. For settings that protect something: a
+    /// forgotten value must not leave them out.
+    pub fn present(&mut self, key: &'static str) -> Option<&'d Node> {
         self.known.push(key);
         let found = self.pairs.iter().find(|(name, _)| is(name, key));
-        found
-            .map(|(_, value)| value)
-            .filter(|value| !value.is_null())
+        found.map(|(_, value)| value)
+    }
+
+    /// The keys that were not asked for, each with its text.
+    pub fn unknown(&self) -> impl Iterator<Item = (&'d Node, &'d str)> {
+        let texts = self.pairs.iter().filter_map(|(name, _)| match &name.value {
+            NodeValue::Scalar { text, .. } => Some((name, text.as_str())),
+            _ => None,
+        });
+        texts.filter(|(_, text)| !self.known.contains(text))
     }
 
     /// The key itself, if it is there.

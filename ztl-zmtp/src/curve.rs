@@ -174,6 +174,11 @@ impl Handshake {
         self.state == State::Known
     }
 
+    /// Whether the peer has proved that it has the expected key: for a client, once it has opened WELCOME.
+    pub(crate) fn trusts_peer(&self) -> bool {
+        self.state != State::First
+    }
+
     /// The peer's permanent public key, once it is known.
     pub(crate) const fn peer(&self) -> [u8; KEY] {
         self.peer

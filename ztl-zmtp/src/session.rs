@@ -8,6 +8,7 @@
 
 mod frames;
 mod inbound;
+mod obstacle;
 mod outbound;
 mod security;
 
@@ -15,6 +16,7 @@ pub use frames::Message;
 #[cfg(feature = "curve")]
 pub(crate) use frames::put_header;
 pub use inbound::{Inbound, Step};
+pub use obstacle::Obstacle;
 pub use outbound::Outbound;
 pub use security::Security;
 

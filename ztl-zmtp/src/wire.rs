@@ -81,7 +81,7 @@ impl Socket for Pub {
     const CODE: u8 = 1;
     const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03PUB";
     const PARTNERS: &'static [(&'static [u8], u8)] = &[(b"SUB", 2), (b"XSUB", 10)];
-    const ERROR: &'static [u8] = b"\x04\x1A\x05ERROR\x13PUB-takes-SUB,XSUB";
+    const ERROR: &'static [u8] = b"\x04\x19\x05ERROR\x12PUB-takes-SUB,XSUB";
     const BINDS: bool = true;
 }
 

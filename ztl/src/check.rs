@@ -56,6 +56,13 @@ impl Check {
                     add_unknown(unknown, &mut findings);
                 }
             }
+            // Also entries that the script does not use: their owner may believe that they are encrypted.
+            for wrong in remotes.mistakes().flatten().cloned() {
+                let wrong = Finding::mistake(wrong);
+                if !findings.contains(&wrong) {
+                    findings.push(wrong);
+                }
+            }
             match (self.live, &script) {
                 (true, Some(script)) => {
                     let live = script.check_live(remotes, &connect);

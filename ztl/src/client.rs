@@ -46,7 +46,15 @@ impl ClientTask<'_> {
         let outcome = if self.target.port > i64::from(u16::MAX) {
             self.not_connected()
         } else {
-            let mut remote = identify(self.target.connect()?)?;
+            let connected = self
+                .target
+                .connect()
+                .map_err(|error| match self.as_original {
+                    // The original ends with 1 after any exception.
+                    true => error.to_string().into(),
+                    false => error,
+                });
+            let mut remote = identify(connected?)?;
             self.play(&mut remote)
         };
         Ok(match self.report.exit_status {

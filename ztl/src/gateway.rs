@@ -6,7 +6,7 @@ mod reload;
 use std::process::ExitCode;
 
 use crate::exit::Done;
-use crate::listen_options::{CheckFindings, MISCONFIGURED};
+use crate::listen_options::{CheckFindings, MISCONFIGURED, verdict};
 use crate::systemd::{self, Service};
 use crate::terminal::{error_line, line};
 use crate::{log, signals};
@@ -24,8 +24,13 @@ impl Gateway {
                 return Ok(ExitCode::from(MISCONFIGURED));
             }
         };
+        let warnings = plan.warnings();
+        for warning in &warnings {
+            error_line(format_args!("ztl: warning: {warning}"));
+        }
         if check {
-            return plan.check().tell(format_args!("Nothing is wrong: {plan}."));
+            let verdict = verdict(warnings.len());
+            return plan.check().tell(format_args!("{verdict}: {plan}."));
         }
         log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;

@@ -7,10 +7,10 @@ use std::process::ExitCode;
 
 use ipnet::IpNet;
 use tracing::Level;
-use ztl_std::keys::PublicKey;
+use ztl_std::keys::{KeyError, PublicKey};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
 use ztl_std::{Access, BindError, Limits, ServerBuilder, TaskServer, Transport};
-use ztl_yaml::Diagnostics;
+use ztl_yaml::{Diagnostics, closest};
 
 use crate::connect_options::{TransportOption, own_keys};
 use crate::exit::Done;
@@ -107,17 +107,27 @@ impl ListenOptions {
         access.allow.extend(file.allow);
         access.client_key.extend(file.client_keys);
         access.key = access.key.or(file.key);
+        if access.key.is_none()
+            && let Some(client) = access.client_key.first()
+        {
+            let mistake = format!(
+                "--client-key {client}: clients can have keys only if the server has one; give --key, or `key` in a configuration file"
+            );
+            return Err(ConfigError::Whole(mistake));
+        }
         let Some(port) = self.port.or(file.port) else {
             return Ok(None);
         };
+        let (access, warnings) = access
+            .access()
+            .map_err(|mistake| ConfigError::Whole(mistake.to_string()))?;
         Ok(Some(ListenPlace {
             limits: self.limits.over(file.limits),
             transport: self.transport.get().map_err(ConfigError::Whole)?,
             port,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
-            access: access
-                .access()
-                .map_err(|mistake| ConfigError::Whole(mistake.to_string()))?,
+            access,
+            warnings,
             log: self.log.or(file.log).unwrap_or(Level::INFO),
             log_format: self.log_format.or(file.log_format).unwrap_or_default(),
         }))
@@ -129,6 +139,8 @@ pub(crate) struct ListenPlace {
     pub(crate) port: u16,
     pub(crate) bind: String,
     pub(crate) access: Access,
+    /// What may not be intended in the options for `access`.
+    warnings: Vec<String>,
     pub(crate) limits: Limits,
     pub(crate) transport: Transport,
     pub(crate) log: Level,
@@ -139,6 +151,29 @@ impl ListenPlace {
     /// Who can reach the server, for people.
     pub(crate) fn reachable(&self) -> String {
         reachable(&self.bind, &self.access)
+    }
+
+    /// What keeps clients with keys out of a server with these scopes, and may not be intended.
+    pub(crate) fn warnings(&self, scopes: &[&str]) -> Vec<String> {
+        let mut warnings = self.warnings.clone();
+        if self.access.admits_nobody() {
+            warnings.push(
+                "no client's key is allowed, so no client can connect; give --client-key (in a file, client-keys)"
+                    .to_owned(),
+            );
+        }
+        // A client may be allowed only to ask what the server is.
+        let scopes_of_keys = self.access.named_scopes().filter(|scope| *scope != "$ztl");
+        for scope in scopes_of_keys.filter(|scope| !scopes.contains(scope)) {
+            let help = match closest(scope, scopes.iter().copied()) {
+                Some(meant) => format!("did you mean '{meant}'?"),
+                None => format!("there are: {}", scopes.join(", ")),
+            };
+            warnings.push(format!(
+                "client keys are allowed at scope '{scope}', which is not served; {help}"
+            ));
+        }
+        warnings
     }
 
     /// Checks whether a server could listen here and at a second port.
@@ -170,6 +205,15 @@ impl ListenPlace {
             .access(self.access.clone())
             .limits(self.limits)
             .transport(self.transport)
+    }
+}
+
+/// The result of a check without mistakes.
+pub(crate) fn verdict(warnings: usize) -> String {
+    match warnings {
+        0 => "Nothing is wrong".to_owned(),
+        1 => "Nothing is wrong except a warning".to_owned(),
+        many => format!("Nothing is wrong except {many} warnings"),
     }
 }
 
@@ -236,7 +280,7 @@ struct AccessOptions {
     key: Option<PathBuf>,
 
     /// Allow a client by its key, or a directory of keys; with SCOPE=, only at that scope (repeatable)
-    #[arg(long, value_name = "[SCOPE=]NAME.key", requires = "key")]
+    #[arg(long, value_name = "[SCOPE=]NAME.key")]
     client_key: Vec<String>,
 }
 
@@ -248,8 +292,10 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 }
 
 impl AccessOptions {
-    fn access(&self) -> Result<Access, Box<dyn std::error::Error>> {
+    /// Reads the keys. Also returns what may not be intended.
+    fn access(&self) -> Result<(Access, Vec<String>), KeyError> {
         let mut access = Access::everybody();
+        let mut warnings = Vec::new();
         for network in &self.allow {
             access = access.from_network(*network);
         }
@@ -257,20 +303,22 @@ impl AccessOptions {
             access = access.with_keys(own_keys(path)?);
         }
         for client in &self.client_key {
-            match client.split_once('=') {
-                Some((scope, path)) => {
-                    for key in PublicKey::read_all(Path::new(path))? {
-                        access = access.allow_scope(scope, key);
-                    }
-                }
-                None => {
-                    for key in PublicKey::read_all(Path::new(client))? {
-                        access = access.allow(key);
-                    }
-                }
+            let (scope, path) = match client.split_once('=') {
+                Some((scope, path)) => (Some(scope), path),
+                None => (None, client.as_str()),
+            };
+            let keys = PublicKey::read_all(Path::new(path))?;
+            if keys.is_empty() {
+                warnings.push(format!("{path}: there is no *.key in this directory"));
+            }
+            for key in keys {
+                access = match scope {
+                    Some(scope) => access.allow_scope(scope, key),
+                    None => access.allow(key),
+                };
             }
         }
-        Ok(access)
+        Ok((access, warnings))
     }
 }
 

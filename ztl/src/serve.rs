@@ -7,11 +7,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use tracing::{Level, warn};
-use ztl_serve::{Config, ProcessRegistry};
+use ztl_serve::{Config, ProcessRegistry, Scope};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
 
 use crate::exit::Done;
-use crate::listen_options::{ConfigError, ListenOptions, ListenPlace, MISCONFIGURED, log_format};
+use crate::listen_options::{
+    ConfigError, ListenOptions, ListenPlace, MISCONFIGURED, log_format, verdict,
+};
 use crate::option_values::scope_to_serve;
 use crate::systemd::Service;
 use crate::terminal::{error_line, error_part, line};
@@ -93,17 +95,18 @@ impl Serve {
         for warning in &config.warnings {
             error_part(warning);
         }
+        let scopes: Vec<&str> = config.scopes.iter().map(Scope::name).collect();
+        let warnings = place.warnings(&scopes);
+        for warning in &warnings {
+            error_line(format_args!("ztl: warning: {warning}"));
+        }
         if check {
-            let wrong = match config.warnings.len() {
-                0 => "Nothing is wrong".to_owned(),
-                1 => "Nothing is wrong except a warning".to_owned(),
-                many => format!("Nothing is wrong except {many} warnings"),
-            };
+            let verdict = verdict(config.warnings.len() + warnings.len());
             let (bind, port) = (&place.bind, place.port);
             let served = served(&config);
             return place
                 .check(None)
-                .tell(format_args!("{wrong}: {served}, at {bind}:{port}."));
+                .tell(format_args!("{verdict}: {served}, at {bind}:{port}."));
         }
         log::init_as(place.log, place.log_format);
         signals::catch()?;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use ztl_std::keys::KeyFiles;
 use ztl_std::remotes::{NoRemote, usual_path};
-use ztl_std::{Remotes, RequestError};
+use ztl_std::{Remotes, RequestError, host};
 
 use crate::exit::Misuse;
 use crate::option_values::{port_to_reach, whole};
@@ -66,7 +66,7 @@ impl AddressOptions {
         let unknown = match (&self.remote, self.port) {
             (Some(name), None) => match self.named(name)? {
                 Lookup::Found(place) => return Ok(Some(place)),
-                Lookup::Unknown(why) => Some(why),
+                Lookup::Unknown(why) => Some(host::mistake(name).map_or(why, Misuse)),
             },
             _ => None,
         };
@@ -133,10 +133,10 @@ impl ServerAddress {
 }
 
 /// Why a client cannot be created.
-pub(crate) fn no_client(host: &str, error: RequestError) -> String {
+pub(crate) fn no_client(error: RequestError) -> Box<dyn std::error::Error> {
     match error {
-        RequestError::Endpoint { .. } => format!("'{host}' is not a host name or address"),
-        error => error.to_string(),
+        RequestError::Endpoint { why, .. } => Misuse(why).into(),
+        error => error.into(),
     }
 }
 

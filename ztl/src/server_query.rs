@@ -44,8 +44,7 @@ impl QueriedServer {
 
     /// Connects to a scope of the server.
     pub(crate) fn connect(&self, scope: &str) -> Result<RemoteTask, Box<dyn std::error::Error>> {
-        let remote = RemoteTask::connect(&self.endpoint(), scope)
-            .map_err(|error| no_client(&self.address.host, error))?;
+        let remote = RemoteTask::connect(&self.endpoint(), scope).map_err(no_client)?;
         self.connecting.apply(remote, self.address.keys.as_ref())
     }
 

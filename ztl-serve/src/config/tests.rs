@@ -249,6 +249,30 @@ scopes:
     );
 }
 
+#[test]
+fn a_forward_without_its_keys_is_not_plain_text() {
+    for (keys, message) in [
+        (
+            "key: a, server_key: b",
+            "unknown key 'server_key'; did you mean 'server-key'?",
+        ),
+        (
+            "keys: a, sever-key: b",
+            "unknown key 'keys'; did you mean 'key'?",
+        ),
+        ("server-key: b", "an encrypted connection needs both"),
+        (
+            "key: ~, server-key: ~",
+            "here is nothing; wanted is a file of `ztl keys`",
+        ),
+    ] {
+        let forward = format!("{{forward: {{to: 'tcp://h:1', scope: /cob, {keys}}}}}");
+        let text = format!("scopes: {{/r: {{h: {{c: {forward}}}}}}}");
+        let mistakes = parse(&text).expect_err(keys).to_string();
+        assert!(mistakes.contains(message), "{keys}: {mistakes}");
+    }
+}
+
 /// The mistakes in a rule for goals.
 #[track_caller]
 fn mistakes_of(goal: &str) -> Vec<String> {

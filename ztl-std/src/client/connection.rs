@@ -290,6 +290,7 @@ impl Connection {
             return Err(Unanswered::from(RequestError::NotConnected {
                 endpoint: self.endpoint.clone(),
                 waited: start.elapsed(),
+                obstacle: socket.obstacle(),
             }));
         }
         socket.send(envelope, asked)?;

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_core::{State, client};
+use ztl_zmtp::session::Obstacle;
 
 use super::status::Status;
 use crate::keys::KeyError;
@@ -21,6 +22,8 @@ pub enum RequestError {
         endpoint: String,
         /// How long the client tried.
         waited: Duration,
+        /// What ended the last attempt, if the server's side of the handshake tells it.
+        obstacle: Option<Obstacle>,
     },
     /// The message is longer than the server accepts; nothing was sent.
     TooLong {
@@ -111,6 +114,16 @@ impl RequestError {
         )
     }
 
+    /// If the server does not let the client connect: what is wrong with the server at the endpoint, and what helps. In
+    /// the words of `ztl`: options of its commands, which have the same names in its files.
+    #[must_use]
+    pub fn advice(&self) -> Option<(String, &'static str)> {
+        match self {
+            Self::NotConnected { obstacle, .. } => obstacle.map(advice),
+            _ => None,
+        }
+    }
+
     /// Whether the server does not serve the scope (yet).
     #[must_use]
     pub fn is_no_scope(&self) -> bool {
@@ -136,11 +149,21 @@ impl RequestError {
 impl std::fmt::Display for RequestError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::NotConnected { endpoint, waited } => write!(
-                f,
-                "no answer from {endpoint} within {:.1} s",
-                waited.as_secs_f32()
-            ),
+            Self::NotConnected {
+                endpoint,
+                waited,
+                obstacle,
+            } => match obstacle {
+                Some(obstacle) => {
+                    let (problem, remedy) = advice(*obstacle);
+                    write!(f, "the server at {endpoint} {problem}: {remedy}")
+                }
+                None => write!(
+                    f,
+                    "no answer from {endpoint} within {:.1} s",
+                    waited.as_secs_f32()
+                ),
+            },
             Self::TooLong {
                 endpoint,
                 bytes,
@@ -198,6 +221,43 @@ impl std::fmt::Display for RequestError {
 }
 
 impl std::error::Error for RequestError {}
+
+/// What is wrong with a server that does not let a client connect, and the remedy.
+fn advice(obstacle: Obstacle) -> (String, &'static str) {
+    let (problem, remedy) = match obstacle {
+        Obstacle::PeerEncrypts => (
+            "encrypts, and this client has no keys",
+            "give --key and --server-key (in a configuration file: key and server-key)",
+        ),
+        Obstacle::PeerIsPlain => (
+            "does not encrypt, and this client has keys",
+            "start the server with --key, or connect without keys",
+        ),
+        Obstacle::OtherMechanism => (
+            "demands a password or a ticket",
+            "ZTL knows only keys (see `ztl keys`)",
+        ),
+        Obstacle::OtherKey => (
+            "does not have the key that this client expects",
+            "the client's --server-key must be the NAME.key of this server",
+        ),
+        Obstacle::KeyNotAdmitted => (
+            "does not admit this client",
+            "the server's --client-key must name this client's key, and its --allow, if any, this machine's address",
+        ),
+        Obstacle::NotAdmitted => (
+            "does not admit this client",
+            "the server's --allow must name this machine's address",
+        ),
+        Obstacle::Fault(fault) => {
+            let problem = format!("does not speak to this client ({fault})");
+            return (problem, "is it a ZTL server, and its port for tasks?");
+        }
+        // The list may grow.
+        _ => ("does not let this client connect", "see the server's log"),
+    };
+    (problem.to_owned(), remedy)
+}
 
 impl From<io::Error> for RequestError {
     fn from(cause: io::Error) -> Self {

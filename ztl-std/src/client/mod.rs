@@ -25,3 +25,4 @@ pub use remote_task::RemoteTask;
 pub use status::{ServerInfo, Status, Triggered};
 #[cfg(feature = "config")]
 pub use tasks::{ServerTask, ServerTasks};
+pub use ztl_zmtp::session::Obstacle;

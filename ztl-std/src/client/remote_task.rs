@@ -194,9 +194,11 @@ impl RemoteTask {
         prepared
             .map_err(|error| match error {
                 // The INIT was not sent yet.
-                RequestError::NoAnswer { endpoint, waited } => {
-                    RequestError::NotConnected { endpoint, waited }
-                }
+                RequestError::NoAnswer { endpoint, waited } => RequestError::NotConnected {
+                    endpoint,
+                    waited,
+                    obstacle: None,
+                },
                 error => error,
             })
             .map_err(TriggerError::Request)?;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ztl_core::envelope::Envelope;
 use ztl_zmtp::curve;
-use ztl_zmtp::session::Security;
+use ztl_zmtp::session::{Obstacle, Security};
 
 use crate::keys::{KeyPair, PublicKey};
 #[cfg(feature = "libzmq")]
@@ -52,6 +52,15 @@ impl Socket {
             Self::Native(dialer) => dialer.can_send(limit),
             #[cfg(feature = "libzmq")]
             Self::Libzmq(socket) => socket.can_send(limit),
+        }
+    }
+
+    /// What ended the last attempt to connect. libzmq does not tell it.
+    pub(super) const fn obstacle(&self) -> Option<Obstacle> {
+        match self {
+            Self::Native(dialer) => dialer.obstacle(),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(_) => None,
         }
     }
 

@@ -347,6 +347,21 @@ devices:
                 "client-keys: a.key",
                 "lab.yaml:1:14: clients can have keys only if",
             ),
+            // What protects the server is not left out by a forgotten value.
+            ("key:", "lab.yaml:1:5: here is nothing; wanted is the file"),
+            (
+                "allow:",
+                "lab.yaml:1:7: here is nothing; wanted is a network",
+            ),
+            (
+                "allow: []",
+                "lab.yaml:1:8: the list is empty, which would allow every address; write a network",
+            ),
+            (
+                "{key: robot.key_secret, client-keys: }",
+                "here is nothing; wanted is a client's key",
+            ),
+            ("sever-key: a", "lab.yaml:1:1: unknown key 'sever-key'"),
             ("[a]: 1", "lab.yaml:1:1: a key is a single word"),
         ] {
             let mistakes = parse(text).expect_err(text).to_string();

@@ -8,8 +8,8 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use mio::{Events, Poll, Token};
-use ztl_zmtp::session::{Inbound, Outbound, Security, Step};
-use ztl_zmtp::{Dealer, HANDSHAKE};
+use ztl_zmtp::session::{Inbound, Obstacle, Outbound, Security, Step};
+use ztl_zmtp::{Dealer, Fault, HANDSHAKE};
 
 use super::streams::{Endpoint, Stream};
 use crate::client::RETRY;
@@ -49,6 +49,8 @@ pub(crate) struct Dialer {
     piece: Box<[u8]>,
     /// Looks up the host's address, which may take long.
     lookup: Option<Receiver<Option<SocketAddr>>>,
+    /// What ended the last attempt to connect.
+    obstacle: Option<Obstacle>,
 }
 
 impl Dialer {
@@ -66,6 +68,7 @@ impl Dialer {
             more: false,
             piece: vec![0; PIECE].into_boxed_slice(),
             lookup: None,
+            obstacle: None,
         })
     }
 
@@ -122,6 +125,11 @@ impl Dialer {
         self.received.pop_front()
     }
 
+    /// What ended the last attempt to connect, if the server's side of the handshake tells it.
+    pub(crate) const fn obstacle(&self) -> Option<Obstacle> {
+        self.obstacle
+    }
+
     fn is_ready(&self) -> bool {
         let ready = |open: &Open| open.inbound.is_ready();
         self.open.as_ref().is_some_and(ready)
@@ -141,7 +149,7 @@ impl Dialer {
         let handshake = self.open.as_ref().map(|open| open.inbound.deadline());
         let handshake = handshake.map_or(limit, |deadline| deadline.since(now()));
         if handshake.is_zero() {
-            self.close();
+            self.close(Some(Fault::Silent));
             return Ok(());
         }
         let limit = if self.more { Duration::ZERO } else { limit };
@@ -185,6 +193,7 @@ impl Dialer {
         self.again = Instant::now() + self.pause;
         self.pause = (self.pause * 2).min(LONGEST);
         let Ok(mut stream) = stream else {
+            self.obstacle = None;
             return Ok(());
         };
         stream.register(self.poll.registry(), Token(0))?;
@@ -212,7 +221,7 @@ impl Dialer {
             match open.stream.write(open.out.transmit_buf()) {
                 Ok(count) => open.out.consume(count),
                 Err(error) if is_later(&error) => return,
-                Err(_) => return self.close(),
+                Err(_) => return self.close(None),
             }
         }
     }
@@ -227,10 +236,10 @@ impl Dialer {
             return;
         }
         let count = match open.stream.read(&mut self.piece) {
-            Ok(0) => return self.close(),
+            Ok(0) => return self.close(None),
             Ok(count) => count,
             Err(error) if is_later(&error) => return,
-            Err(_) => return self.close(),
+            Err(_) => return self.close(None),
         };
         let mut bytes = self.piece.get(..count).unwrap_or_default();
         loop {
@@ -239,21 +248,24 @@ impl Dialer {
                 Ok(Step::Asks) => {
                     open.inbound.accept(&mut open.out);
                     self.pause = SHORTEST;
+                    self.obstacle = None;
                 }
                 Ok(Step::Subscription(..)) => {}
                 Ok(Step::Message(message)) => {
                     let frames = message.frames().map(<[u8]>::to_vec);
                     self.received.push_back(frames.collect());
                 }
-                Err(_) => return self.close(),
+                Err(fault) => return self.close(Some(fault)),
             }
         }
         self.more = count == PIECE;
         self.flush();
     }
 
-    fn close(&mut self) {
+    /// Closes the connection after a fault, or because the server or the system closed it.
+    fn close(&mut self, fault: Option<Fault>) {
         if let Some(mut open) = self.open.take() {
+            self.obstacle = open.inbound.obstacle(fault);
             open.stream.deregister(self.poll.registry());
         }
         self.again = self.again.max(Instant::now() + SHORTEST);
@@ -349,16 +361,120 @@ mod tests {
         let run = |mut remote: RemoteTask| remote.run("p", "echo", "hi", LIMIT);
         let end = run(connect().with_keys(allowed, public).unwrap()).unwrap();
         assert_eq!((end.state, end.text.as_str()), (State::Completed, "hi"));
-        let short = std::time::Duration::from_millis(500);
-        assert!(
-            run(connect()
-                .with_timeout(short)
-                .with_keys(stranger, public)
-                .unwrap())
-            .is_err()
-        );
-        assert!(run(connect().with_timeout(short)).is_err());
+        let soon = |remote: RemoteTask| remote.with_timeout(std::time::Duration::from_millis(500));
+        assert!(run(soon(connect().with_keys(stranger, public).unwrap())).is_err());
+        assert!(run(soon(connect())).is_err());
         assert_eq!(echo.0.load(Ordering::SeqCst), 1);
+    }
+
+    /// Tries until the error begins like this, since a slow machine may need several tries.
+    #[track_caller]
+    fn told(remote: RemoteTask, expected: &str) -> RemoteTask {
+        let mut remote = remote.with_timeout(std::time::Duration::from_millis(300));
+        let end = std::time::Instant::now() + LIMIT.unwrap();
+        loop {
+            let error = remote.run("p", "echo", "hi", LIMIT).unwrap_err();
+            let error = error.to_string();
+            assert!(error.ends_with("; nothing was sent"), "{error}");
+            if error.starts_with(expected) {
+                return remote;
+            }
+            assert!(std::time::Instant::now() < end, "{error}");
+        }
+    }
+
+    #[test]
+    fn a_client_says_what_keeps_it_from_its_server() {
+        let [own, allowed, stranger] = [(); 3].map(|()| crate::keys::KeyPair::generate());
+        let (public, other) = (own.public(), stranger.public());
+        let open = Access::everybody;
+        let secret = open().with_keys(own).allow(allowed.public());
+        let elsewhere = open().from_network("10.1.2.0/24".parse().unwrap());
+        for (there, access, keys, message) in [
+            (
+                Transport::Native,
+                &secret,
+                None,
+                "encrypts, and this client has no keys: give",
+            ),
+            (
+                Transport::Native,
+                &secret,
+                Some((allowed.clone(), other)),
+                "does not have the key that this client expects: the client's --server-key must be",
+            ),
+            (
+                Transport::Native,
+                &secret,
+                Some((stranger.clone(), public)),
+                "does not admit this client: the server's --client-key must name",
+            ),
+            (
+                Transport::Native,
+                &open(),
+                Some((allowed.clone(), public)),
+                "does not encrypt, and this client has keys: start",
+            ),
+            (
+                Transport::Libzmq,
+                &open(),
+                Some((allowed, public)),
+                "does not encrypt, and this client has keys: start",
+            ),
+            (
+                Transport::Native,
+                &elsewhere,
+                None,
+                "does not admit this client: the server's --allow must name",
+            ),
+            (
+                Transport::Libzmq,
+                &elsewhere,
+                None,
+                "does not admit this client: the server's --allow must name",
+            ),
+        ] {
+            let builder = TaskServer::builder().transport(there);
+            let server = builder.access(access.clone()).bind("tcp://127.0.0.1:*");
+            let mut server = server.unwrap();
+            let echo = Echo::default();
+            server.register("/lab", echo.clone());
+            let server = server.spawn().unwrap();
+            let remote = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
+            let mut remote = remote.with_transport(Transport::Native).unwrap();
+            if let Some((own, server)) = keys {
+                remote = remote.with_keys(own, server).unwrap();
+            }
+            told(
+                remote,
+                &format!("the server at {} {message}", server.endpoint()),
+            );
+            assert_eq!(echo.0.load(Ordering::SeqCst), 0);
+        }
+    }
+
+    #[test]
+    fn an_obstacle_that_is_gone_is_not_reported() {
+        let allowed = crate::keys::KeyPair::generate();
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("tcp://{}", port.local_addr().unwrap());
+        drop(port);
+        let serve = |access| {
+            let builder = TaskServer::builder().transport(Transport::Native);
+            let mut server = builder.access(access).bind(&endpoint).unwrap();
+            server.register("/lab", Echo::default());
+            server.spawn().unwrap()
+        };
+        let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
+        let mut remote = remote.with_transport(Transport::Native).unwrap();
+        let server = serve(Access::everybody().with_keys(allowed));
+        remote = told(remote, &format!("the server at {endpoint} encrypts"));
+        drop(server);
+        remote = told(remote, &format!("no answer from {endpoint}"));
+        let server = serve(Access::everybody());
+        let mut remote = remote.with_timeout(LIMIT.unwrap());
+        assert_eq!(remote.run("p", "echo", "hi", LIMIT).unwrap().text, "hi");
+        drop(server);
     }
 
     #[test]

@@ -14,6 +14,8 @@ use mio::net::{TcpListener, TcpStream};
 use mio::net::{UnixListener, UnixStream};
 use mio::{Interest, Registry, Token};
 
+use crate::host;
+
 /// After this silence, the system asks whether the peer is still there; then four times as often.
 #[cfg(target_os = "linux")]
 const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(60);
@@ -43,8 +45,10 @@ impl Endpoint {
         let place = text.strip_prefix("tcp://");
         let (host, port) = place
             .and_then(|place| place.rsplit_once(':'))
-            .filter(|(host, _)| !host.is_empty())
             .ok_or_else(|| format!("'{text}' is not an endpoint; write tcp://HOST:PORT"))?;
+        if let Some(mistake) = host::mistake(host) {
+            return Err(mistake);
+        }
         let number = match port {
             "*" => Some(0),
             port => port.parse().ok(),
@@ -261,6 +265,9 @@ mod tests {
             "tcp://lamp:65536",
             "tcp://lamp:-1",
             "udp://lamp:7",
+            "tcp://ipc:///x:7",
+            "tcp://tcp://lamp:7",
+            "tcp://a lamp:7",
             "ipc://",
         ] {
             assert!(Endpoint::parse(text).is_err(), "{text}");

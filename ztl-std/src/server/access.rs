@@ -64,6 +64,17 @@ impl Access {
         self.keys.as_ref()
     }
 
+    /// Whether the server encrypts, and no client's key is allowed.
+    #[must_use]
+    pub fn admits_nobody(&self) -> bool {
+        self.keys.is_some() && self.clients.is_empty() && self.clients_of.is_empty()
+    }
+
+    /// The scopes to which clients are [restricted](Self::allow_scope).
+    pub fn named_scopes(&self) -> impl Iterator<Item = &str> {
+        self.clients_of.keys().map(String::as_str)
+    }
+
     /// A description for people, which continues `Reachable for`; `where_from` says who can reach the
     /// server at all.
     #[must_use]
@@ -73,15 +84,11 @@ impl Access {
             let networks: Vec<String> = self.networks.iter().map(IpNet::to_string).collect();
             said = format!("{said}, if its address is in {}", networks.join(" or "));
         }
-        said.push_str(
-            match (&self.keys, self.clients.len() + self.clients_of.len()) {
-                (None, _) => "",
-                (Some(_), 0) => {
-                    ", encrypted; but no client's key is allowed, so no client can connect"
-                }
-                (Some(_), _) => ", encrypted, with an allowed key",
-            },
-        );
+        said.push_str(match (self.keys.is_some(), self.admits_nobody()) {
+            (false, _) => "",
+            (true, true) => ", encrypted; but no client's key is allowed, so no client can connect",
+            (true, false) => ", encrypted, with an allowed key",
+        });
         said
     }
 

@@ -7,6 +7,7 @@ use core::time::Duration;
 use ztl_core::Instant;
 
 use super::frames::{Message, Scan, header, scan};
+use super::obstacle::Obstacle;
 use super::outbound::Outbound;
 use super::security::Security;
 use super::{BEFORE, ENVELOPES};
@@ -144,6 +145,56 @@ impl<S: Socket> Inbound<S> {
     pub fn peer_key(&self) -> Option<[u8; 32]> {
         let handshake = self.handshake.as_ref()?;
         handshake.is_known().then(|| handshake.peer())
+    }
+
+    /// What keeps this end, a client, from the peer. Call it when the connection ends: by a fault, or because the peer
+    /// closed it. `None` if the handshake was complete, or if the end says nothing.
+    #[must_use]
+    pub fn obstacle(&self, fault: Option<Fault>) -> Option<Obstacle> {
+        match (self.phase, fault) {
+            (Phase::OldTraffic | Phase::Traffic, _) => None,
+            (Phase::Signature, Some(Fault::Mechanism)) => Some(Obstacle::PeerIsPlain),
+            (Phase::Greeting, Some(Fault::Mechanism)) => {
+                let mechanism = MECHANISM.start - PARTIAL..MECHANISM.end - PARTIAL;
+                let mechanism = self.waiting().get(mechanism).unwrap_or_default();
+                Some(match mechanism.split(|byte| *byte == 0).next() {
+                    Some(b"CURVE") => Obstacle::PeerEncrypts,
+                    Some(b"NULL") => Obstacle::PeerIsPlain,
+                    _ => Obstacle::OtherMechanism,
+                })
+            }
+            #[cfg(feature = "curve")]
+            (Phase::Handshake, Some(Fault::Security)) if !self.trusts_peer() => {
+                Some(Obstacle::OtherKey)
+            }
+            (Phase::Handshake, None | Some(Fault::Refused)) => Some(match &self.security {
+                // Refused for another reason than who this end is.
+                _ if fault.is_some() && !self.is_refused_by_code() => {
+                    Obstacle::Fault(Fault::Refused)
+                }
+                Security::Null => Obstacle::NotAdmitted,
+                #[cfg(feature = "curve")]
+                Security::Curve(_) if self.trusts_peer() => Obstacle::KeyNotAdmitted,
+                #[cfg(feature = "curve")]
+                Security::Curve(_) => Obstacle::OtherKey,
+            }),
+            (_, fault) => fault.map(Obstacle::Fault),
+        }
+    }
+
+    /// Whether the `ERROR` that has ended the handshake has the status code of an authenticator (RFC 27): `400` or
+    /// another number.
+    fn is_refused_by_code(&self) -> bool {
+        let command = self.waiting().get(2..).unwrap_or_default();
+        let reason = command.strip_prefix(b"\x05ERROR").unwrap_or_default();
+        reason.get(1).is_some_and(u8::is_ascii_digit)
+    }
+
+    /// Whether the peer has proved that it has the key that this end, a client, expects.
+    #[cfg(feature = "curve")]
+    fn trusts_peer(&self) -> bool {
+        let handshake = self.handshake.as_ref();
+        handshake.is_some_and(|handshake| handshake.trusts_peer())
     }
 
     /// Keeps bytes for a later [`next`](Self::next).

@@ -4,7 +4,7 @@ use std::vec::Vec;
 
 use ztl_core::Instant;
 
-use super::{BEFORE, ENVELOPES, Inbound, Outbound, Security, Step};
+use super::{BEFORE, ENVELOPES, Inbound, Obstacle, Outbound, Security, Step};
 use crate::{Dealer, Fault, Pub, Router, Socket};
 
 const MOST: usize = 1000;
@@ -319,4 +319,92 @@ fn a_client_accepts_only_the_server_whose_key_it_has() {
     let mut client = End::<Dealer>::new(Security::Null);
     talk(&mut server, &mut client, 10_000, &mut |_| ());
     assert_eq!(server.fault, Some(Fault::Mechanism));
+}
+
+#[cfg(feature = "curve")]
+#[test]
+fn a_client_learns_what_keeps_it_from_its_server() {
+    let [server, client] = curve();
+    let stranger = crate::curve::Keys::client([2; 32], [9; 32], || [77; 32]);
+    let stranger = Security::Curve(stranger);
+    let null = || Security::Null;
+    for (there, here, admitted, obstacle) in [
+        (server.clone(), null(), true, Some(Obstacle::PeerEncrypts)),
+        (null(), client.clone(), true, Some(Obstacle::PeerIsPlain)),
+        (server.clone(), stranger, true, Some(Obstacle::OtherKey)),
+        (
+            server.clone(),
+            client.clone(),
+            false,
+            Some(Obstacle::KeyNotAdmitted),
+        ),
+        (null(), null(), false, Some(Obstacle::NotAdmitted)),
+        (server, client, true, None),
+        (null(), null(), true, None),
+    ] {
+        let mut server = End::<Router>::new(there);
+        server.accepts = admitted;
+        let mut client = End::<Dealer>::new(here);
+        talk(&mut server, &mut client, 10_000, &mut |_| ());
+        // The server closes the connection now, unless the client does.
+        assert_eq!(client.inbound.obstacle(client.fault), obstacle);
+    }
+    let [_, client] = curve();
+    let mut client = End::<Dealer>::new(client);
+    // A server of ZMTP 2.0.
+    client.take(b"\xFF\0\0\0\0\0\0\0\x01\x7F\x01\x06\0\0");
+    assert_eq!(client.fault, Some(Fault::Mechanism));
+    assert_eq!(
+        client.inbound.obstacle(client.fault),
+        Some(Obstacle::PeerIsPlain)
+    );
+}
+
+#[test]
+fn a_client_learns_that_its_peer_is_no_server_for_it() {
+    let obstacle = |bytes: &[u8]| {
+        let mut client = End::<Dealer>::new(Security::Null);
+        client.take(bytes);
+        client.inbound.obstacle(client.fault)
+    };
+    let mut plain = crate::GREETING.to_vec();
+    plain.get_mut(12..17).unwrap().copy_from_slice(b"PLAIN");
+    let mut publisher = crate::GREETING.to_vec();
+    publisher.extend_from_slice(Pub::READY);
+    let mut refusal = crate::GREETING.to_vec();
+    refusal.extend_from_slice(b"\x04\x0a\x05ERROR\x03400");
+    let refused = [crate::GREETING.as_slice(), Pub::ERROR].concat();
+    for (bytes, expected) in [
+        (&b""[..], None),
+        (
+            b"HTTP/1.1 400 Bad Request",
+            Some(Obstacle::Fault(Fault::NotZmtp)),
+        ),
+        (&plain, Some(Obstacle::OtherMechanism)),
+        (&publisher, Some(Obstacle::Fault(Fault::SocketType))),
+        (&refusal, Some(Obstacle::NotAdmitted)),
+        (&refused, Some(Obstacle::Fault(Fault::Refused))),
+    ] {
+        assert_eq!(obstacle(bytes), expected, "{bytes:?}");
+    }
+}
+
+#[test]
+fn the_lengths_in_each_error_command_are_right() {
+    for error in [
+        Pub::ERROR,
+        Router::ERROR,
+        crate::Rep::ERROR,
+        crate::Req::ERROR,
+        Dealer::ERROR,
+    ] {
+        let (header, body) = error.split_at(2);
+        assert_eq!(header, [4, u8::try_from(body.len()).unwrap()], "{error:?}");
+        let (length, reason) = body
+            .strip_prefix(b"\x05ERROR")
+            .unwrap()
+            .split_first()
+            .unwrap();
+        assert_eq!(usize::from(*length), reason.len(), "{error:?}");
+    }
 }

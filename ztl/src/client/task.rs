@@ -34,7 +34,7 @@ impl Target<'_> {
         let port = u16::try_from(*port)
             .map_err(|_| format!("invalid port '{port}': expected 0 to 65535"))?;
         let remote = RemoteTask::connect(&format!("tcp://{host}:{port}"), scope);
-        Ok(remote.map_err(|error| no_client(host, error))?)
+        remote.map_err(no_client)
     }
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use ztl_std::RemoteTask;
+use ztl_std::{RemoteTask, RequestError};
 
 use super::finding::Finding;
 use crate::connect_options::ConnectOptions;
@@ -216,16 +216,22 @@ pub(super) fn server(address: &ServerAddress, connecting: &ConnectOptions) -> Fi
         .map_err(Into::into)
         .and_then(|remote| connecting.apply(remote, keys.as_ref()));
     match remote.and_then(ask) {
-        Err(error) => Finding::trouble(
-            "server",
-            format!("{place} accepts connections but does not answer: {error}"),
-            "is it a ZTL server? If it encrypts, give --key and --server-key; if it has --allow, it must name this machine's network",
-        )
-        .with(json!({ "address": address.to_string(), "connect_us": micros(tcp) })),
+        Err(error) => {
+            let known = error.downcast_ref::<RequestError>();
+            let (problem, remedy) = known.and_then(RequestError::advice).unwrap_or_else(|| {
+                let problem = format!("accepts connections but does not answer: {error}");
+                (problem, "is it a ZTL server, and does it hang?")
+            });
+            Finding::trouble("server", format!("{place} {problem}"), remedy)
+                .with(json!({ "address": address.to_string(), "connect_us": micros(tcp) }))
+        }
         Ok((version, mut rounds)) => {
             rounds.sort_unstable();
             let (median, worst) = (rounds.get(rounds.len() / 2), rounds.last());
-            let (median, worst) = (median.copied().unwrap_or_default(), worst.copied().unwrap_or_default());
+            let (median, worst) = (
+                median.copied().unwrap_or_default(),
+                worst.copied().unwrap_or_default(),
+            );
             let who = match &version {
                 Some(version) => format!("ztl {version}"),
                 None => "an original server, or a compatible one".to_owned(),
@@ -245,8 +251,12 @@ pub(super) fn server(address: &ServerAddress, connecting: &ConnectOptions) -> Fi
                 rounds.len()
             );
             match version {
-                Some(version) if version != env!("CARGO_PKG_VERSION") => Finding::note("server", text)
-                    .with_remedy(format!("this is ztl {}; the same version at both ends is what was tried most", env!("CARGO_PKG_VERSION"))),
+                Some(version) if version != env!("CARGO_PKG_VERSION") => {
+                    Finding::note("server", text).with_remedy(format!(
+                        "this is ztl {}; the same version at both ends is what was tried most",
+                        env!("CARGO_PKG_VERSION")
+                    ))
+                }
                 _ => Finding::good("server", text),
             }
             .with(data)

@@ -174,6 +174,13 @@ impl Gateway {
     }
 }
 
+impl Plan {
+    /// What keeps clients out, and may not be intended.
+    pub(super) fn warnings(&self) -> Vec<String> {
+        self.place.warnings(&[&self.scope])
+    }
+}
+
 impl fmt::Display for Plan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names: Vec<&str> = self.devices.iter().map(|d| d.name.as_str()).collect();

@@ -52,6 +52,9 @@ impl Reload {
                 return error!(target: LOG, "{file}: the configuration was not reloaded; everything stays as it is.");
             }
         };
+        for warning in plan.warnings() {
+            warn!(target: LOG, "{warning}");
+        }
         let mut restart = self.compare(&plan);
         self.change_server(&plan, &mut restart);
         self.change_devices(plan.devices);
