@@ -26,7 +26,7 @@ pub use original::{
 };
 pub use peers::{Peer, javascript_packages, python27};
 pub use ports::reserve_port;
-pub use process::{Ended, Process, process_status, signal};
+pub use process::{Ended, Process, process_status, processor_time, signal};
 pub use random::{Random, number, seed};
 pub use remote::{LIMIT, connect, port_of, serve, start, status};
 pub use server::{SCOPE, Server};
