@@ -54,7 +54,7 @@ impl Truth {
 }
 
 thread_local! {
-    /// The truth of the current laboratory; the node does not expose its components.
+    /// The truth of the current model; the node does not expose its components.
     static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
 }
 
