@@ -9,19 +9,10 @@ use std::time::Duration;
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    PATIENCE, Process, SCOPE, Scratch, Server, ServiceManager, until, verify_unit, ztl,
+    PATIENCE, Process, SCOPE, Scratch, Server, ServiceManager, gateway, until, verify_unit, ztl,
 };
 
 use crate::firmware::{Endless, Firmware};
-
-fn gateway(devices: &[&str]) -> Command {
-    let mut command = ztl();
-    command.args(["gateway", "-p", "0", "-s", SCOPE]);
-    for device in devices {
-        command.args(["-d", device]);
-    }
-    command
-}
 
 #[test]
 fn systemd_is_notified_of_readiness_status_liveness_and_stopping() {

@@ -2,10 +2,9 @@
 
 use std::process::Command;
 
-use ztl_std::keys::KeyPair;
+use ztl_std::TriggerError;
 use ztl_std::server::MAX_MESSAGE;
-use ztl_std::{RemoteTask, TriggerError};
-use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
+use ztl_tests::lab::{Ended, Keys, Process, SCOPE, Server, python, ztl};
 
 use crate::access::{client, gateway};
 
@@ -17,36 +16,6 @@ fn libzmq_without_encryption_rejects_keys_and_does_not_start() {
     let ended = Process::run(ztl().args(words.split(' ')).arg(key));
     assert!(ended.code.is_some_and(|code| code != 0), "{ended:?}");
     assert!(ended.stderr.contains("libzmq cannot encrypt"), "{ended:?}");
-}
-
-/// Pairs of keys made by `ztl keys`.
-struct Keys(Scratch);
-
-impl Keys {
-    #[track_caller]
-    fn make(names: &[&str]) -> Self {
-        let keys = Self(Scratch::new());
-        for name in names {
-            let ended = Process::run(ztl().arg("keys").arg(keys.0.path(name)));
-            assert_eq!(ended.code, Some(0), "{ended:?}");
-        }
-        keys
-    }
-
-    fn path(&self, name: &str) -> String {
-        self.0.path(name).display().to_string()
-    }
-
-    /// The options of a client.
-    fn of(&self, name: &str, server: &str) -> [String; 4] {
-        let (own, server) = (format!("{name}.key_secret"), format!("{server}.key"));
-        [
-            "--key".into(),
-            self.path(&own),
-            "--server-key".into(),
-            self.path(&server),
-        ]
-    }
 }
 
 #[track_caller]
@@ -62,16 +31,22 @@ fn only_a_client_with_an_allowed_key_is_served() {
     let server = gateway(&["--key", &own, "--client-key", &anna]);
     server.process.wait_for("encrypted, with an allowed key");
 
-    let ended = client_as(&server, &keys.of("anna", "robot"));
+    let ended = client_as(&server, &keys.options("anna", "robot"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     // A client without a key, with another key, or for another server gets nothing: the outcome is unknown.
-    let mallory = client_as(&server, &keys.of("mallory", "robot"));
+    let mallory = client_as(&server, &keys.options("mallory", "robot"));
     assert_eq!(mallory.code, Some(5), "{mallory:?}");
     server.process.wait_for("with the key");
     assert_eq!(client(&server, &[]).code, Some(5));
-    assert_eq!(client_as(&server, &keys.of("anna", "other")).code, Some(5));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "other")).code,
+        Some(5)
+    );
     // It keeps serving allowed clients.
-    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "robot")).code,
+        Some(0)
+    );
 }
 
 #[test]
@@ -79,7 +54,10 @@ fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
     let keys = Keys::make(&["robot", "anna"]);
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
     server.process.wait_for("no client can connect");
-    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "robot")).code,
+        Some(5)
+    );
 }
 
 /// As with libzmq, the overhead of encryption is part of a message.
@@ -89,10 +67,7 @@ fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
     let anna = format!("{SCOPE}={}", keys.path("anna.key"));
     let own = keys.path("robot.key_secret");
     let server = gateway(&["--key", &own, "--client-key", &anna]);
-    let [anna, robot] = ["anna.key_secret", "robot.key_secret"]
-        .map(|name| KeyPair::read(keys.0.path(name).as_path()).expect("keys"));
-    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
-    let mut remote = remote.with_keys(anna, robot.public()).expect("encryption");
+    let mut remote = keys.client(&server.endpoint(), "anna", "robot");
     let most = MAX_MESSAGE - 33;
     let payload = |bytes| "x".repeat(bytes - SCOPE.len() - ";1;-1;".len());
     let refused = remote.trigger_payload(&payload(most));
@@ -124,12 +99,12 @@ fn a_key_for_another_scope_gives_no_access() {
         "--client-key",
         &elsewhere,
     ]);
-    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "robot")).code,
+        Some(0)
+    );
 
-    let bert = KeyPair::read(keys.0.path("bert.key_secret").as_path()).expect("keys");
-    let robot = KeyPair::read(keys.0.path("robot.key_secret").as_path()).expect("keys");
-    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
-    let mut remote = remote.with_keys(bert, robot.public()).expect("encryption");
+    let mut remote = keys.client(&server.endpoint(), "bert", "robot");
     match remote.trigger("gripper", "finger", "5") {
         Err(TriggerError::Refused { reason, .. }) => {
             assert!(reason.starts_with("No controller for scope"), "{reason}");
@@ -179,7 +154,7 @@ print(socket.recv().decode() if socket.poll(5000) else "nothing")
 
 /// Two encrypted gateways with keys of their own, a configuration file that names both, and a script for them.
 struct EncryptedShow {
-    directory: Scratch,
+    keys: Keys,
     _servers: [Server; 2],
 }
 
@@ -204,10 +179,10 @@ impl EncryptedShow {
         });
         let remotes = format!("remotes:\n{}", remotes.collect::<String>());
         let script = "show(delay=0):\n  both:\n    left: {finger: 3}\n    right: {finger: 4}\n";
-        std::fs::write(keys.0.path("remotes.yaml"), remotes).expect("to write");
-        std::fs::write(keys.0.path("show.yaml"), script).expect("to write");
+        std::fs::write(keys.path("remotes.yaml"), remotes).expect("to write");
+        std::fs::write(keys.path("show.yaml"), script).expect("to write");
         Self {
-            directory: keys.0,
+            keys,
             _servers: servers,
         }
     }
@@ -215,7 +190,7 @@ impl EncryptedShow {
     #[track_caller]
     fn run(&self, words: &str) -> Ended {
         let mut command = ztl();
-        command.current_dir(self.directory.path(""));
+        command.current_dir(self.keys.path(""));
         Process::run(command.args(words.split(' ')))
     }
 }
@@ -237,9 +212,9 @@ fn a_script_is_checked_and_played_on_encrypted_servers() {
         assert_eq!(ended.code, Some(0), "{words}: {ended:?}");
     }
     // The options' keys are for servers without keys in the file.
-    let text = std::fs::read_to_string(show.directory.path("remotes.yaml")).expect("a file");
+    let text = std::fs::read_to_string(show.keys.path("remotes.yaml")).expect("a file");
     let text = text.replace(", key: anna.key_secret, server-key: left.key", "");
-    std::fs::write(show.directory.path("remotes.yaml"), text).expect("to write");
+    std::fs::write(show.keys.path("remotes.yaml"), text).expect("to write");
     let words =
         "check show.yaml -c remotes.yaml --live --key anna.key_secret --server-key left.key";
     let ended = show.run(words);
@@ -249,7 +224,7 @@ fn a_script_is_checked_and_played_on_encrypted_servers() {
 #[test]
 fn wrong_keys_in_the_configuration_file_are_reported_with_their_place() {
     let show = EncryptedShow::new();
-    let remotes = show.directory.path("remotes.yaml");
+    let remotes = show.keys.path("remotes.yaml");
     let text = std::fs::read_to_string(&remotes).expect("a file");
     for (from, to, expected) in [
         (

@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State;
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, Server, busy, reserve_port, shake_hands, until, ztl,
+    Keys, LIMIT, PATIENCE, Process, Server, busy, reserve_port, shake_hands, until, ztl,
 };
 
 use super::crowd::{Crowd, Says, open};
-use super::{Keys, Kind, MEMORY, Subject, is_served, with_open_files};
+use super::{Kind, MEMORY, Subject, is_served, with_open_files};
 
 /// How long a client waits at most beside a crowd.
 const QUICK: Duration = Duration::from_millis(100);
@@ -184,7 +184,7 @@ fn a_device_is_reached_again_beside_an_idle_crowd() {
 fn connections_without_a_key_lock_out_nobody(kind: Kind) {
     let _one = busy();
     let keys = Keys::make(&["robot", "anna"]);
-    let (robot, anna) = (keys.file("robot.key_secret"), keys.file("anna.key"));
+    let (robot, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let options = [
         "--key",
         &robot,
@@ -251,7 +251,7 @@ fn is_quick_beside_a_crowd(port: u16, mut attempt: impl FnMut()) {
 fn an_allowed_client_is_served_at_once_beside_thousands_of_anonymous_connections() {
     let _one = busy();
     let keys = Keys::make(&["robot", "anna"]);
-    let (robot, anna) = (keys.file("robot.key_secret"), keys.file("anna.key"));
+    let (robot, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let options = ["--key", &robot, "--client-key", &anna];
     let subject = Subject::start(Kind::Gateway, None, &options);
     let endpoint = subject.server.endpoint();
