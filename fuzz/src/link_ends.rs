@@ -226,8 +226,8 @@ pub fn node(input: &[u8]) {
     hellos.skip_used();
     let mut session = Session::new(7, None, number);
     session.handle_connected(now);
-    let mut lab = Lab { now, session, node };
-    lab.serve();
+    let mut ends = Ends { now, session, node };
+    ends.serve();
 }
 
 /// After any bytes each task has one final state, and the session serves with a device.
@@ -285,12 +285,12 @@ pub fn session(input: &[u8]) {
     }
     session.handle_disconnected();
     session.handle_connected(now);
-    let mut lab = Lab {
+    let mut ends = Ends {
         now,
         session,
         node: new_node(boot.wrapping_add(1)),
     };
-    for event in lab.serve() {
+    for event in ends.serve() {
         told.on_event(&event);
     }
     for (id, end) in told.0 {
@@ -330,13 +330,13 @@ fn sent_by(node: &mut SmallNode, now: Instant) -> Vec<u8> {
 }
 
 /// Both ends on a good line.
-struct Lab {
+struct Ends {
     now: Instant,
     session: Session,
     node: SmallNode,
 }
 
-impl Lab {
+impl Ends {
     /// A task completes within some seconds.
     fn serve(&mut self) -> Vec<LinkEvent> {
         let mut events = self.pass(Duration::from_secs(4));

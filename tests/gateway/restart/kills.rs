@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use ztl_std::{RemoteTask, RequestError, State, TriggerError};
 use ztl_tests::lab::{
-    COMPLETED, LIMIT, PATIENCE, Process, SCOPE, gateway, reserve_port, start, status, until,
+    COMPLETED, LIMIT, PATIENCE, Process, SCOPE, reserve_port, start, status, until, ztl,
 };
 
 #[test]
@@ -187,8 +187,9 @@ fn a_removed_devices_task_ends_like_that_of_a_silent_one() {
     let mut client = rig.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
     rig.kill();
-    let mut command = gateway(&["gripper=sim:gripper"]);
-    command.args(["-p", &rig.port.to_string()]);
+    let mut command = ztl();
+    let words = format!("gateway -p {} -s {SCOPE} -d gripper=sim:gripper", rig.port);
+    command.args(words.split(' '));
     command.arg("--journal").arg(rig.journal());
     let process = Process::start(&mut command);
     process.wait_for("Serving ");
