@@ -73,7 +73,7 @@ fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
     let refused = remote.trigger_payload(&payload(most));
     assert!(
         matches!(refused, Err(TriggerError::Refused { .. })),
-        "it is no task: {refused:?}"
+        "it is not a task: {refused:?}"
     );
     let error = remote.trigger_payload(&payload(most + 1));
     let told = format!(

@@ -45,7 +45,7 @@ impl LastPress {
     }
 }
 
-/// The name of input that is no key.
+/// The name of input that is not a key.
 pub(crate) const UNKNOWN: &str = "an unknown key";
 
 /// The name and length of the first key in terminal input; `None` if its bytes are incomplete.

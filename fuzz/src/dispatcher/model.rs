@@ -118,7 +118,7 @@ impl Model {
 
     pub(super) fn on_abort(&mut self, ask: usize, id: TaskId, scope: &str) {
         let Asked::Abort { task, ended: false } = self.asks[ask].asked else {
-            panic!("nobody asked to abort {id}");
+            panic!("no client asked to abort {id}");
         };
         assert_eq!((self.tasks[task].id, self.tasks[task].scope), (id, scope));
     }

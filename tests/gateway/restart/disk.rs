@@ -58,8 +58,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
                 // It has ended, but the outcome is withheld until it is journaled.
                 let told = client.status(&task.id).unwrap();
                 assert_eq!(told.state, State::Accepted);
-                let why =
-                    "it has ended, and nobody is told how before that is written: the journal ";
+                let why = "task ended; result withheld until journaled: the journal ";
                 assert!(told.text.starts_with(why), "{told:?}");
                 let end = status(State::Completed, &number.to_string());
                 ends.push((task.id, end));

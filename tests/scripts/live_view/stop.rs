@@ -55,7 +55,7 @@ fn x_stops_everything_including_foreign_tasks_and_the_run_continues() {
     let port = robot.port.to_string();
     let at = ["-r", "localhost", "-p", &port, "-s", SCOPE];
     let other = Process::start(ztl().arg("task-client").args(at).arg("test:sleep:300"));
-    until("the task of somebody else", PATIENCE, || {
+    until("the task of another client", PATIENCE, || {
         robot.running().contains("sleep:300").then_some(())
     });
     terminal.type_in("x");
@@ -128,7 +128,7 @@ fn a_step_that_asked_the_operator_is_not_retried_automatically() {
     let starts = record
         .iter()
         .filter(|line| line["event"] == "task_starting");
-    assert_eq!(starts.count(), 1, "nobody wanted another");
+    assert_eq!(starts.count(), 1, "no other was started");
 }
 
 #[test]

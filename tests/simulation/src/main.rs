@@ -2,7 +2,7 @@
 
 #![expect(
     clippy::disallowed_types,
-    reason = "seeds have 64 bits, and this is no program for a robot"
+    reason = "seeds have 64 bits, and this program never runs on a robot"
 )]
 
 use std::process::ExitCode;

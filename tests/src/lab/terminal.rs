@@ -49,7 +49,7 @@ impl Terminal {
             .expect("its name")
             .into_string()
             .unwrap();
-        // Until somebody has made it a controlling terminal, opening must not do so.
+        // Opening it must not make it the controlling terminal of this process.
         let open = || {
             let flags = rustix::fs::OFlags::RDWR | rustix::fs::OFlags::NOCTTY;
             rustix::fs::open(path.as_str(), flags, rustix::fs::Mode::empty()).expect("a terminal")
@@ -148,7 +148,7 @@ impl Terminal {
         self.screen.lock().unwrap().screen().alternate_screen()
     }
 
-    /// Whether the cursor is to be seen.
+    /// Whether the cursor is visible.
     pub fn has_cursor(&self) -> bool {
         !self.screen.lock().unwrap().screen().hide_cursor()
     }

@@ -257,7 +257,7 @@ fn an_allowed_client_is_served_at_once_beside_thousands_of_anonymous_connections
     let endpoint = subject.server.endpoint();
     let mut client = keys.client(&endpoint, "anna", "robot");
     is_quick_beside_a_crowd(subject.server.port, || is_served(&mut client));
-    // Also one that comes new each time.
+    // Also a client that opens a new connection each time.
     is_quick_beside_a_crowd(subject.server.port, || {
         is_served(&mut keys.client(&endpoint, "anna", "robot"));
     });

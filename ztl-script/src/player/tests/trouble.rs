@@ -133,7 +133,7 @@ fn a_step_reports_a_silent_server_and_goes_on_when_it_is_back() {
 fn a_server_restart_at_any_point_is_noticed_and_needs_a_decision() {
     for name in ["robot", "lamp"] {
         for at in moments() {
-            let about = format!("{name} started anew at {at:?}");
+            let about = format!("{name} restarted at {at:?}");
             let mut world = World::new(SCRIPT, PlayOptions::default());
             world.machine(name).restarts.push(at);
             world.begin();
@@ -229,7 +229,7 @@ fn an_unanswered_init_is_never_resent() {
     assert_eq!(world.why(), Some(&WaitReason::StartUnknown));
     assert!(
         !world.player.choices().contains(&RunCommand::Retry),
-        "nobody knows that it failed"
+        "its failure is not known"
     );
     world.pass(Duration::from_secs(600));
     assert_eq!(world.timeline(), [(2501, "robot:base:1")]);
@@ -441,7 +441,7 @@ fn a_step_is_not_retried_automatically_after_asking_the_operator() {
         assert_eq!(world.until_asked(), FIRST_STEP, "{task}");
         assert!(world.why().is_some_and(WaitReason::may_mend), "{task}");
         world.pass(Duration::from_secs(60));
-        assert_eq!(world.began.len(), 1, "{task}: nobody decided");
+        assert_eq!(world.began.len(), 1, "{task}: there was no decision");
         assert_eq!(world.player.question(), FIRST_STEP, "{task}");
         assert_eq!(world.why(), Some(&WaitReason::Failed), "{task}");
         assert!(
