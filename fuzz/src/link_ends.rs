@@ -19,7 +19,7 @@ use core::time::Duration;
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 
-use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, GoalShape, Hello, Loss, Offer};
+use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, Hello, Loss, Offer};
 use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
@@ -42,17 +42,10 @@ struct Motor {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "finger",
-            goal: GoalShape {
-                range: Some((0.0, 100.0)),
-                unit: "percent",
-                words: "",
-            },
-            busy: Busy::Queue(1),
-            loss: Loss::Hold,
-            topics: "",
-        }
+        Offer::new("finger")
+            .with_range(0.0, 100.0, "percent")
+            .with_busy(Busy::Queue(1))
+            .with_loss(Loss::Hold)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

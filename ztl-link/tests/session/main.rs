@@ -18,7 +18,7 @@ use std::time::{Duration, UNIX_EPOCH};
 use ztl_core::link::Loss;
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::*;
-use ztl_mcu::link::{Busy, GoalShape, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
 use ztl_sim::Disk;
 use ztl_sim::line::{Dice, Faults, FaultyLine};
@@ -57,20 +57,7 @@ fn millis_of(goal: &str) -> Option<u64> {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "ms",
-            words: "",
-        };
-        let name = self.name;
-        let (busy, loss) = (Busy::Refuse, self.loss);
-        Offer {
-            name,
-            goal,
-            busy,
-            loss,
-            topics: "",
-        }
+        Offer::new(self.name).with_unit("ms").with_loss(self.loss)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
