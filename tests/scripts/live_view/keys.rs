@@ -23,6 +23,18 @@ fn recorded(stage: &Stage) -> Vec<String> {
     others.map(str::to_owned).collect()
 }
 
+/// A run of thirty quick scenes, before the first.
+#[track_caller]
+fn at_the_first_of_thirty_scenes() -> (Robot, Stage, Terminal) {
+    let robot = Robot::start();
+    let scene = |nth: usize| format!("scene {nth}: {{a: {{test: {{echo: {nth}}}}}}}\n");
+    let script: String = (1..=30).map(scene).collect();
+    let stage = Stage::with(&script, &[("test", robot.port)]);
+    let terminal = stage.play();
+    terminal.shows(" Next: scene 1");
+    (robot, stage, terminal)
+}
+
 #[test]
 fn keys_in_pieces_are_read_as_those_keys_and_stop_nothing() {
     let (robot, stage, mut terminal) = playing_second_scene();
@@ -47,12 +59,7 @@ fn keys_in_pieces_are_read_as_those_keys_and_stop_nothing() {
 
 #[test]
 fn keys_in_pieces_move_in_the_chooser_and_a_lone_esc_closes_it() {
-    let robot = Robot::start();
-    let scene = |nth: usize| format!("scene {nth}: {{a: {{test: {{echo: {nth}}}}}}}\n");
-    let script: String = (1..=30).map(scene).collect();
-    let stage = Stage::with(&script, &[("test", robot.port)]);
-    let mut terminal = stage.play();
-    terminal.shows(" Next: scene 1");
+    let (_robot, stage, mut terminal) = at_the_first_of_thirty_scenes();
     terminal.type_in("j");
     terminal.shows("Esc  do not jump");
     for (key, at) in [
@@ -76,12 +83,7 @@ fn keys_in_pieces_move_in_the_chooser_and_a_lone_esc_closes_it() {
 
 #[test]
 fn a_paste_of_many_bytes_decides_once() {
-    let robot = Robot::start();
-    let scene = |nth: usize| format!("scene {nth}: {{a: {{test: {{echo: {nth}}}}}}}\n");
-    let script: String = (1..=30).map(scene).collect();
-    let stage = Stage::with(&script, &[("test", robot.port)]);
-    let mut terminal = stage.play();
-    terminal.shows(" Next: scene 1");
+    let (_robot, stage, mut terminal) = at_the_first_of_thirty_scenes();
     terminal.type_in("s\r".repeat(20_000));
     terminal.shows(" Next: scene 2");
     until("the record of all keys", PATIENCE, || {

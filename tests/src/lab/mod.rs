@@ -31,7 +31,7 @@ pub use ports::reserve_port;
 pub use process::{Ended, Process, process_status, processor_time, signal};
 pub use random::{Random, number, seed};
 pub use remote::{LIMIT, connect, port_of, serve, start, status};
-pub use server::{SCOPE, Server, gateway};
+pub use server::{SCOPE, Server, gateway, simulated_gripper};
 pub use service_manager::{ServiceManager, verify_unit};
 pub use terminal::Terminal;
 pub use tools::{ClientOutput, original_client, our_client, our_client_at, ours_named};

@@ -188,6 +188,14 @@ pub fn gateway(devices: &[&str]) -> Command {
     command
 }
 
+/// `ztl device sim:gripper` at an address such as `pty:LINK`, once it is there.
+#[track_caller]
+pub fn simulated_gripper(on: &str) -> Process {
+    let device = Process::start(ztl().args(["device", "sim:gripper", "--on", on]));
+    device.wait_for("Simulated gripper at");
+    device
+}
+
 /// The original's `ztl_task_server` at a port.
 #[track_caller]
 fn original_at(port: &str) -> Command {

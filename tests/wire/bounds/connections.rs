@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State;
 use ztl_tests::lab::{
-    Keys, LIMIT, PATIENCE, Process, Server, busy, reserve_port, shake_hands, until, ztl,
+    Keys, LIMIT, PATIENCE, Process, Server, busy, gateway, reserve_port, shake_hands,
+    simulated_gripper, until,
 };
 
 use super::crowd::{Crowd, Says, open};
@@ -154,16 +155,9 @@ fn an_idle_crowd_takes_nothing_from_a_task_server() {
 #[test]
 fn a_device_is_reached_again_beside_an_idle_crowd() {
     let port = reserve_port();
-    let power_on = || {
-        let on = format!("tcp:{port}");
-        let device = Process::start(ztl().args(["device", "sim:gripper", "--on", &on]));
-        device.wait_for("Simulated gripper at");
-        device
-    };
+    let power_on = || simulated_gripper(&format!("tcp:{port}"));
     let mut device = power_on();
-    let url = format!("gripper=tcp:127.0.0.1:{port}");
-    let mut gateway = ztl();
-    gateway.args(["gateway", "-p", "0", "-s", "/test", "--device", &url]);
+    let mut gateway = gateway(&[&format!("gripper=tcp:127.0.0.1:{port}")]);
     let gateway = Server::start(&mut with_open_files(FEW_FILES, gateway.args(LARGE)));
     gateway.wait_ready("gripper");
     let mut remote = ztl_tests::lab::connect(&gateway.endpoint()).with_timeout(PATIENCE);
