@@ -11,7 +11,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpListener;
 use std::time::Duration;
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
 /// A lamp that switches immediately, and goes out when the link is lost.
@@ -21,17 +21,7 @@ struct Lamp {
 
 impl Component for Lamp {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "lamp",
-            goal: GoalShape {
-                range: None,
-                unit: "",
-                words: "on off",
-            },
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "",
-        }
+        Offer::new("lamp").with_words("on off")
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

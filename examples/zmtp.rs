@@ -15,7 +15,7 @@ use std::process::ExitCode;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::zmtp::{Peer, Server};
 use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
 
@@ -44,17 +44,7 @@ impl Slide {
 
 impl Component for Slide {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "slide",
-            goal: GoalShape {
-                range: Some((0.0, 100.0)),
-                unit: "mm",
-                words: "",
-            },
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "",
-        }
+        Offer::new("slide").with_range(0.0, 100.0, "mm")
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

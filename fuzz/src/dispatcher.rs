@@ -25,16 +25,7 @@ use ztl_core::reply::Reply;
 use ztl_core::{Instant, TaskId};
 
 use crate::script::{number, pick, steps, text};
-use model::{Limits, Model};
-
-/// The registered scopes.
-const SCOPES: [&str; 2] = ["/lab", "/s"];
-
-/// Longest stored text, in bytes.
-const TEXT: usize = 16;
-
-/// The boot id that `$ztl` reports.
-const BOOT: u32 = 4711;
+use model::state::{BOOT, Limits, Model, SCOPES, TEXT};
 
 /// Longest step in milliseconds: longer than every time in the dispatcher.
 const LONGEST_STEP: u64 = 4_000_000;

@@ -19,7 +19,7 @@ use core::time::Duration;
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 
-use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, GoalShape, Hello, Loss, Offer};
+use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, Hello, Loss, Offer};
 use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
@@ -42,17 +42,10 @@ struct Motor {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "finger",
-            goal: GoalShape {
-                range: Some((0.0, 100.0)),
-                unit: "percent",
-                words: "",
-            },
-            busy: Busy::Queue(1),
-            loss: Loss::Hold,
-            topics: "",
-        }
+        Offer::new("finger")
+            .with_range(0.0, 100.0, "percent")
+            .with_busy(Busy::Queue(1))
+            .with_loss(Loss::Hold)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
@@ -226,8 +219,8 @@ pub fn node(input: &[u8]) {
     hellos.skip_used();
     let mut session = Session::new(7, None, number);
     session.handle_connected(now);
-    let mut lab = Lab { now, session, node };
-    lab.serve();
+    let mut ends = Ends { now, session, node };
+    ends.serve();
 }
 
 /// After any bytes each task has one final state, and the session serves with a device.
@@ -285,12 +278,12 @@ pub fn session(input: &[u8]) {
     }
     session.handle_disconnected();
     session.handle_connected(now);
-    let mut lab = Lab {
+    let mut ends = Ends {
         now,
         session,
         node: new_node(boot.wrapping_add(1)),
     };
-    for event in lab.serve() {
+    for event in ends.serve() {
         told.on_event(&event);
     }
     for (id, end) in told.0 {
@@ -330,13 +323,13 @@ fn sent_by(node: &mut SmallNode, now: Instant) -> Vec<u8> {
 }
 
 /// Both ends on a good line.
-struct Lab {
+struct Ends {
     now: Instant,
     session: Session,
     node: SmallNode,
 }
 
-impl Lab {
+impl Ends {
     /// A task completes within some seconds.
     fn serve(&mut self) -> Vec<LinkEvent> {
         let mut events = self.pass(Duration::from_secs(4));

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::{Busy, Offer};
 use ztl_mcu::zmtp::{Connection, Dealer, Line, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
 
@@ -24,18 +24,9 @@ struct Motor {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "",
-            words: "any",
-        };
-        Offer {
-            name: "motor",
-            goal,
-            busy: Busy::Queue(1),
-            loss: Loss::Abort,
-            topics: "",
-        }
+        Offer::new("motor")
+            .with_words("any")
+            .with_busy(Busy::Queue(1))
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

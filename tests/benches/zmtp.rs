@@ -7,7 +7,7 @@ use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 use std::time::Instant as Clock;
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::zmtp::{Peer, Server};
 use ztl_mcu::{Component, Identity, Instant, Refused, Report, Run};
 use ztl_tests::lab::shake_hands;
@@ -30,18 +30,7 @@ struct Echo;
 
 impl Component for Echo {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "",
-            words: "",
-        };
-        Offer {
-            name: "echo",
-            goal,
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "",
-        }
+        Offer::new("echo")
     }
 
     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {

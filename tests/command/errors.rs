@@ -5,7 +5,8 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, our_client, reserve_port, until, ztl,
+    Ended, PATIENCE, Process, SCOPE, Scratch, Server, our_client, reserve_port, simulated_gripper,
+    until, ztl,
 };
 
 /// `ztl` with these arguments; it must exit by itself.
@@ -300,15 +301,7 @@ fn ctrl_c_ends_every_server() {
 
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
-    let mut command = ztl();
-    command.args([
-        "device",
-        "sim:gripper",
-        "--on",
-        &format!("pty:{}", link.display()),
-    ]);
-    let device = Process::start(&mut command);
-    device.wait_for("Simulated gripper at");
+    let device = simulated_gripper(&format!("pty:{}", link.display()));
     assert!(link.is_symlink());
     device.signal("TERM");
     assert_eq!(device.end(PATIENCE).code, Some(143));

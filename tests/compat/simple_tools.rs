@@ -7,6 +7,8 @@ use ztl_tests::lab::{
     ours_named, reserve_port, until, ztl,
 };
 
+use crate::same_output;
+
 /// One of our tools by its own name.
 fn our_tool(name: &str) -> Command {
     let mut command = ztl();
@@ -18,25 +20,13 @@ fn our_tool(name: &str) -> Command {
 /// four tell the same, which ends with `last`.
 #[track_caller]
 fn same(servers: &[Server; 2], request: &str, last: &str) -> String {
-    let clients = [
-        || original_tool("ztl_simple_client"),
-        || our_tool("simple-client"),
-    ];
-    let runs = clients.map(|client| {
-        servers.each_ref().map(|server| {
-            let port = server.port.to_string();
-            let mut client = client();
-            client.args(["localhost", &port, SCOPE, request]);
-            (Process::start(&mut client), server.port)
-        })
-    });
-    let [[expected, other], ours] =
-        runs.map(|runs| runs.map(|(run, port)| ClientOutput::of(&run.end(PATIENCE), port)));
-    expected.assert_ends_with(last);
-    assert_eq!(other, expected, "the original's client, our server");
-    assert_eq!(ours[0], expected, "our client, the original's server");
-    assert_eq!(ours[1], expected, "our client, our server");
-    expected.text
+    let start = |mut client: Command, server: &Server| {
+        let port = server.port.to_string();
+        Process::start(client.args(["localhost", &port, SCOPE, request]))
+    };
+    let original = |server: &Server| start(original_tool("ztl_simple_client"), server);
+    let ours = |server: &Server| start(our_tool("simple-client"), server);
+    same_output(servers, [&original, &ours], last)
 }
 
 /// The output of a simple server, without its ids. Keeps repeated requests once, and leaves out the request to hold

@@ -7,6 +7,8 @@ use ztl_tests::lab::{
     ClientOutput, PATIENCE, Scratch, Server, original_client, our_client, ours_named, until,
 };
 
+use crate::same_output;
+
 #[track_caller]
 fn servers() -> [Server; 2] {
     [Server::original(), Server::ours()]
@@ -22,19 +24,9 @@ fn same(servers: &[Server; 2], args: &[&str], last: &str) -> String {
 /// The same with this client of ours.
 #[track_caller]
 fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], last: &str) -> String {
-    let clients: [&dyn Fn() -> Command; 2] = [&original_client, &ours];
-    let runs = clients.map(|client| {
-        servers
-            .each_ref()
-            .map(|server| (server.start_client(client(), args), server.port))
-    });
-    let [[expected, other], ours] =
-        runs.map(|runs| runs.map(|(run, port)| ClientOutput::of(&run.end(PATIENCE), port)));
-    expected.assert_ends_with(last);
-    assert_eq!(other, expected, "the original's client, our server");
-    assert_eq!(ours[0], expected, "our client, the original's server");
-    assert_eq!(ours[1], expected, "our client, our server");
-    expected.text
+    let original = |server: &Server| server.start_client(original_client(), args);
+    let ours = |server: &Server| server.start_client(ours(), args);
+    same_output(servers, [&original, &ours], last)
 }
 
 #[test]

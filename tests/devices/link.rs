@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, Busy, Decoder, Frame, GoalShape, Hello, Ids, LinkId, Loss, NO_SESSION, Offer, VERSION,
-    Welcome, encode, session_key,
+    Body, Busy, Decoder, Frame, Hello, Ids, LinkId, NO_SESSION, Offer, VERSION, Welcome, encode,
+    session_key,
 };
 use ztl_core::{Instant, State};
 use ztl_mcu::log::LogSource;
@@ -22,17 +22,10 @@ const OPENING: [u8; 4] = 12.5f32.to_le_bytes();
 const RECORD: [u8; 4] = [0x2a, 0x05, 0x7e, 0x00];
 
 fn offer() -> Offer<'static> {
-    Offer {
-        name: "finger",
-        goal: GoalShape {
-            range: Some((0.0, 100.0)),
-            unit: "percent",
-            words: "",
-        },
-        busy: Busy::Queue(2),
-        loss: Loss::Abort,
-        topics: "opening",
-    }
+    Offer::new("finger")
+        .with_range(0.0, 100.0, "percent")
+        .with_busy(Busy::Queue(2))
+        .with_topics("opening")
 }
 
 /// The frames of the document, in its order: name, session, seq, body.

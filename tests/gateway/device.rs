@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, RequestError, State, Status, TaskId};
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, Scratch, Server, connect, reserve_port, status, until, ztl,
+    LIMIT, PATIENCE, Process, Scratch, Server, connect, reserve_port, simulated_gripper, status,
+    until, ztl,
 };
 
 /// The address of a device, the same after a restart.
@@ -42,11 +43,7 @@ impl Place {
     /// A simulated gripper at this address.
     #[track_caller]
     fn power_on(&self) -> Process {
-        let mut command = ztl();
-        command.args(["device", "sim:gripper", "--on", &self.on()]);
-        let device = Process::start(&mut command);
-        device.wait_for("Simulated gripper at");
-        device
+        simulated_gripper(&self.on())
     }
 
     /// Removes the device, like pulling a plug.

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::{Loss, Offer};
 use ztl_mcu::{Component, Components, Identity, Instant, Node, Reading, Refused, Report, Run};
 
 /// Runs until it is dropped.
@@ -97,17 +97,7 @@ impl Endless {
 
 impl Component for Endless {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: self.name,
-            goal: GoalShape {
-                range: None,
-                unit: "",
-                words: "go",
-            },
-            busy: Busy::Refuse,
-            loss: self.loss,
-            topics: "",
-        }
+        Offer::new(self.name).with_words("go").with_loss(self.loss)
     }
 
     fn check(&self, _goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {
@@ -144,17 +134,7 @@ pub(crate) struct Counter {
 
 impl Component for Counter {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "counter",
-            goal: GoalShape {
-                range: None,
-                unit: "",
-                words: "",
-            },
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "count raw",
-        }
+        Offer::new("counter").with_topics("count raw")
     }
 
     fn check(&self, _goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use ztl_sim::{Device, Kind};
 use ztl_std::gateway::{Devices, Endpoint, Gateway, Line};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, gateway, reserve_port, until, ztl};
 
 /// The problem that the gateway reports for a device.
 #[track_caller]
@@ -149,9 +149,7 @@ fn a_broken_connection_is_reopened() {
 fn a_device_that_reconnects_constantly_does_not_flood_the_log() {
     let port = reserve_port();
     let peer = TcpListener::bind(("127.0.0.1", port)).expect("a port");
-    let mut command = ztl();
-    command.args(["gateway", "-p", "0", "-s", SCOPE, "-d"]);
-    let gateway = Process::start(command.arg(format!("arm=tcp:127.0.0.1:{port}")));
+    let gateway = Process::start(&mut gateway(&[&format!("arm=tcp:127.0.0.1:{port}")]));
     for _ in 0..6 {
         drop(accept(&peer));
     }

@@ -50,16 +50,7 @@ fn device() -> (Process, String) {
 /// A gateway that decodes the device's log with this file.
 #[track_caller]
 fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::RemoteTask) {
-    let mut command = ztl();
-    command.args([
-        "gateway",
-        "-p",
-        "0",
-        "-s",
-        SCOPE,
-        "-d",
-        &format!("arm={address}"),
-    ]);
+    let mut command = ztl_tests::lab::gateway(&[&format!("arm={address}")]);
     command.args(["--elf", &format!("arm={}", elf.display())]);
     let gateway = Process::start(command.args(more));
     let line = gateway.wait_for("Serving arm at ");
@@ -141,18 +132,8 @@ fn an_unusable_elf_file_is_rejected_before_serving() {
         ),
     ] {
         let elf = format!("--elf={name}={file}");
-        let mut command = ztl();
-        command.args([
-            "gateway",
-            "-p",
-            "0",
-            "-s",
-            SCOPE,
-            "-d",
-            "arm=sim:head",
-            &elf,
-        ]);
-        let ended = Process::run(&mut command);
+        let mut command = ztl_tests::lab::gateway(&["arm=sim:head"]);
+        let ended = Process::run(command.arg(&elf));
         assert_eq!(ended.code, Some(2), "{ended:?}");
         assert!(ended.stderr.contains(part), "{part}: {ended:?}");
     }

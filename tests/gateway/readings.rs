@@ -4,7 +4,7 @@ use std::process::Command;
 
 use ztl_mcu::link::Loss;
 use ztl_std::gateway::{Gateway, Readings};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, python, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, gateway, python, until};
 
 use crate::firmware::{Counter, Endless, Firmware};
 use crate::lines::serve;
@@ -62,9 +62,8 @@ fn an_observer_gets_all_readings_in_order_despite_a_slow_observer() {
 
 /// `ztl gateway` with a publishing port, and that port.
 fn publishing(firmware: &Firmware) -> (Process, String) {
-    let mut command = ztl();
-    command.args(["gateway", "-p", "0", "-s", SCOPE, "--publish", "0", "-d"]);
-    let gateway = Process::start(command.arg(format!("bench=tcp:{}", firmware.address)));
+    let mut command = gateway(&[&format!("bench=tcp:{}", firmware.address)]);
+    let gateway = Process::start(command.args(["--publish", "0"]));
     let line = gateway.wait_for("Publishing readings at ");
     let endpoint = line
         .trim_start_matches("Publishing readings at ")
@@ -132,19 +131,8 @@ fn a_five_line_python_program_receives_the_readings() {
 fn a_readings_port_in_use_is_reported() {
     let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = taken.local_addr().expect("its address").port().to_string();
-    let mut command = ztl();
-    command.args([
-        "gateway",
-        "-p",
-        "0",
-        "-s",
-        SCOPE,
-        "-d",
-        "head=sim:head",
-        "--publish",
-        &port,
-    ]);
-    let ended = Process::start(&mut command).end(PATIENCE);
+    let mut command = gateway(&["head=sim:head"]);
+    let ended = Process::start(command.args(["--publish", &port])).end(PATIENCE);
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(
         ended

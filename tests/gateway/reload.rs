@@ -7,7 +7,7 @@ use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, until, ztl};
 use crate::firmware::{Endless, Firmware};
 
 /// A gateway with a file that can be changed.
-struct Lab {
+struct ReloadRig {
     scratch: Scratch,
     gateway: Process,
     endpoint: String,
@@ -15,7 +15,7 @@ struct Lab {
     reloaded: usize,
 }
 
-impl Lab {
+impl ReloadRig {
     #[track_caller]
     fn new(text: &str) -> Self {
         Self::with(text, &[])
@@ -83,11 +83,11 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
 fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
     let firmware = Firmware::start((Endless::new("arm", Loss::Abort),));
     let bench = format!("devices:\n  bench: tcp:{}\n", firmware.address);
-    let mut lab = Lab::new(&format!("{bench}  head: sim:head\n"));
-    let mut remote = lab.remote();
+    let mut rig = ReloadRig::new(&format!("{bench}  head: sim:head\n"));
+    let mut remote = rig.remote();
     let arm = started(&mut remote, "bench", "arm", "go");
     let head = started(&mut remote, "head", "pan", "left");
-    lab.reload(&format!("{bench}  gripper: sim:gripper\n"));
+    rig.reload(&format!("{bench}  gripper: sim:gripper\n"));
     // The task of a device that is no longer served is aborted.
     let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
@@ -105,7 +105,7 @@ fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
 
     // Its URL changed: the running task is aborted first.
     let finger = started(&mut remote, "gripper", "finger", "100");
-    lab.reload(&format!("{bench}  gripper: sim:head\n"));
+    rig.reload(&format!("{bench}  gripper: sim:head\n"));
     let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
     let pan = started(&mut remote, "gripper", "pan", "left");
@@ -116,15 +116,15 @@ fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
 
 #[test]
 fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
-    let mut lab = Lab::new("devices: {head: sim:head}\n");
-    let mut remote = lab.remote();
+    let mut rig = ReloadRig::new("devices: {head: sim:head}\n");
+    let mut remote = rig.remote();
     let head = started(&mut remote, "head", "pan", "left");
-    lab.reload("devices: {gripper: sim:gripper}\nprot: 1\nlog: loud\n");
+    rig.reload("devices: {gripper: sim:gripper}\nprot: 1\nlog: loud\n");
     for mistake in [
         "lab.yaml:4:1: unknown key 'prot'",
         "lab.yaml:5:6: 'loud' is not known here",
     ] {
-        lab.gateway.wait_for(mistake);
+        rig.gateway.wait_for(mistake);
     }
     assert_eq!(remote.status(&head).expect("known").state, State::Accepted);
     let refused = remote
@@ -135,18 +135,18 @@ fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
 
 #[test]
 fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
-    let mut lab = Lab::new("allow: 127.0.0.0/8\nlog: warn\ndevices: {head: sim:head}\n");
-    let mut remote = lab.remote();
+    let mut rig = ReloadRig::new("allow: 127.0.0.0/8\nlog: warn\ndevices: {head: sim:head}\n");
+    let mut remote = rig.remote();
     let head = started(&mut remote, "head", "pan", "left");
-    lab.reload(
+    rig.reload(
         "allow: 127.0.0.0/8\nlog: info\nbind: 127.0.0.2\nlog-format: json\n\
          limits: {running: 1, queue: 7}\ndevices: {head: sim:head}\n",
     );
     for key in ["bind", "log-format", "queue"] {
         let said = format!("'{key}' has changed; restart to apply it.");
-        lab.gateway.wait_for(&said);
+        rig.gateway.wait_for(&said);
     }
-    assert!(!lab.gateway.stderr().contains("'limits'"));
+    assert!(!rig.gateway.stderr().contains("'limits'"));
     let refused = remote
         .trigger("head", "pan", "right")
         .expect_err("one runs");
@@ -158,31 +158,31 @@ fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
         remote.abort(&head).expect("an answer").state,
         State::Aborted
     );
-    lab.gateway.wait_for("'head:pan:left' has ended as ABORTED");
+    rig.gateway.wait_for("'head:pan:left' has ended as ABORTED");
 
     // No client is allowed any more, not even connected ones.
-    lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    rig.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     remote.status(&head).expect_err("no answer");
-    lab.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
+    rig.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
     assert_eq!(remote.status(&head).expect("known").state, State::Aborted);
 }
 
 #[test]
 fn an_open_server_is_restricted_at_once() {
-    let mut lab = Lab::with("devices: {head: sim:head}\n", &["--transport", "native"]);
-    let mut remote = lab.remote();
+    let mut rig = ReloadRig::with("devices: {head: sim:head}\n", &["--transport", "native"]);
+    let mut remote = rig.remote();
     let head = started(&mut remote, "head", "pan", "left");
-    lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    rig.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
     remote.status(&head).expect_err("no answer");
 }
 
 #[test]
 fn over_libzmq_enabling_authentication_needs_a_restart() {
-    let mut lab = Lab::with("devices: {head: sim:head}\n", &["--transport", "libzmq"]);
-    lab.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
-    lab.gateway
+    let mut rig = ReloadRig::with("devices: {head: sim:head}\n", &["--transport", "libzmq"]);
+    rig.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    rig.gateway
         .wait_for("'allow' has changed; restart to apply it.");
-    started(&mut lab.remote(), "head", "pan", "left");
+    started(&mut rig.remote(), "head", "pan", "left");
 }
 
 #[test]
@@ -206,23 +206,23 @@ fn replace_by_pipe(path: &std::path::Path) {
 
 #[test]
 fn a_named_pipe_is_rejected_and_the_next_reload_works() {
-    let mut lab = Lab::new("devices: {head: sim:head}\n");
-    let file = lab.scratch.path("lab.yaml");
+    let mut rig = ReloadRig::new("devices: {head: sim:head}\n");
+    let file = rig.scratch.path("lab.yaml");
     replace_by_pipe(&file);
-    lab.hang_up();
-    lab.gateway
+    rig.hang_up();
+    rig.gateway
         .wait_for("lab.yaml: cannot read it: it is not a regular file");
     std::fs::remove_file(&file).expect("to remove it");
-    replace_by_pipe(&lab.scratch.path("robot.key_secret"));
-    lab.reload("key: robot.key_secret\ndevices: {head: sim:head}\n");
-    lab.gateway
+    replace_by_pipe(&rig.scratch.path("robot.key_secret"));
+    rig.reload("key: robot.key_secret\ndevices: {head: sim:head}\n");
+    rig.gateway
         .wait_for("robot.key_secret: it is not a regular file");
     // The process at the other end decides when the stream ends.
-    lab.reload("key: /dev/stdin\ndevices: {head: sim:head}\n");
-    lab.gateway
+    rig.reload("key: /dev/stdin\ndevices: {head: sim:head}\n");
+    rig.gateway
         .wait_for("lab.yaml:3:6: '/dev/stdin' is not a regular file");
-    lab.reload("devices: {gripper: sim:gripper}\n");
-    started(&mut lab.remote(), "gripper", "finger", "3");
+    rig.reload("devices: {gripper: sim:gripper}\n");
+    started(&mut rig.remote(), "gripper", "finger", "3");
 }
 
 #[test]
@@ -239,15 +239,15 @@ fn a_configuration_read_from_a_stream_is_not_reread() {
 
 #[test]
 fn mistakes_of_a_reload_name_their_file_in_each_entry_of_a_json_log() {
-    let mut lab = Lab::new("log-format: json\ndevices: {head: sim:head}\n");
-    lab.reload("log-format: json\nprot: 1\nlog: loud\ndevices: {head: sim:head}\n");
-    let said = lab.gateway.stderr();
+    let mut rig = ReloadRig::new("log-format: json\ndevices: {head: sim:head}\n");
+    rig.reload("log-format: json\nprot: 1\nlog: loud\ndevices: {head: sim:head}\n");
+    let said = rig.gateway.stderr();
     let entries = said.lines().filter_map(|line| {
         let entry: serde_json::Value = serde_json::from_str(line).ok()?;
         (entry["level"] == "ERROR").then(|| entry["message"].as_str().unwrap().to_owned())
     });
     let entries: Vec<String> = entries.collect();
-    let file = lab.scratch.path("lab.yaml").display().to_string();
+    let file = rig.scratch.path("lab.yaml").display().to_string();
     assert_eq!(entries.len(), 3, "{entries:?}");
     assert!(entries[0].starts_with(&format!("{file}:4:1: unknown key 'prot'; ")));
     assert!(!entries[0].contains('\n'), "{entries:?}");

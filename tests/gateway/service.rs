@@ -9,19 +9,11 @@ use std::time::Duration;
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    PATIENCE, Process, SCOPE, Scratch, Server, ServiceManager, until, verify_unit, ztl,
+    PATIENCE, Process, SCOPE, Scratch, Server, ServiceManager, gateway, simulated_gripper, until,
+    verify_unit, ztl,
 };
 
 use crate::firmware::{Endless, Firmware};
-
-fn gateway(devices: &[&str]) -> Command {
-    let mut command = ztl();
-    command.args(["gateway", "-p", "0", "-s", SCOPE]);
-    for device in devices {
-        command.args(["-d", device]);
-    }
-    command
-}
 
 #[test]
 fn systemd_is_notified_of_readiness_status_liveness_and_stopping() {
@@ -161,10 +153,7 @@ fn leave_running_reports_what_each_task_will_do_and_no_outcome() {
 fn a_second_signal_exits_at_once() {
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
-    let mut command = ztl();
-    let on = format!("--on=pty:{}", link.display());
-    let device = Process::start(command.args(["device", "sim:gripper", &on]));
-    device.wait_for("Simulated gripper at");
+    let device = simulated_gripper(&format!("pty:{}", link.display()));
     let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
     gateway.wait_ready("gripper");
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
@@ -183,10 +172,7 @@ fn a_second_signal_exits_at_once() {
 fn an_unconfirmed_stop_names_the_device_and_is_not_reported_as_failed() {
     let scratch = Scratch::new();
     let link = scratch.path("gripper");
-    let mut command = ztl();
-    let on = format!("--on=pty:{}", link.display());
-    let device = Process::start(command.args(["device", "sim:gripper", &on]));
-    device.wait_for("Simulated gripper at");
+    let device = simulated_gripper(&format!("pty:{}", link.display()));
     let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
     gateway.wait_ready("gripper");
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE)

@@ -57,20 +57,20 @@ fn a_step_waits_for_a_suspended_server_and_continues() {
 #[test]
 fn after_a_server_restart_the_script_waits_for_a_decision() {
     for (ours, mut server) in [true, false].into_iter().zip(servers()) {
-        let mut anew = match ours {
+        let mut restarted = match ours {
             true => ztl(),
             false => original_tool("ztl_task_server"),
         };
         if ours {
-            anew.arg("task-server");
+            restarted.arg("task-server");
         }
-        anew.args(["-p", &server.port.to_string(), "-s", SCOPE]);
+        restarted.args(["-p", &server.port.to_string(), "-s", SCOPE]);
         let files = directory(TWO_STEPS, &server);
         let player = Process::start(&mut play(&files, "--yes"));
         player.wait_for(TAKEN);
         server.process.kill();
-        let _anew = {
-            let process = Process::start(&mut anew);
+        let _restarted = {
+            let process = Process::start(&mut restarted);
             process.wait_for("Registering controller for scope '/test'");
             process
         };

@@ -42,7 +42,7 @@ fn a_rehearsal_needs_no_robot_and_no_configuration() {
     assert_eq!(ended.stdout.lines().count(), 5, "{ended:?}");
     assert_eq!(
         ended.stderr, "",
-        "nothing is wrong, and who stands in is no news"
+        "nothing is wrong, and the stand-ins are not mentioned"
     );
     let ended =
         directory.run("run-script -s show.yaml --simulate=0.05 --yes --plain --scene s --from b");

@@ -6,26 +6,26 @@ use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::TaskId;
 use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, our_client, until};
 
-use crate::rig::{Lab, dies, end, kill, lives, progress, told, trigger};
+use crate::rig::{Rig, dies, end, kill, lives, progress, told, trigger};
 
 #[test]
 fn a_program_that_handles_the_signal_is_aborted_with_its_last_output() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo $$ > pid; while :; do sleep 0.01; done'], abort: INT}
         term: [sleep, '60']
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "int", "");
-    let process = lab.process("pid");
+    let process = rig.process("pid");
     assert_eq!(
         told(remote.abort(id).expect("an answer")),
         (Aborted, "stopped at 3".to_owned())
     );
     assert!(!lives(process));
     assert_eq!(end(&mut remote, id), (Aborted, "stopped at 3".to_owned()));
-    let mut client = lab.server.original_client();
+    let mut client = rig.server.original_client();
     let id = client.start("p", "term", "");
     assert_eq!(client.abort(id), (ABORTED, "True"));
     assert_eq!(client.status(id), (ABORTED, "aborted"));
@@ -33,12 +33,12 @@ fn a_program_that_handles_the_signal_is_aborted_with_its_last_output() {
 
 #[test]
 fn the_json_client_reports_the_last_output_of_an_aborted_program() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         int: {run: [sh, -c, 'trap "echo stopped at 3; exit 0" INT; echo "@ on"; while :; do sleep 0.01; done'], abort: INT, progress: '@ '}
         "#,
     );
-    let client = lab.server.start_client(our_client(), &["--json", "p:int:"]);
+    let client = rig.server.start_client(our_client(), &["--json", "p:int:"]);
     client.wait_for(r#""text":"on""#);
     client.signal("INT");
     let ended = client.end(PATIENCE);
@@ -53,14 +53,14 @@ fn the_json_client_reports_the_last_output_of_an_aborted_program() {
 #[test]
 fn a_grandchild_that_ignores_the_signal_is_killed_with_its_group() {
     let stubborn = "trap '' TERM INT; echo $$ > child; while :; do sleep 0.01; done";
-    let lab = Lab::new(&format!(
+    let rig = Rig::new(&format!(
         r#"
         group: {{run: [sh, -c, '(sh -c "$SCRIPT" & echo on its way; wait)'], environment: {{SCRIPT: "{stubborn}"}}, abort: {{signal: TERM, grace: 300 ms}}}}
         "#
     ));
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "group", "");
-    let child = lab.process("child");
+    let child = rig.process("child");
     let start = Instant::now();
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     // Its parent ended at once; it got its grace.
@@ -76,60 +76,60 @@ fn a_grandchild_that_ignores_the_signal_is_killed_with_its_group() {
 fn a_child_gets_its_grace_to_stop_its_motors() {
     let careful =
         "trap 'sleep 0.3; echo > parked; exit' TERM; echo $$ > child; while :; do sleep 0.01; done";
-    let lab = Lab::new(&format!(
+    let rig = Rig::new(&format!(
         r#"
         wrapped: {{run: [sh, -c, 'sh -c "$SCRIPT" & wait'], environment: {{SCRIPT: "{careful}"}}}}
         "#
     ));
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "wrapped", "");
-    lab.process("child");
+    rig.process("child");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     assert!(
-        lab.scratch.path("parked").exists(),
+        rig.scratch.path("parked").exists(),
         "it was killed before its time"
     );
 }
 
 #[test]
 fn a_program_can_be_stopped_by_another_one() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         driver: {run: [sh, -c, 'echo $$ > pid; until [ -e stop ]; do sleep 0.01; done; echo parked'], abort: {run: [sh, -c, 'echo "$0 $ZTL_GOAL" > stop', '{id}'], grace: 10 s}}
         lost: {run: [sleep, '60'], abort: {run: [no-such-program], grace: 10 s}}
         hung: {run: [sleep, '60'], abort: {run: [sh, -c, 'echo $$ > hung; sleep 60'], grace: 300 ms}}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "driver", "fast");
-    lab.process("pid");
+    rig.process("pid");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     assert_eq!(end(&mut remote, id), (Aborted, "parked".to_owned()));
-    assert_eq!(lab.written("stop"), format!("{id} fast"));
+    assert_eq!(rig.written("stop"), format!("{id} fast"));
 
     // If the abort program cannot start, a signal replaces it. If it hangs, it is killed.
     let id = trigger(&mut remote, "lost", "");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    lab.server
+    rig.server
         .process
         .wait_for("sent SIGTERM instead: no-such-program: not found");
     let id = trigger(&mut remote, "hung", "");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     let killed = "aborted (killed: not ended within 300 ms of its abort program)";
     assert_eq!(end(&mut remote, id), (Aborted, killed.to_owned()));
-    dies(lab.process("hung"));
+    dies(rig.process("hung"));
 }
 
 #[test]
 fn a_slow_abort_is_answered_before_it_completes() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         slow: {run: [sh, -c, 'trap "" TERM; echo $$ > pid; while :; do sleep 0.01; done']}
         "#,
     );
-    let mut client = lab.server.original_client();
+    let mut client = rig.server.original_client();
     let id = client.start("p", "slow", "");
-    let process = lab.process("pid");
+    let process = rig.process("pid");
     assert_eq!(client.abort(id), (ACCEPTED, "aborting"));
     assert_eq!(client.wait(id, 20.0).number, ABORTED);
     assert!(!lives(process));
@@ -137,40 +137,40 @@ fn a_slow_abort_is_answered_before_it_completes() {
 
 #[test]
 fn a_task_without_abort_continues() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         never: {run: [sh, -c, 'echo > on; until [ -e go ]; do sleep 0.01; done; echo done'], abort: no}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "never", "");
-    lab.written("on");
+    rig.written("on");
     let answer = remote.abort(id).expect("an answer");
     assert_eq!(told(answer), (Accepted, "False".to_owned()));
-    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    std::fs::write(rig.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Completed, "done".to_owned()));
 }
 
 #[test]
 fn a_time_limit_stops_an_endless_program() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         never: {run: [sh, -c, 'sleep 60 & echo $! > child; wait'], limit: 300 ms}
         stubborn: {run: [sh, -c, 'trap "" TERM; while :; do sleep 0.01; done'], limit: 200 ms, abort: {grace: 200 ms}}
         "#,
     );
     assert_eq!(
-        lab.run("never", ""),
+        rig.run("never", ""),
         (Failed, "not done within 300 ms".to_owned())
     );
-    assert!(!lives(lab.process("child")));
+    assert!(!lives(rig.process("child")));
     let killed = "not done within 200 ms (killed: not ended within 200 ms of SIGTERM)";
-    assert_eq!(lab.run("stubborn", ""), (Failed, killed.to_owned()));
+    assert_eq!(rig.run("stubborn", ""), (Failed, killed.to_owned()));
 }
 
 #[test]
 fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         kills: [sh, -c, 'sleep 60 & echo $! > killed; echo done']
         leaves: {run: [sh, -c, 'sleep 60 & echo $! > left; echo done'], left-behind: leave}
@@ -180,16 +180,16 @@ fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
     );
     let done = (Completed, "done".to_owned());
     // Each of them holds its task's pipes open.
-    assert_eq!(lab.run("kills", ""), done);
-    dies(lab.process("killed"));
-    assert_eq!(lab.run("leaves", ""), done);
-    assert!(lives(lab.process("left")));
-    assert_eq!(lab.run("talks", ""), (Completed, "None".to_owned()));
-    dies(lab.process("talks"));
-    assert_eq!(lab.run("daemon", ""), done);
-    assert!(lives(lab.process("daemon")));
+    assert_eq!(rig.run("kills", ""), done);
+    dies(rig.process("killed"));
+    assert_eq!(rig.run("leaves", ""), done);
+    assert!(lives(rig.process("left")));
+    assert_eq!(rig.run("talks", ""), (Completed, "None".to_owned()));
+    dies(rig.process("talks"));
+    assert_eq!(rig.run("daemon", ""), done);
+    assert!(lives(rig.process("daemon")));
     for name in ["left", "daemon"] {
-        kill(lab.process(name));
+        kill(rig.process(name));
     }
 }
 
@@ -197,38 +197,38 @@ fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
 fn the_group_of_a_program_that_forks_without_end_is_killed() {
     // At most a hundred, each starting the next.
     let fork = "if [ $1 -gt 0 ]; then trap '' TERM; sh fork.sh $(($1 - 1)) & fi; echo $$ >> pids; sleep 60; sleep 60";
-    let lab = Lab::new("forks: {run: [sh, fork.sh, '100'], abort: {grace: 200 ms}}");
-    std::fs::write(lab.scratch.path("fork.sh"), fork).expect("to write");
-    let mut remote = lab.remote();
+    let rig = Rig::new("forks: {run: [sh, fork.sh, '100'], abort: {grace: 200 ms}}");
+    std::fs::write(rig.scratch.path("fork.sh"), fork).expect("to write");
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "forks", "");
     until("some have been started", PATIENCE, || {
-        let pids = std::fs::read_to_string(lab.scratch.path("pids")).ok()?;
+        let pids = std::fs::read_to_string(rig.scratch.path("pids")).ok()?;
         (pids.lines().count() > 20).then_some(())
     });
     remote.abort(id).expect("an answer");
     assert_eq!(end(&mut remote, id).0, Aborted);
-    for process in lab.written("pids").lines() {
+    for process in rig.written("pids").lines() {
         dies(process.parse().expect("a number"));
     }
 }
 
 #[test]
 fn a_suspended_process_can_be_aborted() {
-    let lab =
-        Lab::new("stops: {run: [sh, -c, 'echo $$ > pid; kill -STOP $$'], abort: {grace: 200 ms}}");
-    let mut remote = lab.remote();
+    let rig =
+        Rig::new("stops: {run: [sh, -c, 'echo $$ > pid; kill -STOP $$'], abort: {grace: 200 ms}}");
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "stops", "");
-    let process = lab.process("pid");
+    let process = rig.process("pid");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     assert!(!lives(process));
 }
 
 #[test]
 fn a_waiting_task_can_be_aborted_without_starting() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         "go: {run: [sh, -c, 'echo \"@ $0\"; sleep 60', '{goal}'], progress: '@ ', busy: queue 1}",
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let first = trigger(&mut remote, "go", "one");
     progress(&mut remote, first, "one");
     let second = trigger(&mut remote, "go", "two");
@@ -241,23 +241,23 @@ fn a_waiting_task_can_be_aborted_without_starting() {
 
 #[test]
 fn a_task_that_needs_its_client_is_aborted_without_it() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         needs: {run: [sh, -c, 'echo $$ > needs; exec sleep 60'], needs-client: 1500 ms}
         carries: {run: [sh, -c, 'echo $$ > carries; exec sleep 60']}
         sleeps: {built-in: sleep, needs-client: 1500 ms}
         "#,
     );
-    let mut other = lab.remote();
+    let mut other = rig.remote();
     let clients = ["needs:", "carries:", "sleeps:60"].map(|task| {
-        let client = lab
+        let client = rig
             .server
             .start_client(our_client(), &[&format!("p:{task}")]);
         let line = client.wait_for("Initialised task with ID");
         let id = line.split('\'').nth(1).and_then(|id| id.parse().ok());
         (client, id.and_then(TaskId::new).expect("an id"))
     });
-    let [needs, carries] = ["needs", "carries"].map(|name| lab.process(name));
+    let [needs, carries] = ["needs", "carries"].map(|name| rig.process(name));
     // The client counts as present while it waits.
     std::thread::sleep(Duration::from_secs(2));
     assert!(lives(needs));

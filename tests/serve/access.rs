@@ -1,6 +1,6 @@
 //! Who may use a server by address, and how secret keys are kept.
 
-use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, ztl};
+use ztl_tests::lab::{Ended, Process, Scratch, Server, our_client_at, ztl};
 
 /// A gateway with a simulated gripper, and these options.
 #[track_caller]
@@ -13,18 +13,8 @@ pub(crate) fn gateway(options: &[&str]) -> Server {
 /// `ztl task-client` on the gripper.
 #[track_caller]
 pub(crate) fn client(server: &Server, options: &[&str]) -> Ended {
-    let port = server.port.to_string();
-    let mut command = ztl();
-    command.args([
-        "task-client",
-        "--exit-status",
-        "-r",
-        "127.0.0.1",
-        "-p",
-        &port,
-        "-s",
-        SCOPE,
-    ]);
+    let mut command = our_client_at(server.port);
+    command.args(["--exit-status", "-r", "127.0.0.1"]);
     Process::run(command.args(options).arg("gripper:finger:1"))
 }
 
@@ -63,18 +53,8 @@ fn a_secret_key_readable_by_others_causes_a_warning() {
     std::fs::write(&path, text).expect("to write");
     let file = path.display().to_string();
     let asks = ["ps", "--key", &file, "--server-key", &file, "-p", "1"];
-    let serves = [
-        "gateway",
-        "-p",
-        "0",
-        "-s",
-        "/lab",
-        "-d",
-        "head=sim:head",
-        "--check",
-        "--key",
-        &file,
-    ];
+    let serves = "gateway -p 0 -s /lab -d head=sim:head --check --key";
+    let serves: Vec<&str> = serves.split(' ').chain([file.as_str()]).collect();
     for (mode, warned) in [(0o600, false), (0o640, true), (0o604, true), (0o400, false)] {
         let rights = std::fs::Permissions::from_mode(mode);
         std::fs::set_permissions(&path, rights).expect("to change its rights");

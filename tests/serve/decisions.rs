@@ -5,11 +5,11 @@ use std::time::Duration;
 use ztl_std::State::{Completed, Failed};
 use ztl_tests::lab::{COMPLETED, PATIENCE, in_time, until};
 
-use crate::rig::{Lab, end, trigger};
+use crate::rig::{Rig, end, trigger};
 
 #[test]
 fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         "
         missing: [no-such-program, x]
         path: [./no/such/program]
@@ -18,7 +18,7 @@ fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
         nowhere: {run: [sh], directory: no/such}
         ",
     );
-    let path = lab.scratch.path("");
+    let path = rig.scratch.path("");
     let file = path.join("robot.yaml").display().to_string();
     std::fs::write(path.join("plain"), "#!/bin/sh\n").expect("to write");
     write_executable(&path.join("odd"), "#!/no/such/interpreter\n");
@@ -41,7 +41,7 @@ fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
         ),
         ("nowhere", 8, "sh: there is no directory "),
     ] {
-        let reason = lab.refusal(component, "x");
+        let reason = rig.refusal(component, "x");
         assert!(reason.contains(part), "{component}: {reason}");
         assert!(
             reason.ends_with(&format!("at {file}:{line}")),
@@ -50,9 +50,9 @@ fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
     }
     // The program is looked up at each start.
     write_executable(&path.join("odd"), "#!/bin/sh\necho mended\n");
-    assert_eq!(lab.run("odd", ""), (Completed, "mended".to_owned()));
+    assert_eq!(rig.run("odd", ""), (Completed, "mended".to_owned()));
     assert_eq!(
-        lab.server
+        rig.server
             .original_client()
             .trigger("p", "missing", "x")
             .number,
@@ -69,12 +69,12 @@ fn write_executable(path: &std::path::Path, text: &str) {
 
 #[test]
 fn an_unknown_handler_or_component_is_rejected_with_the_known_ones() {
-    let lab = Lab::new("one: echo\ntwo: echo");
+    let rig = Rig::new("one: echo\ntwo: echo");
     assert_eq!(
-        lab.refusal("three", ""),
+        rig.refusal("three", ""),
         "no component 'three' on 'p'; it has: one, two"
     );
-    let other = lab
+    let other = rig
         .remote()
         .trigger("q", "one", "")
         .expect_err("no such handler");
@@ -83,7 +83,7 @@ fn an_unknown_handler_or_component_is_rejected_with_the_known_ones() {
 
 #[test]
 fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         refuses: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], refused-by: [2, 3], decide: 1500 ms}
         fails: {run: [sh, -c, 'exit 1'], refused-by: 2}
@@ -92,14 +92,14 @@ fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
         slow: {run: [sh, -c, 'until [ -e go ]; do sleep 0.01; done; exit 2'], refused-by: 2, decide: 50 ms}
         "#,
     );
-    assert_eq!(lab.refusal("refuses", ""), "the arm is locked");
-    assert_eq!(lab.run("fails", ""), (Failed, "exit code 1".to_owned()));
-    assert_eq!(lab.run("works", ""), (Completed, "fine".to_owned()));
+    assert_eq!(rig.refusal("refuses", ""), "the arm is locked");
+    assert_eq!(rig.run("fails", ""), (Failed, "exit code 1".to_owned()));
+    assert_eq!(rig.run("works", ""), (Completed, "fine".to_owned()));
     assert_eq!(
-        lab.run("late", ""),
+        rig.run("late", ""),
         (Failed, "exit code 2: @ moving".replace(": @ moving", ""))
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let mut last = None;
     // The default would be 1.5 s.
     let id = in_time(Duration::from_secs(1), || {
@@ -110,25 +110,25 @@ fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
         last = Some(id);
         id
     });
-    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    std::fs::write(rig.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Failed, "exit code 2".to_owned()));
-    let refused = lab.server.original_client().trigger("p", "refuses", "");
+    let refused = rig.server.original_client().trigger("p", "refuses", "");
     assert_eq!(refused, (-1, "the arm is locked"));
 }
 
 #[test]
 fn built_in_components_need_no_program() {
-    let lab =
-        Lab::new("echo: echo\nsleep: sleep\nprint: print\n'*': {built-in: echo, goal: whole}");
-    assert_eq!(lab.run("echo", "a;b:c"), (Completed, "a;b:c".to_owned()));
-    assert_eq!(lab.run("sleep", "0.05"), (Completed, "True".to_owned()));
+    let rig =
+        Rig::new("echo: echo\nsleep: sleep\nprint: print\n'*': {built-in: echo, goal: whole}");
+    assert_eq!(rig.run("echo", "a;b:c"), (Completed, "a;b:c".to_owned()));
+    assert_eq!(rig.run("sleep", "0.05"), (Completed, "True".to_owned()));
     assert_eq!(
-        lab.refusal("sleep", "-1"),
+        rig.refusal("sleep", "-1"),
         "p:sleep: the goal '-1' is not a number of at least 0"
     );
-    assert_eq!(lab.run("print", "hello"), (Completed, "True".to_owned()));
+    assert_eq!(rig.run("print", "hello"), (Completed, "True".to_owned()));
     until("it is printed", PATIENCE, || {
-        lab.server
+        rig.server
             .process
             .stdout()
             .contains("component: print\ngoal: hello\n")
@@ -136,17 +136,17 @@ fn built_in_components_need_no_program() {
     });
     // A goal cannot forge a line or control the terminal that shows the file later.
     let forged = "x\ngoal: y\r\x1b[2Jä";
-    assert_eq!(lab.run("print", forged), (Completed, "True".to_owned()));
+    assert_eq!(rig.run("print", forged), (Completed, "True".to_owned()));
     until("it is printed", PATIENCE, || {
-        lab.server
+        rig.server
             .process
             .stdout()
             .contains("component: print\ngoal: x\\ngoal: y\\r\\u001b[2Jä\n")
             .then_some(())
     });
-    assert_eq!(lab.run("any", "12"), (Completed, "12".to_owned()));
-    assert!(lab.refusal("any", "x").contains("a whole number"));
-    let mut client = lab.server.original_client();
+    assert_eq!(rig.run("any", "12"), (Completed, "12".to_owned()));
+    assert!(rig.refusal("any", "x").contains("a whole number"));
+    let mut client = rig.server.original_client();
     let id = client.start("p", "sleep", "60");
     assert_eq!(client.abort(id).text, "True");
     let id = client.start("p", "echo", "hi");

@@ -2,10 +2,9 @@
 
 use std::process::Command;
 
-use ztl_std::keys::KeyPair;
+use ztl_std::TriggerError;
 use ztl_std::server::MAX_MESSAGE;
-use ztl_std::{RemoteTask, TriggerError};
-use ztl_tests::lab::{Ended, Process, SCOPE, Scratch, Server, python, ztl};
+use ztl_tests::lab::{Ended, Keys, Process, SCOPE, Server, python, ztl};
 
 use crate::access::{client, gateway};
 
@@ -17,36 +16,6 @@ fn libzmq_without_encryption_rejects_keys_and_does_not_start() {
     let ended = Process::run(ztl().args(words.split(' ')).arg(key));
     assert!(ended.code.is_some_and(|code| code != 0), "{ended:?}");
     assert!(ended.stderr.contains("libzmq cannot encrypt"), "{ended:?}");
-}
-
-/// Pairs of keys made by `ztl keys`.
-struct Keys(Scratch);
-
-impl Keys {
-    #[track_caller]
-    fn make(names: &[&str]) -> Self {
-        let keys = Self(Scratch::new());
-        for name in names {
-            let ended = Process::run(ztl().arg("keys").arg(keys.0.path(name)));
-            assert_eq!(ended.code, Some(0), "{ended:?}");
-        }
-        keys
-    }
-
-    fn path(&self, name: &str) -> String {
-        self.0.path(name).display().to_string()
-    }
-
-    /// The options of a client.
-    fn of(&self, name: &str, server: &str) -> [String; 4] {
-        let (own, server) = (format!("{name}.key_secret"), format!("{server}.key"));
-        [
-            "--key".into(),
-            self.path(&own),
-            "--server-key".into(),
-            self.path(&server),
-        ]
-    }
 }
 
 #[track_caller]
@@ -62,10 +31,10 @@ fn only_a_client_with_an_allowed_key_is_served() {
     let server = gateway(&["--key", &own, "--client-key", &anna]);
     server.process.wait_for("encrypted, with an allowed key");
 
-    let ended = client_as(&server, &keys.of("anna", "robot"));
+    let ended = client_as(&server, &keys.options("anna", "robot"));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     // A client without a key, with another key, or for another server gets nothing: the outcome is unknown.
-    let mallory = client_as(&server, &keys.of("mallory", "robot"));
+    let mallory = client_as(&server, &keys.options("mallory", "robot"));
     assert_eq!(mallory.code, Some(5), "{mallory:?}");
     server.process.wait_for("with the key");
     assert!(
@@ -82,7 +51,7 @@ fn only_a_client_with_an_allowed_key_is_served() {
             .contains("encrypts, and this client has no keys"),
         "{nobody:?}"
     );
-    let other = client_as(&server, &keys.of("anna", "other"));
+    let other = client_as(&server, &keys.options("anna", "other"));
     assert_eq!(other.code, Some(5), "{other:?}");
     assert!(
         other
@@ -91,7 +60,10 @@ fn only_a_client_with_an_allowed_key_is_served() {
         "{other:?}"
     );
     // It keeps serving allowed clients.
-    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "robot")).code,
+        Some(0)
+    );
 }
 
 #[test]
@@ -104,7 +76,7 @@ fn every_command_says_that_the_server_demands_keys() {
         "the server at tcp://127.0.0.1:{port} encrypts, and this client has no keys: \
          give --key and --server-key (in a configuration file: key and server-key)"
     );
-    let write = |name: &str, text: &str| std::fs::write(keys.0.path(name), text).expect("to write");
+    let write = |name: &str, text: &str| std::fs::write(keys.path(name), text).expect("to write");
     let remotes = format!("remotes:\n  robot: {{host: 127.0.0.1, port: {port}, scope: {SCOPE}}}\n");
     write("remotes.yaml", &remotes);
     write(
@@ -115,10 +87,7 @@ fn every_command_says_that_the_server_demands_keys() {
     let near = format!("scopes: {{{SCOPE}: {{gripper: {{finger: {forward}}}}}}}\n");
     write("near.yaml", &near);
     let mut near = ztl();
-    let near = Server::start(
-        near.args(["serve", "-p", "0"])
-            .arg(keys.0.path("near.yaml")),
-    );
+    let near = Server::start(near.args(["serve", "-p", "0"]).arg(keys.path("near.yaml")));
     let address = format!("-r 127.0.0.1 -p {port}");
     let commands = [
         (1, format!("ps {address}")),
@@ -157,7 +126,7 @@ fn every_command_says_that_the_server_demands_keys() {
     ];
     let run = |words: &str| {
         let mut command = ztl();
-        command.current_dir(keys.0.path(""));
+        command.current_dir(keys.path(""));
         Process::run(command.args(words.split(' ')))
     };
     std::thread::scope(|scope| {
@@ -183,7 +152,7 @@ fn every_command_says_that_the_server_demands_keys() {
 #[test]
 fn a_client_with_keys_says_that_a_server_does_not_encrypt() {
     let keys = Keys::make(&["robot", "anna"]);
-    let ended = client_as(&gateway(&[]), &keys.of("anna", "robot"));
+    let ended = client_as(&gateway(&[]), &keys.options("anna", "robot"));
     assert_eq!(ended.code, Some(5), "{ended:?}");
     let told = "does not encrypt, and this client has keys: start the server with --key, or connect without keys";
     assert!(ended.stdout.contains(told), "{ended:?}");
@@ -208,7 +177,7 @@ encrypted.curve_server = True
 print("Serving at", *[socket.bind_to_random_port("tcp://127.0.0.1") for socket in (plain, encrypted)], flush=True)
 sys.stdin.read()
 "#;
-    std::fs::create_dir(keys.0.path("nobody")).expect("to make it");
+    std::fs::create_dir(keys.path("nobody")).expect("to make it");
     let mut command = Command::new(python());
     command.args(["-c", script, &keys.path(""), &keys.path("nobody")]);
     let process = Process::start(&mut command);
@@ -220,18 +189,18 @@ sys.stdin.read()
     for (port, options, told) in [
         (
             plain,
-            &keys.of("anna", "robot")[..],
+            &keys.options("anna", "robot")[..],
             "does not encrypt, and this client has keys",
         ),
         (encrypted, &[], "encrypts, and this client has no keys"),
         (
             encrypted,
-            &keys.of("anna", "other"),
+            &keys.options("anna", "other"),
             "does not have the key that this client expects",
         ),
         (
             encrypted,
-            &keys.of("mallory", "robot"),
+            &keys.options("mallory", "robot"),
             "does not admit this client",
         ),
     ] {
@@ -249,14 +218,17 @@ fn a_server_with_keys_and_no_allowed_client_serves_nobody() {
     let keys = Keys::make(&["robot", "anna"]);
     let server = gateway(&["--key", &keys.path("robot.key_secret")]);
     server.process.wait_for("no client can connect");
-    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(5));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "robot")).code,
+        Some(5)
+    );
 }
 
 #[test]
 fn keys_that_let_nobody_in_cause_a_warning() {
     let keys = Keys::make(&["robot", "anna"]);
     let (own, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
-    std::fs::create_dir(keys.0.path("empty")).expect("to make it");
+    std::fs::create_dir(keys.path("empty")).expect("to make it");
     let empty = keys.path("empty");
     let elsewhere = format!("test={anna}");
     let here = format!("{SCOPE}={anna}");
@@ -338,16 +310,13 @@ fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
     let anna = format!("{SCOPE}={}", keys.path("anna.key"));
     let own = keys.path("robot.key_secret");
     let server = gateway(&["--key", &own, "--client-key", &anna]);
-    let [anna, robot] = ["anna.key_secret", "robot.key_secret"]
-        .map(|name| KeyPair::read(keys.0.path(name).as_path()).expect("keys"));
-    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
-    let mut remote = remote.with_keys(anna, robot.public()).expect("encryption");
+    let mut remote = keys.client(&server.endpoint(), "anna", "robot");
     let most = MAX_MESSAGE - 33;
     let payload = |bytes| "x".repeat(bytes - SCOPE.len() - ";1;-1;".len());
     let refused = remote.trigger_payload(&payload(most));
     assert!(
         matches!(refused, Err(TriggerError::Refused { .. })),
-        "it is no task: {refused:?}"
+        "it is not a task: {refused:?}"
     );
     let error = remote.trigger_payload(&payload(most + 1));
     let told = format!(
@@ -373,12 +342,12 @@ fn a_key_for_another_scope_gives_no_access() {
         "--client-key",
         &elsewhere,
     ]);
-    assert_eq!(client_as(&server, &keys.of("anna", "robot")).code, Some(0));
+    assert_eq!(
+        client_as(&server, &keys.options("anna", "robot")).code,
+        Some(0)
+    );
 
-    let bert = KeyPair::read(keys.0.path("bert.key_secret").as_path()).expect("keys");
-    let robot = KeyPair::read(keys.0.path("robot.key_secret").as_path()).expect("keys");
-    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
-    let mut remote = remote.with_keys(bert, robot.public()).expect("encryption");
+    let mut remote = keys.client(&server.endpoint(), "bert", "robot");
     match remote.trigger("gripper", "finger", "5") {
         Err(TriggerError::Refused { reason, .. }) => {
             assert!(reason.starts_with("No controller for scope"), "{reason}");
@@ -428,7 +397,7 @@ print(socket.recv().decode() if socket.poll(5000) else "nothing")
 
 /// Two encrypted gateways with keys of their own, a configuration file that names both, and a script for them.
 struct EncryptedShow {
-    directory: Scratch,
+    keys: Keys,
     _servers: [Server; 2],
 }
 
@@ -453,10 +422,10 @@ impl EncryptedShow {
         });
         let remotes = format!("remotes:\n{}", remotes.collect::<String>());
         let script = "show(delay=0):\n  both:\n    left: {finger: 3}\n    right: {finger: 4}\n";
-        std::fs::write(keys.0.path("remotes.yaml"), remotes).expect("to write");
-        std::fs::write(keys.0.path("show.yaml"), script).expect("to write");
+        std::fs::write(keys.path("remotes.yaml"), remotes).expect("to write");
+        std::fs::write(keys.path("show.yaml"), script).expect("to write");
         Self {
-            directory: keys.0,
+            keys,
             _servers: servers,
         }
     }
@@ -464,7 +433,7 @@ impl EncryptedShow {
     #[track_caller]
     fn run(&self, words: &str) -> Ended {
         let mut command = ztl();
-        command.current_dir(self.directory.path(""));
+        command.current_dir(self.keys.path(""));
         Process::run(command.args(words.split(' ')))
     }
 }
@@ -486,9 +455,9 @@ fn a_script_is_checked_and_played_on_encrypted_servers() {
         assert_eq!(ended.code, Some(0), "{words}: {ended:?}");
     }
     // The options' keys are for servers without keys in the file.
-    let text = std::fs::read_to_string(show.directory.path("remotes.yaml")).expect("a file");
+    let text = std::fs::read_to_string(show.keys.path("remotes.yaml")).expect("a file");
     let text = text.replace(", key: anna.key_secret, server-key: left.key", "");
-    std::fs::write(show.directory.path("remotes.yaml"), text).expect("to write");
+    std::fs::write(show.keys.path("remotes.yaml"), text).expect("to write");
     let words =
         "check show.yaml -c remotes.yaml --live --key anna.key_secret --server-key left.key";
     let ended = show.run(words);
@@ -498,7 +467,7 @@ fn a_script_is_checked_and_played_on_encrypted_servers() {
 #[test]
 fn wrong_keys_in_the_configuration_file_are_reported_with_their_place() {
     let show = EncryptedShow::new();
-    let remotes = show.directory.path("remotes.yaml");
+    let remotes = show.keys.path("remotes.yaml");
     let text = std::fs::read_to_string(&remotes).expect("a file");
     for (from, to, expected) in [
         (

@@ -2,7 +2,7 @@
 
 use ztl_tests::lab::{Ended, Process, Scratch, ztl};
 
-use crate::rig::{Lab, project};
+use crate::rig::{Rig, project};
 
 #[track_caller]
 fn run(words: &[&str]) -> Ended {
@@ -99,8 +99,8 @@ fn options_override_the_file_and_missing_settings_are_reported() {
             .contains("--scope names the only scope of a file"),
         "{ended:?}"
     );
-    let lab = Lab::with("echo: echo", &["--allow", "192.0.2.0/24"]);
-    lab.server
+    let rig = Rig::with("echo: echo", &["--allow", "192.0.2.0/24"]);
+    rig.server
         .process
         .wait_for("if its address is in 192.0.2.0/24");
 }
@@ -128,8 +128,8 @@ fn the_manual_documents_every_key() {
 
 #[test]
 fn a_probe_lists_handlers_and_components() {
-    let lab = Lab::new("one: echo\n'*': echo");
-    let mut probe = zmq_ask(lab.server.port, "$ztl;2;-1;probe");
+    let rig = Rig::new("one: echo\n'*': echo");
+    let mut probe = zmq_ask(rig.server.port, "$ztl;2;-1;probe");
     probe.truncate(probe.find(", running").expect("the running tasks"));
     assert!(
         probe.ends_with(r#"scopes: {"/test": {"p": ["*", "one"]}}"#),

@@ -7,11 +7,11 @@ use ztl_tests::lab::{
     reserve_port, until, ztl,
 };
 
-use crate::rig::{Lab, dies, end, progress, start, told, trigger};
+use crate::rig::{Rig, dies, end, progress, start, told, trigger};
 
 /// A server that forwards everything to another; `p` here is `p` there.
-fn relay(far: u16) -> Lab {
-    Lab::new(&format!(
+fn relay(far: u16) -> Rig {
+    Rig::new(&format!(
         "'*': {{forward: {{to: 'tcp://127.0.0.1:{far}', scope: {SCOPE}}}}}\n\
          other: {{forward: {{to: 'tcp://127.0.0.1:{far}', scope: {SCOPE}, handler: test, component: echo}}}}"
     ))
@@ -26,7 +26,7 @@ const FAR: &str = r#"
 
 #[test]
 fn a_forwarded_task_behaves_like_a_local_one() {
-    let far = Lab::new(FAR);
+    let far = Rig::new(FAR);
     let near = relay(far.server.port);
     assert_eq!(near.run("echo", "a:b;c"), (Completed, "a:b;c".to_owned()));
     assert_eq!(
@@ -80,7 +80,7 @@ fn an_absent_server_causes_a_rejection_and_nothing_is_sent() {
 
 #[test]
 fn a_forwarded_task_is_unknown_while_its_server_is_silent() {
-    let far = Lab::new(FAR);
+    let far = Rig::new(FAR);
     let near = relay(far.server.port);
     let mut remote = near.remote();
     let id = trigger(&mut remote, "go", "");
@@ -102,7 +102,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
     let file: String = ["client", "script", "abort", "original", "after"]
         .map(sleeps)
         .concat();
-    let mut far = Lab::with(&file, &["-p", &port]);
+    let mut far = Rig::with(&file, &["-p", &port]);
     let near = relay(far.server.port);
     let mut client = our_client();
     client.args(["--json", "--exit-status"]);
@@ -161,7 +161,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
 #[test]
 fn earlier_tasks_of_a_restarted_server_are_not_completed() {
     let port = reserve_port().to_string();
-    let mut far = Lab::with(FAR, &["-p", &port]);
+    let mut far = Rig::with(FAR, &["-p", &port]);
     let near = relay(far.server.port);
     let mut remote = near.remote();
     let id = trigger(&mut remote, "go", "");
@@ -192,8 +192,8 @@ fn a_server_that_forwards_to_itself_terminates_the_loop() {
     let file = format!(
         "scopes: {{{SCOPE}: {{p: {{'*': {{forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}}}}}}}}}}}"
     );
-    let lab = Lab::of_file(&file, &["-p", &port.to_string()]);
-    let mut remote = lab.remote();
+    let rig = Rig::of_file(&file, &["-p", &port.to_string()]);
+    let mut remote = rig.remote();
     let ended = match remote.trigger("p", "x", "") {
         Ok(task) => remote
             .wait(task.id, Some(PATIENCE))
@@ -206,7 +206,7 @@ fn a_server_that_forwards_to_itself_terminates_the_loop() {
 }
 
 /// A server with a key, for one client, and the `forward` settings to be that client or another one.
-fn encrypted() -> (Lab, Scratch, [String; 2]) {
+fn encrypted() -> (Rig, Scratch, [String; 2]) {
     let keys = Scratch::new();
     for name in ["far", "near", "mallory"] {
         let ended = Process::run(ztl().arg("keys").arg(keys.path(name)));
@@ -214,7 +214,7 @@ fn encrypted() -> (Lab, Scratch, [String; 2]) {
     }
     let path = |name: &str| keys.path(name).display().to_string();
     let (own, client) = (path("far.key_secret"), path("near.key"));
-    let far = Lab::with(FAR, &["--key", &own, "--client-key", &client]);
+    let far = Rig::with(FAR, &["--key", &own, "--client-key", &client]);
     let to = format!("to: 'tcp://127.0.0.1:{}', scope: {SCOPE}", far.server.port);
     let server = path("far.key");
     let forward = ["near", "mallory"].map(|name| {
@@ -231,8 +231,8 @@ fn with_keys_the_forwarding_server_authenticates_as_a_client() {
         "{{forward: {{to: 'tcp://127.0.0.1:{}', scope: {SCOPE}}}}}",
         far.server.port
     );
-    let lab = Lab::new(&format!("'*': {near}\necho: {mallory}\nbad: {plain}"));
-    let mut remote = lab.remote();
+    let rig = Rig::new(&format!("'*': {near}\necho: {mallory}\nbad: {plain}"));
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "go", "");
     progress(&mut remote, id, "half way");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);

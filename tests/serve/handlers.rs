@@ -43,12 +43,12 @@ impl TaskController for Unruly {
 }
 
 /// A server of faulty tasks. Its gate is opened at the end, so that no thread is left behind.
-struct Lab {
+struct Rig {
     server: RunningServer,
     gate: Gate,
 }
 
-impl Lab {
+impl Rig {
     fn new() -> Self {
         let gate = Gate::default();
         let server = serve(Unruly(gate.clone()));
@@ -64,7 +64,7 @@ impl Lab {
     }
 }
 
-impl Drop for Lab {
+impl Drop for Rig {
     fn drop(&mut self) {
         self.gate.open();
     }
@@ -87,8 +87,8 @@ fn slowest_status(remote: &mut RemoteTask, id: TaskId, time: Duration) -> Durati
 
 #[test]
 fn a_panic_fails_only_its_own_task() {
-    let lab = Lab::new();
-    let mut remote = lab.connect();
+    let rig = Rig::new();
+    let mut remote = rig.connect();
     let bystander = start(&mut remote, "any", "sleep", "");
     for round in 0..3 {
         let reason = match remote.trigger("any", "panic-in-assign", &round.to_string()) {
@@ -113,18 +113,18 @@ fn a_panic_fails_only_its_own_task() {
     let id = start(&mut remote, "any", "echo", "still here");
     let end = status(State::Completed, "still here");
     assert_eq!(remote.wait(id, LIMIT), Ok(end));
-    assert!(lab.server.is_running());
+    assert!(rig.server.is_running());
 }
 
 #[test]
 fn an_assign_that_blocks_for_3_s_delays_no_other_client() {
-    let lab = Lab::new();
-    let mut remote = lab.connect();
+    let rig = Rig::new();
+    let mut remote = rig.connect();
     let bystander = start(&mut remote, "any", "sleep", "");
     let mut slowest_of_others = || {
         std::thread::scope(|scope| {
             let asked = Instant::now();
-            let blocked = scope.spawn(|| lab.connect().trigger("any", "block-in-assign", "done"));
+            let blocked = scope.spawn(|| rig.connect().trigger("any", "block-in-assign", "done"));
             let slowest = slowest_status(&mut remote, bystander, Duration::from_secs(2));
 
             // Its own client got a reply with an id before its timeout.
@@ -144,12 +144,12 @@ fn an_assign_that_blocks_for_3_s_delays_no_other_client() {
 
 #[test]
 fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
-    let lab = Lab::new();
-    let mut client = lab.original_client();
+    let rig = Rig::new();
+    let mut client = rig.original_client();
     // The original's client times out after 2 s and would take its task for rejected.
     let id = client.start("any", "hang-in-assign", "done");
     assert_eq!(client.status(id), (0, "None"));
-    lab.gate.open();
+    rig.gate.open();
     // The original's wait does not treat INITIATED as an end either.
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "done"));
 }
@@ -174,9 +174,9 @@ fn status_reports_a_rejection_by_an_assign_that_hung() {
 
 #[test]
 fn an_ignored_abort_is_still_answered() {
-    let lab = Lab::new();
-    let mut client = lab.original_client();
-    let mut remote = lab.connect();
+    let rig = Rig::new();
+    let mut client = rig.original_client();
+    let mut remote = rig.connect();
     for component in ["hang", "hang-in-assign"] {
         let id = client.start("any", component, "late");
         let asked = Instant::now();
@@ -195,8 +195,8 @@ fn an_ignored_abort_is_still_answered() {
 
 #[test]
 fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
-    let lab = Lab::new();
-    let mut client = lab.original_client();
+    let rig = Rig::new();
+    let mut client = rig.original_client();
     let id = client.start("any", "hang", "done after all");
     until("its progress", PATIENCE, || {
         (client.status(id) == (ACCEPTED, "hanging")).then_some(())
@@ -204,9 +204,9 @@ fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
     std::thread::scope(|scope| {
         let abort = scope.spawn(|| {
             let id = TaskId::new(u32::try_from(id).unwrap()).unwrap();
-            lab.connect().abort(id)
+            rig.connect().abort(id)
         });
-        lab.gate.open();
+        rig.gate.open();
         let told = abort.join().unwrap().expect("an answer");
         // `False` if it ended before the ABORT arrived.
         assert_eq!(told.state, State::Completed);
@@ -218,8 +218,8 @@ fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
 
 #[test]
 fn an_abort_wakes_a_task_and_its_final_state_never_changes() {
-    let lab = Lab::new();
-    let mut client = lab.original_client();
+    let rig = Rig::new();
+    let mut client = rig.original_client();
     let id = client.start("any", "sleep", "");
     assert_eq!(client.abort(id), (ABORTED, "True"));
     for _ in 0..20 {

@@ -11,13 +11,13 @@ use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RequestError, TaskId, TriggerError};
 use ztl_tests::lab::{PATIENCE, Process, Scratch, python, reserve_port, signal, until, ztl};
 
-use crate::rig::{Lab, dies, end, kill, lives, progress, start, told, trigger};
+use crate::rig::{Rig, dies, end, kill, lives, progress, start, told, trigger};
 
 /// The watchdog of a server.
 #[track_caller]
-fn watchdog(lab: &Lab) -> u32 {
+fn watchdog(rig: &Rig) -> u32 {
     until("a watchdog", PATIENCE, || {
-        let mut watchdogs = lab.children().into_iter().filter(|child| {
+        let mut watchdogs = rig.children().into_iter().filter(|child| {
             let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
             line.is_ok_and(|line| line.contains("serve-watchdog"))
         });
@@ -27,7 +27,7 @@ fn watchdog(lab: &Lab) -> u32 {
 
 #[test]
 fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
-    let mut lab = Lab::new(
+    let mut rig = Rig::new(
         r#"
         careful: {run: [sh, -c, 'trap "sleep 0.3; echo parked > parked; exit" INT; echo $$ > careful; while :; do sleep 0.02; done'], abort: INT}
         stubborn: {run: [sh, -c, 'trap "" TERM; (sleep 60) & echo $! > child; echo $$ > stubborn; while :; do sleep 0.02; done'], abort: {grace: 500 ms}}
@@ -37,8 +37,8 @@ fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
         ended: {run: [sh, -c, 'sleep 60 & echo $! > left; echo done'], left-behind: leave}
         "#,
     );
-    let mut remote = lab.remote();
-    assert_eq!(lab.run("ended", ""), (Completed, "done".to_owned()));
+    let mut remote = rig.remote();
+    assert_eq!(rig.run("ended", ""), (Completed, "done".to_owned()));
     for component in ["careful", "stubborn", "stopped"] {
         trigger(&mut remote, component, "");
     }
@@ -46,75 +46,75 @@ fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
     trigger(&mut remote, "waits", "");
     trigger(&mut remote, "waits", "");
     let names = ["careful", "stubborn", "child", "halted"];
-    let processes = names.map(|name| lab.process(name));
-    lab.process("driver");
-    lab.written("begun");
+    let processes = names.map(|name| rig.process(name));
+    rig.process("driver");
+    rig.written("begun");
     let begun = Instant::now();
-    lab.server.process.kill();
-    assert_eq!(lab.written("parked"), "parked");
-    assert_eq!(lab.written("halt"), format!("{driver} fast"));
+    rig.server.process.kill();
+    assert_eq!(rig.written("parked"), "parked");
+    assert_eq!(rig.written("halt"), format!("{driver} fast"));
     // That program got its grace although the other one ended earlier.
-    lab.written("stopped");
+    rig.written("stopped");
     for process in processes {
         dies(process);
     }
     assert!(begun.elapsed() >= Duration::from_millis(500));
-    assert!(!lab.scratch.path("driver").exists());
-    lab.server
+    assert!(!rig.scratch.path("driver").exists());
+    rig.server
         .process
         .wait_for("The server has ended and left programs behind. Stopping them.");
-    lab.server.process.wait_for("have ended.");
+    rig.server.process.wait_for("have ended.");
     // The waiting task never started, and the process that may stay still runs.
-    assert_eq!(lab.written("begun").lines().count(), 1);
-    assert!(lives(lab.process("left")));
-    kill(lab.process("left"));
+    assert_eq!(rig.written("begun").lines().count(), 1);
+    assert!(lives(rig.process("left")));
+    kill(rig.process("left"));
 }
 
 #[test]
 fn the_watchdog_finds_a_program_that_is_just_starting() {
     for delay in 0..12 {
-        let mut lab = Lab::new("go: {run: [sh, -c, 'echo > begun; sleep 60; true']}");
-        let mut remote = lab.remote();
+        let mut rig = Rig::new("go: {run: [sh, -c, 'echo > begun; sleep 60; true']}");
+        let mut remote = rig.remote();
         // It never gets a reply, and the test does not wait for it.
         std::thread::spawn(move || drop(remote.trigger("p", "go", "")));
         // Kills at a different moment of its start each time.
         std::thread::sleep(Duration::from_micros(delay * 400));
-        lab.server.process.kill();
-        lab.server.process.wait_for_end_of_output();
-        let begun = lab.scratch.path("begun").exists();
+        rig.server.process.kill();
+        rig.server.process.wait_for_end_of_output();
+        let begun = rig.scratch.path("begun").exists();
         println!("after {delay} times 400 µs: begun: {begun}");
-        assert!(lab.at_home().is_empty(), "{delay}: {:?}", lab.at_home());
+        assert!(rig.at_home().is_empty(), "{delay}: {:?}", rig.at_home());
     }
 }
 
 #[test]
 fn a_repeatedly_killed_watchdog_is_replaced_while_the_server_idles() {
-    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
+    let mut rig = Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     for _ in 0..5 {
-        let before = watchdog(&lab);
+        let before = watchdog(&rig);
         kill(before);
         until("another watchdog", PATIENCE, || {
-            (watchdog(&lab) != before).then_some(())
+            (watchdog(&rig) != before).then_some(())
         });
     }
-    trigger(&mut lab.remote(), "go", "");
-    let process = lab.process("pid");
-    lab.server.process.kill();
+    trigger(&mut rig.remote(), "go", "");
+    let process = rig.process("pid");
+    rig.server.process.kill();
     dies(process);
 }
 
 #[test]
 fn a_killed_or_unresponsive_watchdog_is_replaced() {
-    let mut lab = Lab::new(
+    let mut rig = Rig::new(
         r#"
         go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
         many: {run: [sh, -c, ': "$ZTL_GOAL"'], abort: {run: ['true']}}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     trigger(&mut remote, "go", "");
-    let process = lab.process("pid");
-    let first = watchdog(&lab);
+    let process = rig.process("pid");
+    let first = watchdog(&rig);
     // It is the same program as its server, and runs under the same filter when an old kernel is simulated.
     let of = |process: u32| {
         let status = std::fs::read_to_string(format!("/proc/{process}/status"));
@@ -123,47 +123,47 @@ fn a_killed_or_unresponsive_watchdog_is_replaced() {
         let program = std::fs::read_link(format!("/proc/{process}/exe"));
         (program.expect("its program"), filter.map(str::to_owned))
     };
-    assert_eq!(of(first), of(lab.server.process.id()));
+    assert_eq!(of(first), of(rig.server.process.id()));
     kill(first);
     until("another watchdog", PATIENCE, || {
-        assert_eq!(lab.run("many", ""), (Completed, String::new()));
-        lab.children().into_iter().find(|child| {
+        assert_eq!(rig.run("many", ""), (Completed, String::new()));
+        rig.children().into_iter().find(|child| {
             let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
             *child != first && line.is_ok_and(|line| line.contains("serve-watchdog"))
         })
     });
-    lab.server
+    rig.server
         .process
         .wait_for("The watchdog has been restarted.");
 
     // A suspended watchdog is noticed once its pipe is full, and delays no client.
-    let second = watchdog(&lab);
+    let second = watchdog(&rig);
     signal(second, "STOP");
     let long = "x".repeat(50_000);
     until("another watchdog", PATIENCE, || {
-        assert_eq!(lab.run("many", &long), (Completed, String::new()));
+        assert_eq!(rig.run("many", &long), (Completed, String::new()));
         (!lives(second)).then_some(())
     });
     until("another watchdog", PATIENCE, || {
-        lab.run("many", "");
-        (watchdog(&lab) != second).then_some(())
+        rig.run("many", "");
+        (watchdog(&rig) != second).then_some(())
     });
     assert!(lives(process));
-    lab.server.process.kill();
+    rig.server.process.kill();
     dies(process);
 }
 
 #[test]
 fn no_program_starts_while_the_watchdog_is_being_replaced() {
     for _ in 0..3 {
-        let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60']}");
-        let mut remote = lab.remote();
+        let mut rig = Rig::new("go: {run: [sh, -c, 'exec sleep 60']}");
+        let mut remote = rig.remote();
         // The more watchdogs end in a row, the longer the pause before the next.
-        let mut last = watchdog(&lab);
+        let mut last = watchdog(&rig);
         for _ in 0..5 {
             kill(last);
             last = until("another watchdog", PATIENCE, || {
-                Some(watchdog(&lab)).filter(|now| *now != last)
+                Some(watchdog(&rig)).filter(|now| *now != last)
             });
         }
         kill(last);
@@ -177,33 +177,33 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
             }
         });
         // The watchdog that confirmed the program knows of it.
-        lab.server.process.kill();
+        rig.server.process.kill();
         until("nothing runs", PATIENCE, || {
-            lab.at_home().is_empty().then_some(())
+            rig.at_home().is_empty().then_some(())
         });
     }
 }
 
 #[test]
 fn a_watchdog_ignores_every_signal_it_can() {
-    let mut lab = Lab::new(
+    let mut rig = Rig::new(
         r#"
         go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}
         other: {run: ['true']}
         "#,
     );
-    trigger(&mut lab.remote(), "go", "");
-    let process = lab.process("pid");
-    let first = watchdog(&lab);
+    trigger(&mut rig.remote(), "go", "");
+    let process = rig.process("pid");
+    let first = watchdog(&rig);
     for name in [
         "HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE", "TSTP", "TTIN", "TTOU",
     ] {
         signal(first, name);
     }
     // A signal takes effect before the watchdog confirms anything else.
-    assert_eq!(lab.run("other", ""), (Completed, String::new()));
-    assert_eq!(watchdog(&lab), first);
-    lab.server.process.kill();
+    assert_eq!(rig.run("other", ""), (Completed, String::new()));
+    assert_eq!(watchdog(&rig), first);
+    rig.server.process.kill();
     dies(process);
 }
 
@@ -277,28 +277,28 @@ fn a_terminal_that_suspends_background_programs_spares_the_watchdog() {
 
 #[test]
 fn a_suspended_watchdog_stops_programs_after_the_server_dies() {
-    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
-    trigger(&mut lab.remote(), "go", "");
-    let process = lab.process("pid");
-    signal(watchdog(&lab), "STOP");
-    lab.server.process.kill();
+    let mut rig = Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
+    trigger(&mut rig.remote(), "go", "");
+    let process = rig.process("pid");
+    signal(watchdog(&rig), "STOP");
+    rig.server.process.kill();
     dies(process);
 }
 
 #[test]
 fn a_suspended_watchdog_is_replaced_before_another_program_starts() {
-    let mut lab = Lab::new("go: {run: [sh, -c, 'exec sleep 60'], at-once: 9}");
-    let mut remote = lab.remote();
+    let mut rig = Rig::new("go: {run: [sh, -c, 'exec sleep 60'], at-once: 9}");
+    let mut remote = rig.remote();
     trigger(&mut remote, "go", "");
-    let first = watchdog(&lab);
+    let first = watchdog(&rig);
     signal(first, "STOP");
     until("the program is started", PATIENCE, || {
         remote.trigger("p", "go", "").ok()
     });
     assert!(!lives(first));
-    lab.server.process.kill();
+    rig.server.process.kill();
     until("nothing runs", PATIENCE, || {
-        lab.at_home().is_empty().then_some(())
+        rig.at_home().is_empty().then_some(())
     });
 }
 
@@ -327,35 +327,35 @@ fn an_unwritable_log_does_not_prevent_stopping_programs() {
         .open(&fifo);
     let mut log = log.expect("to open it");
     for file in [Path::new("/dev/full"), &fifo] {
-        let mut lab = Lab::of_command(
+        let mut rig = Rig::of_command(
             logging_to(file),
             r#"
             go: {run: [sh, -c, 'trap "" TERM; echo $$ > pid; while :; do sleep 0.02; done'], abort: {grace: 100 ms}}
             "#,
         );
-        trigger(&mut lab.remote(), "go", "");
-        let process = lab.process("pid");
+        trigger(&mut rig.remote(), "go", "");
+        let process = rig.process("pid");
         if file == fifo {
             // Now it is full.
             for size in [512, 1] {
                 while log.write(&vec![b'x'; size]).is_ok() {}
             }
         }
-        lab.server.process.kill();
+        rig.server.process.kill();
         dies(process);
     }
 }
 
 #[test]
 fn after_a_restart_a_tasks_outcome_is_unknown() {
-    let mut lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
-    let mut remote = lab.remote();
+    let mut rig = Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}\necho: echo");
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "go", "");
-    let process = lab.process("pid");
-    lab.server.process.kill();
+    let process = rig.process("pid");
+    rig.server.process.kill();
     dies(process);
-    lab.server = start(&lab.scratch.path("robot.yaml"), &[]);
-    let mut remote = lab.remote();
+    rig.server = start(&rig.scratch.path("robot.yaml"), &[]);
+    let mut remote = rig.remote();
     let unknown = remote
         .wait(id, Some(PATIENCE))
         .expect_err("it is not known");
@@ -363,18 +363,18 @@ fn after_a_restart_a_tasks_outcome_is_unknown() {
         matches!(unknown.last, Err(RequestError::UnknownTask { .. })),
         "{unknown:?}"
     );
-    assert_eq!(lab.run("echo", "again"), (Completed, "again".to_owned()));
+    assert_eq!(rig.run("echo", "again"), (Completed, "again".to_owned()));
 }
 
 #[test]
 fn a_resumed_server_learns_what_its_programs_did() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         go: {run: [sh, -c, 'echo "@ on"; until [ -e go ]; do sleep 0.01; done; echo done > done; echo done'], progress: '@ ', at-once: 2}
         limited: {run: [sh, -c, 'echo "@ on"; exec sleep 60'], progress: '@ ', limit: 400 ms}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let mut started = |component: &str| -> TaskId {
         let id = trigger(&mut remote, component, "");
         progress(&mut remote, id, "on");
@@ -382,16 +382,16 @@ fn a_resumed_server_learns_what_its_programs_did() {
     };
     let ends = started("go");
     let limited = started("limited");
-    lab.server.process.signal("STOP");
+    rig.server.process.signal("STOP");
     let silent = remote.status(ends).expect_err("nobody answers");
     assert!(
         matches!(silent, RequestError::NoAnswer { .. }),
         "{silent:?}"
     );
     // Both end, or should end, while the server is suspended.
-    std::fs::write(lab.scratch.path("go"), "").expect("to write");
-    lab.written("done");
-    lab.server.process.signal("CONT");
+    std::fs::write(rig.scratch.path("go"), "").expect("to write");
+    rig.written("done");
+    rig.server.process.signal("CONT");
     assert_eq!(end(&mut remote, ends), (Completed, "done".to_owned()));
     let (_, text) = end(&mut remote, limited);
     assert_eq!(text, "not done within 400 ms");
@@ -399,14 +399,14 @@ fn a_resumed_server_learns_what_its_programs_did() {
 
 #[test]
 fn a_suspended_server_executes_an_abort_once_resumed() {
-    let lab = Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
-    let mut remote = lab.remote();
+    let rig = Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "go", "");
-    let process = lab.process("pid");
-    lab.server.process.signal("STOP");
+    let process = rig.process("pid");
+    rig.server.process.signal("STOP");
     remote.abort(id).expect_err("nobody answers");
     assert!(lives(process));
-    lab.server.process.signal("CONT");
+    rig.server.process.signal("CONT");
     assert_eq!(end(&mut remote, id), (Aborted, "aborted".to_owned()));
     assert!(!lives(process));
     assert_eq!(

@@ -6,7 +6,7 @@ use std::process::Command;
 use ztl_std::{RequestError, State};
 use ztl_tests::lab::{PATIENCE, built, process_status};
 
-use crate::rig::Lab;
+use crate::rig::Rig;
 
 /// The memory of a process, in KiB: in total, and without program and libraries.
 fn resident(process: u32) -> [u64; 2] {
@@ -22,8 +22,8 @@ fn program() -> Command {
 #[test]
 fn threads_are_woken_by_eventfd() {
     // Without eventfd, libzmq uses two sockets, which makes a request 5 % slower.
-    let lab = Lab::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
-    let files = format!("/proc/{}/fd", lab.server.process.id());
+    let rig = Rig::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
+    let files = format!("/proc/{}/fd", rig.server.process.id());
     let files = std::fs::read_dir(files).expect("its files");
     let files: Vec<_> = files
         .flatten()
@@ -41,13 +41,13 @@ fn threads_are_woken_by_eventfd() {
 #[test]
 fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
     // A test build is larger by itself; the released one counts as a whole.
-    let lab = Lab::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
+    let rig = Rig::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
     for number in 0..1000 {
-        let (state, _) = lab.run("echo", &number.to_string());
+        let (state, _) = rig.run("echo", &number.to_string());
         assert_eq!(state, State::Completed);
     }
-    let [all, own] = resident(lab.server.process.id());
-    let watchdogs = lab.children().into_iter().map(resident);
+    let [all, own] = resident(rig.server.process.id());
+    let watchdogs = rig.children().into_iter().map(resident);
     let [watchdog, watchdogs_own] = watchdogs.fold([0, 0], |[all, own], [more, more_own]| {
         [all + more, own + more_own]
     });
@@ -64,13 +64,13 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
 /// Newer results replace long ones; running tasks and the latest outcomes stay.
 #[test]
 fn long_results_take_no_more_memory_than_the_limit() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         "long: {run: [sh, -c, 'head -c 700000 /dev/zero | tr \"\\0\" x'], output: 1000 KiB}\n        \
          runs: {run: [sleep, '3600']}",
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let running = remote.trigger("p", "runs", "").expect("taken").id;
-    let [at_start, _] = resident(lab.server.process.id());
+    let [at_start, _] = resident(rig.server.process.id());
     let ids: Vec<_> = (0..300)
         .map(|_| {
             let id = remote.trigger("p", "long", "").expect("taken").id;
@@ -79,7 +79,7 @@ fn long_results_take_no_more_memory_than_the_limit() {
             id
         })
         .collect();
-    let [now, _] = resident(lab.server.process.id());
+    let [now, _] = resident(rig.server.process.id());
     let grown = now.saturating_sub(at_start);
     println!("300 results of 700,000 bytes: {grown} KiB");
     // 205 MiB of results. The rest is in flight or kept by the allocator.

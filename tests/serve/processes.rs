@@ -6,11 +6,11 @@ use std::time::Duration;
 use ztl_std::State::{Accepted, Completed, Failed};
 use ztl_tests::lab::{PATIENCE, Process, until, ztl};
 
-use crate::rig::{Lab, dies, end, lives, progress, trigger};
+use crate::rig::{Rig, dies, end, lives, progress, trigger};
 
 #[test]
 fn a_program_of_another_user_has_only_that_users_rights() {
-    let mut lab = Lab::new(
+    let mut rig = Rig::new(
         r#"
         own: {run: [sh, -c, 'echo "$(id -un) $(id -G)"'], user: nobody}
         home: {run: [sh, -c, 'echo "$HOME $USER $LOGNAME"'], user: nobody}
@@ -24,42 +24,42 @@ fn a_program_of_another_user_has_only_that_users_rights() {
         ended.stdout.trim().to_owned()
     };
     if id("-u") != "0" {
-        let why = lab.refusal("own", "");
+        let why = rig.refusal("own", "");
         assert!(why.contains("must run as that user or as root"), "{why}");
         return;
     }
     let everybody = std::fs::Permissions::from_mode(0o777);
-    std::fs::set_permissions(lab.scratch.path(""), everybody).expect("to change it");
+    std::fs::set_permissions(rig.scratch.path(""), everybody).expect("to change it");
     let nobody = format!("nobody {}", id("-G nobody"));
-    assert_eq!(lab.run("own", ""), (Completed, nobody.clone()));
-    let (state, home) = lab.run("home", "");
+    assert_eq!(rig.run("own", ""), (Completed, nobody.clone()));
+    let (state, home) = rig.run("home", "");
     assert_eq!(state, Completed);
     assert!(
         home.ends_with(" nobody nobody") && home.starts_with('/'),
         "{home}"
     );
-    let (state, why) = lab.run("secret", "");
+    let (state, why) = rig.run("secret", "");
     assert_eq!(state, Failed);
     assert!(why.ends_with("Permission denied"), "{why}");
     // Only the thread that started them had another user.
     let own = format!("{} {}", id("-un"), id("-G"));
-    assert_eq!(lab.run("mine", ""), (Completed, own));
-    assert_eq!(lab.run("own", ""), (Completed, nobody));
-    let mut remote = lab.remote();
+    assert_eq!(rig.run("mine", ""), (Completed, own));
+    assert_eq!(rig.run("own", ""), (Completed, nobody));
+    let mut remote = rig.remote();
     let task = trigger(&mut remote, "stays", "");
     progress(&mut remote, task, "");
     let process = until("its number", PATIENCE, || {
         remote.status(task).expect("an answer").text.parse().ok()
     });
     // The abort program also runs as that user, even when the watchdog starts it.
-    lab.server.process.kill();
-    assert_eq!(lab.written("aborter"), "nobody");
+    rig.server.process.kill();
+    assert_eq!(rig.written("aborter"), "nobody");
     dies(process);
 }
 
 #[test]
 fn programs_with_children_leave_no_process_behind() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         leaves: [sh, -c, 'for i in 1 2 3; do sleep 60 & done; (sleep 60; sleep 60) & echo done']
         fails: [sh, -c, 'sleep 60 & exit 1']
@@ -67,15 +67,15 @@ fn programs_with_children_leave_no_process_behind() {
         "#,
     );
     for _ in 0..10 {
-        assert_eq!(lab.run("leaves", "").0, Completed);
-        assert_eq!(lab.run("fails", "").0, Failed);
-        assert_eq!(lab.run("ends", "").0, Failed);
+        assert_eq!(rig.run("leaves", "").0, Completed);
+        assert_eq!(rig.run("fails", "").0, Failed);
+        assert_eq!(rig.run("ends", "").0, Failed);
     }
     until("all have ended", PATIENCE, || {
-        lab.at_home().is_empty().then_some(())
+        rig.at_home().is_empty().then_some(())
     });
     // No zombie either: only the watchdog is a child of the server.
-    assert_eq!(lab.children().len(), 1);
+    assert_eq!(rig.children().len(), 1);
 }
 
 /// Processor time that a process has taken, in hundredths of a second.
@@ -91,7 +91,7 @@ fn worked(process: u32) -> u64 {
 
 #[test]
 fn a_silent_or_closed_output_uses_no_cpu() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         silent: {run: [sh, -c, 'echo > silent; until [ -e go ]; do sleep 0.2; done; echo end']}
         closes: {run: [sh, -c, 'exec <&- >&- 2>&-; until [ -e go ]; do sleep 0.2; done']}
@@ -99,12 +99,12 @@ fn a_silent_or_closed_output_uses_no_cpu() {
         passes: {run: [sh, -c, 'sleep 60 & echo $! > holder; echo end'], left-behind: leave}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let tasks = ["silent", "closes", "half"].map(|name| trigger(&mut remote, name, ""));
     // A leftover process holds its output open, which is never read.
-    assert_eq!(lab.run("passes", ""), (Completed, "end".to_owned()));
-    lab.written("silent");
-    let process = lab.server.process.id();
+    assert_eq!(rig.run("passes", ""), (Completed, "end".to_owned()));
+    rig.written("silent");
+    let process = rig.server.process.id();
     let before = worked(process);
     std::thread::sleep(Duration::from_secs(1));
     let cost = worked(process) - before;
@@ -113,7 +113,7 @@ fn a_silent_or_closed_output_uses_no_cpu() {
     for task in tasks {
         assert_eq!(remote.status(task).expect("an answer").state, Accepted);
     }
-    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    std::fs::write(rig.scratch.path("go"), "").expect("to write");
     let [silent, closes, half] = tasks;
     assert_eq!(end(&mut remote, silent), (Completed, "end".to_owned()));
     assert_eq!(end(&mut remote, closes), (Completed, String::new()));
@@ -121,27 +121,27 @@ fn a_silent_or_closed_output_uses_no_cpu() {
         end(&mut remote, half),
         (Completed, "no end of line".to_owned())
     );
-    crate::rig::kill(lab.process("holder"));
+    crate::rig::kill(rig.process("holder"));
 }
 
 #[test]
 fn many_noisy_children_are_read_within_limits_and_delay_no_other() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         crowd: {run: [sh, -c, 'for i in $(seq 40); do yes "$i is here" & yes >&2 & done; wait'], result: all, output: 4 KiB, abort: {grace: 100 ms}}
         progress: {run: [yes, '@ on'], progress: '@ '}
         echo: echo
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let crowd = trigger(&mut remote, "crowd", "");
     let other = trigger(&mut remote, "progress", "");
     progress(&mut remote, other, "on");
     for number in 0..5 {
         let said = number.to_string();
-        assert_eq!(lab.run("echo", &said), (Completed, said));
+        assert_eq!(rig.run("echo", &said), (Completed, said));
     }
-    let kept = std::fs::read_to_string(format!("/proc/{}/status", lab.server.process.id()));
+    let kept = std::fs::read_to_string(format!("/proc/{}/status", rig.server.process.id()));
     let kept = kept.expect("its status");
     let own = kept.lines().find_map(|line| line.strip_prefix("RssAnon:"));
     let own: u64 = own
@@ -152,16 +152,16 @@ fn many_noisy_children_are_read_within_limits_and_delay_no_other() {
         remote.abort(task).expect("an answer");
         remote.wait(task, Some(PATIENCE)).expect("its end");
     }
-    assert!(lab.at_home().is_empty());
+    assert!(rig.at_home().is_empty());
 }
 
 #[test]
 fn ztl_ps_shows_where_a_program_is() {
-    let lab = Lab::new("go: {run: [sh, -c, 'echo \"@ 3 of 7\"; sleep 60'], progress: '@ '}");
-    let mut remote = lab.remote();
+    let rig = Rig::new("go: {run: [sh, -c, 'echo \"@ 3 of 7\"; sleep 60'], progress: '@ '}");
+    let mut remote = rig.remote();
     let task = trigger(&mut remote, "go", "fast");
     progress(&mut remote, task, "3 of 7");
-    let port = lab.server.port.to_string();
+    let port = rig.server.port.to_string();
     let listed = Process::run(ztl().args(["ps", "-r", "127.0.0.1", "-p", &port])).stdout;
     let row = listed
         .lines()
@@ -170,20 +170,20 @@ fn ztl_ps_shows_where_a_program_is() {
     assert!(row.contains("p:go:fast") && row.contains("3 of 7"), "{row}");
     let ended = Process::run(ztl().args(["abort", "-r", "127.0.0.1", "-p", &port, "--all"]));
     assert_eq!(ended.code, Some(0), "{ended:?}");
-    assert!(lab.at_home().is_empty());
+    assert!(rig.at_home().is_empty());
 }
 
 #[test]
 fn no_program_survives_its_server_at_any_signal() {
     for signal in ["ABRT", "QUIT", "HUP"] {
-        let mut lab =
-            Lab::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60'], abort: {grace: 2 s}}");
-        let mut remote = lab.remote();
+        let mut rig =
+            Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60'], abort: {grace: 2 s}}");
+        let mut remote = rig.remote();
         trigger(&mut remote, "go", "");
-        let process = lab.process("pid");
+        let process = rig.process("pid");
         assert!(lives(process));
-        lab.server.process.signal(signal);
+        rig.server.process.signal(signal);
         dies(process);
-        lab.server.process.kill();
+        rig.server.process.kill();
     }
 }

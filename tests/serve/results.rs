@@ -5,11 +5,11 @@ use std::process::Command;
 use ztl_std::State::{Aborted, Completed, Failed};
 use ztl_tests::lab::{COMPLETED, FAILED, Process, SCOPE, Scratch, built, ztl};
 
-use crate::rig::{Lab, end, trigger};
+use crate::rig::{Rig, end, trigger};
 
 #[test]
 fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         args: {run: [printf, '<%s>', 'x{goal}', '{handler}', '{component}', '{scope}']}
         env: {run: [sh, -c, 'printf "%s|%s|%s|%s" "$ZTL_GOAL" "$ZTL_HANDLER" "$ZTL_COMPONENT" "$ZTL_SCOPE"'], result: all}
@@ -26,42 +26,42 @@ fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
         "",
     ] {
         let said = format!("<x{goal}><p><args></test>");
-        assert_eq!(lab.run("args", goal), (Completed, said));
+        assert_eq!(rig.run("args", goal), (Completed, said));
         assert_eq!(
-            lab.run("env", goal),
+            rig.run("env", goal),
             (Completed, format!("{goal}|p|env|/test"))
         );
-        assert_eq!(lab.run("shell", goal), (Completed, format!("{goal} own")));
+        assert_eq!(rig.run("shell", goal), (Completed, format!("{goal} own")));
     }
-    assert!(!lab.scratch.path("owned").exists());
+    assert!(!rig.scratch.path("owned").exists());
     let said = "<a=it's><{linear: {x: -2}}>".to_owned();
     assert_eq!(
-        lab.run("field", "{a: 'it''s', b: [-2, 3]}"),
+        rig.run("field", "{a: 'it''s', b: [-2, 3]}"),
         (Completed, said)
     );
-    assert_eq!(lab.refusal("field", "{a: 1}"), "the goal has no 'b.0'");
-    assert!(lab.refusal("field", "{a: ").contains("has no fields"));
-    assert_eq!(lab.run("number", "0x1F"), (Completed, "31".to_owned()));
-    assert_eq!(lab.run("number", "-45"), (Completed, "-45".to_owned()));
+    assert_eq!(rig.refusal("field", "{a: 1}"), "the goal has no 'b.0'");
+    assert!(rig.refusal("field", "{a: ").contains("has no fields"));
+    assert_eq!(rig.run("number", "0x1F"), (Completed, "31".to_owned()));
+    assert_eq!(rig.run("number", "-45"), (Completed, "-45".to_owned()));
     let said = "p:number: the goal '101' is not a number of at most 100";
-    assert_eq!(lab.refusal("number", "101"), said);
+    assert_eq!(rig.refusal("number", "101"), said);
 }
 
 #[test]
 fn an_option_like_goal_or_invalid_argument_is_rejected() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         "
         say: [echo, '{goal}']
         bold: {run: [printf, '%s', '{goal}'], dashes: allowed}
         ",
     );
-    let refused = lab.refusal("say", "-n");
+    let refused = rig.refusal("say", "-n");
     assert!(refused.starts_with("'-n' begins with '-'"), "{refused}");
     // A check of a script gets the same reply and starts nothing.
     let scratch = Scratch::new();
     let (script, remotes) = (scratch.path("show.yaml"), scratch.path("remotes.yaml"));
     std::fs::write(&script, "s: {a: {p: {say: -n, bold: -n}}}\n").expect("to write");
-    let port = lab.server.port;
+    let port = rig.server.port;
     let entry = format!("remotes: {{p: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n");
     std::fs::write(&remotes, entry).expect("to write");
     let mut check = ztl();
@@ -81,17 +81,17 @@ fn an_option_like_goal_or_invalid_argument_is_rejected() {
     );
     assert!(ended.stdout.contains("1 mistake"), "{ended:?}");
     assert!(refused.contains("dashes: allowed"), "{refused}");
-    assert_eq!(lab.run("bold", "-n"), (Completed, "-n".to_owned()));
-    assert_eq!(lab.run("say", "a-b"), (Completed, "a-b".to_owned()));
-    assert!(lab.refusal("say", "a\0b").contains("NUL"));
+    assert_eq!(rig.run("bold", "-n"), (Completed, "-n".to_owned()));
+    assert_eq!(rig.run("say", "a-b"), (Completed, "a-b".to_owned()));
+    assert!(rig.refusal("say", "a\0b").contains("NUL"));
     let long = "x".repeat(200_000);
-    assert!(lab.refusal("say", &long).contains("too long"));
+    assert!(rig.refusal("say", &long).contains("too long"));
 }
 
 #[test]
 fn the_result_is_the_last_line_all_json_or_nothing() {
     let script = "sh, -c, 'echo one; echo; echo \"[1, true, {\\\"a\\\": null}]\"; echo'";
-    let lab = Lab::new(&format!(
+    let rig = Rig::new(&format!(
         "last: [{script}]
          all: {{run: [{script}], result: all}}
          json: {{run: [{script}], result: json}}
@@ -99,17 +99,17 @@ fn the_result_is_the_last_line_all_json_or_nothing() {
          bad: {{run: [echo, '{{goal}}'], result: json}}"
     ));
     let last = "[1, true, {\"a\": null}]";
-    assert_eq!(lab.run("last", ""), (Completed, last.to_owned()));
-    assert_eq!(lab.run("all", ""), (Completed, format!("one\n\n{last}")));
+    assert_eq!(rig.run("last", ""), (Completed, last.to_owned()));
+    assert_eq!(rig.run("all", ""), (Completed, format!("one\n\n{last}")));
     assert_eq!(
-        lab.run("json", ""),
+        rig.run("json", ""),
         (Completed, "[1, True, {'a': None}]".to_owned())
     );
-    assert_eq!(lab.run("nothing", ""), (Completed, "None".to_owned()));
-    let (state, reason) = lab.run("bad", "{a: 1}");
+    assert_eq!(rig.run("nothing", ""), (Completed, "None".to_owned()));
+    let (state, reason) = rig.run("bad", "{a: 1}");
     assert_eq!(state, Failed);
     assert!(reason.starts_with("its output is not JSON: "), "{reason}");
-    let mut client = lab.server.original_client();
+    let mut client = rig.server.original_client();
     let id = client.start("p", "json", "");
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "[1, True, {'a': None}]"));
     let id = client.start("p", "bad", "{");
@@ -118,7 +118,7 @@ fn the_result_is_the_last_line_all_json_or_nothing() {
 
 #[test]
 fn a_failed_or_crashed_program_is_reported_with_the_reason() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         exit: [sh, -c, 'echo out; echo "cannot open /dev/dsp" >&2; exit 3']
         quiet: [sh, -c, 'exit 7']
@@ -127,20 +127,20 @@ fn a_failed_or_crashed_program_is_reported_with_the_reason() {
         "#,
     );
     assert_eq!(
-        lab.run("exit", ""),
+        rig.run("exit", ""),
         (Failed, "exit code 3: cannot open /dev/dsp".to_owned())
     );
-    assert_eq!(lab.run("quiet", ""), (Failed, "exit code 7".to_owned()));
+    assert_eq!(rig.run("quiet", ""), (Failed, "exit code 7".to_owned()));
     assert_eq!(
-        lab.run("crash", ""),
+        rig.run("crash", ""),
         (Failed, "ended by SIGSEGV".to_owned())
     );
-    assert_eq!(lab.run("closes", ""), (Failed, "exit code 4".to_owned()));
+    assert_eq!(rig.run("closes", ""), (Failed, "exit code 4".to_owned()));
 }
 
 #[test]
 fn endless_and_non_utf8_output_is_handled() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         flood: {run: [sh, -c, 'yes 0123456789 | head -c 50000000; echo; echo the end']}
         all: {run: [sh, -c, 'yes 0123456789 | head -c 5000000'], result: all, output: 1 KiB}
@@ -150,22 +150,22 @@ fn endless_and_non_utf8_output_is_handled() {
         endless: {run: [yes], limit: 300 ms}
         "#,
     );
-    assert_eq!(lab.run("flood", ""), (Completed, "the end".to_owned()));
-    let (_, all) = lab.run("all", "");
+    assert_eq!(rig.run("flood", ""), (Completed, "the end".to_owned()));
+    let (_, all) = rig.run("all", "");
     assert!(all.starts_with("0123456789\n0123456789\n"), "{all}");
     assert!(all.ends_with(" … (cut at 1 KiB)"), "{all}");
     assert!(all.len() < 1100);
     let cut = format!("{} … (cut at 100 bytes)", "x".repeat(100));
-    assert_eq!(lab.run("line", ""), (Completed, cut));
+    assert_eq!(rig.run("line", ""), (Completed, cut));
     assert_eq!(
-        lab.run("noise", ""),
+        rig.run("noise", ""),
         (Completed, "b\u{fffd}\0end".to_owned())
     );
     assert_eq!(
-        lab.run("errors", ""),
+        rig.run("errors", ""),
         (Failed, "exit code 1: last".to_owned())
     );
-    let (state, reason) = lab.run("endless", "");
+    let (state, reason) = rig.run("endless", "");
     assert_eq!((state, reason.as_str()), (Failed, "not done within 300 ms"));
 }
 
@@ -184,35 +184,35 @@ fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
         pipe: [sh, -c, 'yes | head -n 1']
         quit: {run: [sh, -c, 'trap "echo heard; exit 0" QUIT; echo $$ > pid; while :; do sleep 0.01; done'], abort: QUIT}
         "#;
-    let lab = Lab::of_command(ztl_in_background, components);
-    assert_eq!(lab.run("reads", ""), (Completed, "read".to_owned()));
-    assert_eq!(lab.run("pipe", ""), (Completed, "y".to_owned()));
-    let (_, ignored) = lab.run("ignored", "");
+    let rig = Rig::of_command(ztl_in_background, components);
+    assert_eq!(rig.run("reads", ""), (Completed, "read".to_owned()));
+    assert_eq!(rig.run("pipe", ""), (Completed, "y".to_owned()));
+    let (_, ignored) = rig.run("ignored", "");
     let ignored = u64::from_str_radix(&ignored, 16).expect("a mask");
     // Except for 32 and 33, which the C library reserves.
     assert_eq!(ignored & !(0b11 << 31), 0, "{ignored:x}");
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "quit", "");
-    lab.process("pid");
+    rig.process("pid");
     assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
     assert_eq!(end(&mut remote, id), (Aborted, "heard".to_owned()));
     // The server itself still ignores them, as configured at its start.
-    lab.server.process.signal("QUIT");
-    assert_eq!(lab.run("reads", ""), (Completed, "read".to_owned()));
+    rig.server.process.signal("QUIT");
+    assert_eq!(rig.run("reads", ""), (Completed, "read".to_owned()));
 }
 
 #[test]
 fn progress_is_reported_when_printed_and_excluded_from_the_result() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         go: {run: [sh, -c, 'echo "@ 1 of 2"; until [ -e go ]; do sleep 0.01; done; echo done; echo "@ 2 of 2"'], progress: '@ '}
         python: {run: [python3, -c, 'import time; print("@ here"); time.sleep(60)'], progress: '@ '}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let id = trigger(&mut remote, "go", "");
     crate::rig::progress(&mut remote, id, "1 of 2");
-    std::fs::write(lab.scratch.path("go"), "").expect("to write");
+    std::fs::write(rig.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Completed, "done".to_owned()));
     // Python buffers output into a pipe unless told otherwise.
     let id = trigger(&mut remote, "python", "");

@@ -8,12 +8,12 @@ use ztl_std::{RemoteTask, RunError, State, Status, TaskId, TriggerError};
 use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, until, ztl};
 
 /// `ztl serve` with its own file, in the directory in which its programs run.
-pub struct Lab {
+pub struct Rig {
     pub server: Server,
     pub scratch: Scratch,
 }
 
-impl Lab {
+impl Rig {
     /// Serves the components of a handler `p`, written as in the file: `name: {run: […]}`, one per line.
     #[track_caller]
     pub fn new(components: &str) -> Self {

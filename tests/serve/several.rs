@@ -4,7 +4,7 @@ use ztl_std::State::{Aborted, Accepted, Completed};
 use ztl_std::{RemoteTask, TaskId};
 use ztl_tests::lab::{PATIENCE, until};
 
-use crate::rig::{Lab, end, is_starved, progress, refusal, trigger};
+use crate::rig::{Rig, end, is_starved, progress, refusal, trigger};
 
 /// Runs until a file named like its goal exists.
 const WAITS: &str = r#"run: [sh, -c, 'echo "@ on"; until [ -e "$0" ]; do sleep 0.02; done; echo "$0 done"', '{goal}'], progress: '@ '"#;
@@ -16,46 +16,46 @@ fn started(remote: &mut RemoteTask, goal: &str) -> TaskId {
     id
 }
 
-fn lab(rules: &str) -> Lab {
-    Lab::new(&format!("go: {{{WAITS}, {rules}}}"))
+fn rig(rules: &str) -> Rig {
+    Rig::new(&format!("go: {{{WAITS}, {rules}}}"))
 }
 
-fn let_go(lab: &Lab, goal: &str) {
-    std::fs::write(lab.scratch.path(goal), "").expect("to write");
+fn let_go(rig: &Rig, goal: &str) {
+    std::fs::write(rig.scratch.path(goal), "").expect("to write");
 }
 
 #[test]
 fn tasks_beyond_the_allowed_number_are_rejected() {
-    let lab = lab("at-once: 2");
-    let mut remote = lab.remote();
+    let rig = rig("at-once: 2");
+    let mut remote = rig.remote();
     let one = started(&mut remote, "one");
     let two = started(&mut remote, "two");
     let said = format!("p:go is busy with task {two}");
     assert_eq!(refusal(&mut remote, "go", "three"), said);
-    let_go(&lab, "one");
+    let_go(&rig, "one");
     assert_eq!(end(&mut remote, one), (Completed, "one done".to_owned()));
     let three = started(&mut remote, "three");
     for (goal, id) in [("two", two), ("three", three)] {
-        let_go(&lab, goal);
+        let_go(&rig, goal);
         assert_eq!(end(&mut remote, id).0, Completed);
     }
 }
 
 #[test]
 fn queued_tasks_run_in_order() {
-    let lab = lab("busy: queue 2");
-    let mut remote = lab.remote();
+    let rig = rig("busy: queue 2");
+    let mut remote = rig.remote();
     let one = started(&mut remote, "one");
     let two = trigger(&mut remote, "go", "two");
     let three = trigger(&mut remote, "go", "three");
     progress(&mut remote, three, "waiting, 1 before it");
     refusal(&mut remote, "go", "four");
-    let_go(&lab, "one");
+    let_go(&rig, "one");
     assert_eq!(end(&mut remote, one).0, Completed);
     progress(&mut remote, two, "on");
     progress(&mut remote, three, "waiting");
-    let_go(&lab, "two");
-    let_go(&lab, "three");
+    let_go(&rig, "two");
+    let_go(&rig, "three");
     assert_eq!(
         end(&mut remote, three),
         (Completed, "three done".to_owned())
@@ -65,16 +65,16 @@ fn queued_tasks_run_in_order() {
 
 #[test]
 fn the_latest_task_starts_once_the_replaced_one_has_ended() {
-    let lab = Lab::new(
+    let rig = Rig::new(
         r#"
         go: {run: [sh, -c, 'trap "until [ -e ends ]; do sleep 0.02; done; rmdir lock; exit" TERM; mkdir lock || exit 9; echo "@ on"; while :; do sleep 0.02; done'], progress: '@ ', busy: replace, abort: {signal: TERM, grace: 20 s}}
         "#,
     );
-    let mut remote = lab.remote();
+    let mut remote = rig.remote();
     let one = started(&mut remote, "one");
     let two = trigger(&mut remote, "go", "two");
     let three = trigger(&mut remote, "go", "three");
-    let_go(&lab, "ends");
+    let_go(&rig, "ends");
     let text = format!("replaced by task {three} before it began");
     assert_eq!(end(&mut remote, two), (Aborted, text));
     let text = format!("replaced by task {two}");
@@ -85,10 +85,10 @@ fn the_latest_task_starts_once_the_replaced_one_has_ended() {
 }
 
 /// How many files the server has open, with this client connected.
-fn open_files(lab: &Lab, remote: &mut RemoteTask) -> usize {
+fn open_files(rig: &Rig, remote: &mut RemoteTask) -> usize {
     let ran = remote.run("p", "echo", "", Some(PATIENCE));
     assert_eq!(ran.expect("its end").state, Completed);
-    let id = lab.server.process.id();
+    let id = rig.server.process.id();
     let open = std::fs::read_dir(format!("/proc/{id}/fd")).expect("its files");
     open.count()
 }
@@ -98,9 +98,9 @@ fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
     let text = format!(
         "at-once: 200\nscopes: {{/test: {{p: {{go: {{{WAITS}, at-once: 400}}, echo: echo}}}}}}"
     );
-    let lab = Lab::of_file(&text, &[]);
-    let mut remote = lab.remote();
-    let before = open_files(&lab, &mut remote);
+    let rig = Rig::of_file(&text, &[]);
+    let mut remote = rig.remote();
+    let before = open_files(&rig, &mut remote);
     let tasks: Vec<TaskId> = (0..200)
         .map(|_| trigger(&mut remote, "go", "all"))
         .collect();
@@ -109,26 +109,26 @@ fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
     assert_eq!(refusal(&mut remote, "echo", "all"), said);
     // Another client is answered at once meanwhile.
     let one = *tasks.first().expect("200");
-    assert_eq!(lab.remote().status(one).expect("an answer").state, Accepted);
-    let_go(&lab, "all");
+    assert_eq!(rig.remote().status(one).expect("an answer").state, Accepted);
+    let_go(&rig, "all");
     for id in tasks {
         assert_eq!(end(&mut remote, id), (Completed, "all done".to_owned()));
     }
     assert_eq!(
-        lab.run("echo", "free again"),
+        rig.run("echo", "free again"),
         (Completed, "free again".to_owned())
     );
     // No file is left open, and the watchdog is the only child.
     until("its files are closed", PATIENCE, || {
-        (open_files(&lab, &mut remote) <= before).then_some(())
+        (open_files(&rig, &mut remote) <= before).then_some(())
     });
-    assert_eq!(lab.children().len(), 1);
+    assert_eq!(rig.children().len(), 1);
 }
 
 #[test]
 fn a_thousand_quick_tasks_in_sequence_all_complete() {
-    let lab = Lab::new("echo: {run: [echo, 'said {goal}'], at-once: 8, busy: queue 8}");
-    let endpoint = lab.server.endpoint();
+    let rig = Rig::new("echo: {run: [echo, 'said {goal}'], at-once: 8, busy: queue 8}");
+    let endpoint = rig.server.endpoint();
     let clients = (0..4).map(|client| {
         let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
         std::thread::spawn(move || {
@@ -150,8 +150,8 @@ fn a_thousand_quick_tasks_in_sequence_all_complete() {
 
 #[test]
 fn thirty_concurrent_tasks_are_aborted() {
-    let lab = lab("at-once: 30");
-    let mut remote = lab.remote();
+    let rig = rig("at-once: 30");
+    let mut remote = rig.remote();
     let tasks: Vec<TaskId> = (0..30)
         .map(|_| trigger(&mut remote, "go", "never"))
         .collect();
@@ -159,17 +159,17 @@ fn thirty_concurrent_tasks_are_aborted() {
         assert_eq!(remote.abort(*id).expect("an answer").state, Aborted);
     }
     until("only the watchdog is left", PATIENCE, || {
-        (lab.children().len() == 1).then_some(())
+        (rig.children().len() == 1).then_some(())
     });
 }
 
 #[test]
 fn ending_children_lose_no_reply() {
-    let lab = Lab::new("echo: {run: [echo, 'said {goal}']}");
+    let rig = Rig::new("echo: {run: [echo, 'said {goal}']}");
     // A client that asks once and waits: ZeroMQ used to drop a frame of a reply when a child ended.
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
     socket.set_rcvtimeo(20_000).expect("a limit");
-    socket.connect(&lab.server.endpoint()).expect("an address");
+    socket.connect(&rig.server.endpoint()).expect("an address");
     let ask = |question: &str| -> String {
         socket.send(question, 0).expect("to send");
         let answer = socket.recv_string(0);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use ztl_std::State::{Aborted, Completed};
 use ztl_tests::lab::{PATIENCE, Scratch, ServiceManager, built, until, ztl};
 
-use crate::rig::{Lab, dies, end, lives, trigger};
+use crate::rig::{Rig, dies, end, lives, trigger};
 
 const CAREFUL: &str = r#"
     careful: {run: [sh, -c, 'trap "sleep 0.5; echo parked > parked; exit" TERM; echo $$ > careful; while :; do sleep 0.02; done'], abort: {grace: 5 s}}
@@ -22,26 +22,26 @@ fn under_nohup_the_server_survives_a_hangup() {
     nohup
         .args(["-c", r#"trap '' HUP; exec "$@""#, "sh"])
         .arg(built("ztl"));
-    let lab = Lab::of_command(nohup, CAREFUL);
-    lab.server.process.signal("HUP");
+    let rig = Rig::of_command(nohup, CAREFUL);
+    rig.server.process.signal("HUP");
     // Long enough for the signal to arrive.
-    assert_eq!(lab.run("sleep", "0.3").0, Completed);
-    lab.server.process.signal("TERM");
-    assert_eq!(lab.server.process.end(PATIENCE).code, Some(143));
+    assert_eq!(rig.run("sleep", "0.3").0, Completed);
+    rig.server.process.signal("TERM");
+    assert_eq!(rig.server.process.end(PATIENCE).code, Some(143));
 }
 
 #[test]
 fn a_signal_stops_every_task_within_its_grace_and_reports_it() {
-    let lab = Lab::new(CAREFUL);
-    let mut remote = lab.remote();
+    let rig = Rig::new(CAREFUL);
+    let mut remote = rig.remote();
     let careful = trigger(&mut remote, "careful", "");
     let stubborn = trigger(&mut remote, "stubborn", "");
     let waits = trigger(&mut remote, "waits", "");
     let queued = trigger(&mut remote, "waits", "");
     let sleep = trigger(&mut remote, "sleep", "60");
-    let processes = [lab.process("careful"), lab.process("stubborn")];
+    let processes = [rig.process("careful"), rig.process("stubborn")];
     let start = Instant::now();
-    lab.server.process.signal("TERM");
+    rig.server.process.signal("TERM");
     let stopped = "the server was stopped";
     for (id, text) in [
         (queued, "the server was stopped before it began"),
@@ -56,8 +56,8 @@ fn a_signal_stops_every_task_within_its_grace_and_reports_it() {
         assert_eq!(end(&mut remote, id), (Aborted, text.to_owned()));
     }
     assert!(start.elapsed() >= Duration::from_millis(2500));
-    assert_eq!(lab.written("parked"), "parked");
-    let Lab { server, scratch } = lab;
+    assert_eq!(rig.written("parked"), "parked");
+    let Rig { server, scratch } = rig;
     let ended = server.process.end(PATIENCE);
     assert_eq!(ended.code, Some(143), "{ended:?}");
     assert!(ended.stdout.ends_with("Stopped.\n"), "{ended:?}");
@@ -74,13 +74,13 @@ fn a_signal_stops_every_task_within_its_grace_and_reports_it() {
 
 #[test]
 fn a_second_signal_kills_all_programs_and_exits_at_once() {
-    let lab = Lab::new(CAREFUL);
-    let mut remote = lab.remote();
+    let rig = Rig::new(CAREFUL);
+    let mut remote = rig.remote();
     trigger(&mut remote, "stubborn", "");
-    let process = lab.process("stubborn");
-    lab.server.process.signal("INT");
-    lab.server.process.wait_for("Stopping;");
-    let Lab { server, scratch } = lab;
+    let process = rig.process("stubborn");
+    rig.server.process.signal("INT");
+    rig.server.process.wait_for("Stopping;");
+    let Rig { server, scratch } = rig;
     let ended = server.process.signal_until_end("INT", PATIENCE);
     assert_eq!(ended.code, Some(130), "{ended:?}");
     dies(process);
@@ -89,18 +89,18 @@ fn a_second_signal_kills_all_programs_and_exits_at_once() {
 
 #[test]
 fn a_stopping_server_starts_no_new_task() {
-    let lab = Lab::new(CAREFUL);
-    let mut remote = lab.remote();
+    let rig = Rig::new(CAREFUL);
+    let mut remote = rig.remote();
     trigger(&mut remote, "stubborn", "");
-    let process = lab.process("stubborn");
-    lab.server.process.signal("TERM");
-    lab.server.process.wait_for("Stopping;");
-    let mut other = lab.remote();
+    let process = rig.process("stubborn");
+    rig.server.process.signal("TERM");
+    rig.server.process.wait_for("Stopping;");
+    let mut other = rig.remote();
     let refused = until("it is refused", PATIENCE, || {
         other.trigger("p", "sleep", "60").err()
     });
     assert_eq!(refused.to_string(), "refused: the server is stopping");
-    let Lab { server, scratch } = lab;
+    let Rig { server, scratch } = rig;
     assert_eq!(server.process.end(PATIENCE).code, Some(143));
     assert!(!lives(process));
     drop(scratch);
@@ -115,11 +115,11 @@ fn systemd_is_notified_of_components_liveness_and_stopping() {
     command
         .env("NOTIFY_SOCKET", &path)
         .env("WATCHDOG_USEC", "200000");
-    let lab = Lab::of_command(command, "echo: echo");
+    let rig = Rig::of_command(command, "echo: echo");
     let ready = manager.wait_for("READY=1", 1);
     assert!(ready.contains("\nSTATUS=1 component at /test"), "{ready}");
     manager.wait_for("WATCHDOG=1", 2);
-    lab.server.process.signal("TERM");
+    rig.server.process.signal("TERM");
     manager.wait_for("STOPPING=1", 1);
-    assert_eq!(lab.server.process.end(PATIENCE).code, Some(143));
+    assert_eq!(rig.server.process.end(PATIENCE).code, Some(143));
 }

@@ -125,3 +125,34 @@ fn a_client_that_never_reads_uses_little_memory_and_delays_no_other() {
 fn a_client_that_never_reads_very_long_answers_uses_little_memory_too() {
     a_client_that_never_reads_is_ended(700_000);
 }
+
+#[test]
+fn a_frame_that_announces_too_much_closes_only_its_connection() {
+    for server in [Server::ours(), Server::simulated()] {
+        let neighbour = Socket::req(&server.endpoint());
+        assert_eq!(neighbour.ask("/test;2;99;x"), "/test;2;99;Invalid ID '99'");
+
+        // By hand, to know that the handshake is right: the delimiter, then a body.
+        let mut stream = shake_hands(server.port);
+        stream.write_all(b"\x01\x00\x00\x0c/test;2;99;x").unwrap();
+        let mut answer = [0xA5; 30];
+        stream.read_exact(&mut answer).expect("an answer");
+        assert_eq!(&answer[..4], b"\x01\x00\x00\x1a");
+        assert_eq!(&answer[4..], b"/test;2;99;Invalid ID '99'");
+
+        // The last two could be had from a generous machine, and cost it just that.
+        for length in [u64::MAX, 1 << 63, 1 << 40, 1 << 30, 2 << 20] {
+            let mut stream = shake_hands(server.port);
+            let mut header = vec![0x01, 0x00, 0x02];
+            header.extend(length.to_be_bytes());
+            stream.write_all(&header).unwrap();
+            match stream.read(&mut [0; 16]) {
+                Ok(0) => {}
+                Err(error) if error.kind() == ErrorKind::ConnectionReset => {}
+                other => panic!("{length}: the connection lives: {other:?}"),
+            }
+            assert_eq!(neighbour.ask("/test;2;99;x"), "/test;2;99;Invalid ID '99'");
+            assert_serves(&server.endpoint(), "a frame that is too long");
+        }
+    }
+}

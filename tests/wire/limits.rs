@@ -165,7 +165,7 @@ fn the_longest_message_passes_and_a_longer_one_is_reported() {
     let refused = remote.trigger_payload(&payload(MAX_MESSAGE));
     assert!(
         matches!(refused, Err(TriggerError::Refused { .. })),
-        "it is no task: {refused:?}"
+        "it is not a task: {refused:?}"
     );
     let error = remote.trigger_payload(&payload(MAX_MESSAGE + 1));
     let error = error.expect_err("it is too long").to_string();

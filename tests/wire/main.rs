@@ -3,13 +3,11 @@
 mod bounds;
 mod differential;
 mod fuzz;
-mod fuzz_streams;
 mod hostile;
 mod limits;
 mod malformed;
 mod odd_answers;
 mod protocol;
 mod socket;
-mod stream;
 mod table;
 mod zmtp;

@@ -171,7 +171,7 @@ impl<J: SessionJournal> Session<J> {
                 // restored task may have been told ACCEPTED.
                 Stage::Sent(sent) if sent.link.0 > welcome.highest => {
                     let (state, reason) = if restored {
-                        let never = "never started: the device did not take it before the gateway was started anew";
+                        let never = "never started: the device had not received it when the gateway restarted";
                         (State::Failed, never)
                     } else {
                         let never = "the device did not take it before the link was lost";

@@ -292,25 +292,13 @@ impl Sink for Report<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ztl_core::link::{Busy, GoalShape, Loss};
 
     /// A component that only has a name.
     struct Named(&'static str);
 
     impl Component for Named {
         fn offer(&self) -> Offer<'_> {
-            let goal = GoalShape {
-                range: None,
-                unit: "",
-                words: "",
-            };
-            Offer {
-                name: self.0,
-                goal,
-                busy: Busy::Refuse,
-                loss: Loss::Abort,
-                topics: "",
-            }
+            Offer::new(self.0)
         }
 
         fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {

@@ -16,7 +16,7 @@ const SCRATCH: usize = 64;
 ///
 /// ```
 /// use serde::Deserialize;
-/// use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+/// use ztl_mcu::link::{Busy, Offer};
 /// use ztl_mcu::{Component, Instant, Refused, Report, Run, parse_goal};
 ///
 /// #[derive(Deserialize)]
@@ -28,8 +28,7 @@ const SCRATCH: usize = 64;
 ///
 /// impl Component for Base {
 ///     fn offer(&self) -> Offer<'_> {
-///         let goal = GoalShape { range: None, unit: "[x, y, theta] in m and rad", words: "" };
-///         Offer { name: "base", goal, busy: Busy::Replace, loss: Loss::Abort, topics: "" }
+///         Offer::new("base").with_unit("[x, y, theta] in m and rad").with_busy(Busy::Replace)
 ///     }
 ///     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
 ///         let pose: Pose = parse_goal(goal, why)?;

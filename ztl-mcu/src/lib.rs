@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
-//! use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+//! use ztl_mcu::link::Offer;
 //! use ztl_mcu::Instant;
 //!
 //! /// A lamp that switches immediately.
@@ -14,8 +14,7 @@
 //!
 //! impl Component for Lamp {
 //!     fn offer(&self) -> Offer<'_> {
-//!         let goal = GoalShape { range: None, unit: "", words: "on off" };
-//!         Offer { name: "lamp", goal, busy: Busy::Refuse, loss: Loss::Abort, topics: "" }
+//!         Offer::new("lamp").with_words("on off")
 //!     }
 //!     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
 //!         if !["on", "off"].contains(&goal) {

@@ -4,7 +4,9 @@
 //! the library only links if every panic is unreachable.
 #![no_std]
 
-mod part;
+mod text;
+
+pub mod component;
 
 pub mod node;
 

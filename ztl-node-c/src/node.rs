@@ -7,8 +7,8 @@ use core::time::Duration;
 
 use ztl_mcu::{Component as _, Identity, Instant};
 
-use crate::part::{Part, is_text, text};
-use crate::report::Report;
+use crate::component::{Component, Part};
+use crate::text::{is_text, text};
 use crate::{
     ZTL_NODE_E_COUNT, ZTL_NODE_E_NULL, ZTL_NODE_E_RAM, ZTL_NODE_E_TEXT, ZTL_NODE_FRAME,
     ZTL_NODE_NAME, ZTL_NODE_OK, ZTL_NODE_TASKS,
@@ -18,72 +18,6 @@ use crate::{
 pub const ZTL_NODE_RAM_BYTES: usize = 807;
 /// Its pointers: see ZTL_NODE_RAM.
 pub const ZTL_NODE_RAM_POINTERS: usize = 20;
-
-/// A part of the device that executes one task at a time. The firmware keeps it and everything it points to
-/// unchanged while the node exists; a `static const` is best. The node calls its functions from within its
-/// own. They must return quickly, because each is called between two bytes of the line.
-#[repr(C)]
-pub struct Component {
-    /// Name that clients use. Not NULL.
-    pub name: *const c_char,
-    /// Words that it accepts as goals, separated by spaces, or NULL. For information only.
-    pub words: *const c_char,
-    /// Unit of the numbers that it accepts, or NULL. For information only.
-    pub unit: *const c_char,
-    /// Names under which it publishes readings, separated by spaces, or NULL.
-    pub topics: *const c_char,
-    /// Smallest number that it accepts; for information only.
-    pub least: f32,
-    /// Largest number that it accepts; equal to `least` if it accepts no numbers.
-    pub most: f32,
-    /// What happens to a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
-    pub busy: c_int,
-    /// What it does when the link is lost: one of ZTL_NODE_LOSS_....
-    pub loss: c_int,
-    /// Interval between calls of `poll`, in milliseconds; 0 means 10.
-    pub poll_ms: c_uint,
-    /// Passed to each function; owned by the firmware, may be NULL.
-    pub context: *mut c_void,
-    /// Checks a goal without moving anything: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. NULL accepts every goal,
-    /// which `start` may still refuse. The goal belongs to the library and is valid during the call.
-    pub check: Option<
-        unsafe extern "C" fn(context: *mut c_void, goal: *const c_char, why: *mut Report) -> c_int,
-    >,
-    /// Starts a task whose goal was checked, while none is running: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not
-    /// NULL. The goal belongs to the library and is valid during the call.
-    pub start: Option<
-        unsafe extern "C" fn(
-            context: *mut c_void,
-            now_ms: c_uint,
-            goal: *const c_char,
-            why: *mut Report,
-        ) -> c_int,
-    >,
-    /// Advances the task and reports: ZTL_NODE_RUNNING, or its final state. After `make_safe` it is also called without a
-    /// task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, any other value that it is. Further calls may
-    /// follow and must leave the component safe. Not NULL.
-    pub poll: Option<
-        unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
-    >,
-    /// Stops the task as soon as it is safe; a later `poll` returns ZTL_NODE_ABORTED. Not NULL.
-    pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
-    /// Goes to the safe state, with or without a task, after a lost link or an emergency stop. If that takes time, `poll`
-    /// continues it: the node calls `poll` until it returns anything but ZTL_NODE_RUNNING, which ends a task. Not
-    /// NULL.
-    pub make_safe: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
-    /// Writes the next reading and the index of its topic, if one is due and fits. Returns the number of bytes, 0 for no
-    /// reading. The node calls it at most every 10 ms. `size` is the longest reading that a frame holds: drop a longer one,
-    /// because it can never be sent. NULL if it publishes nothing.
-    pub reading: Option<
-        unsafe extern "C" fn(
-            context: *mut c_void,
-            now_ms: c_uint,
-            topic: *mut c_uchar,
-            buffer: *mut c_uchar,
-            size: usize,
-        ) -> usize,
-    >,
-}
 
 /// Identity of a node. The firmware keeps its texts unchanged while the node exists.
 #[repr(C)]

@@ -4,7 +4,7 @@ use core::ffi::{c_char, c_int, c_uint};
 
 use ztl_mcu::components::number;
 
-use crate::part::text;
+use crate::text::text;
 
 /// Receives a callback's progress, result, or reason to refuse. Valid during that call.
 pub struct Report(());

@@ -1,6 +1,7 @@
 //! Simulated devices and lines with faults, to try a gateway without hardware.
 
 mod device;
+mod disk;
 pub mod line;
 #[cfg(unix)]
 mod pty;
@@ -8,3 +9,4 @@ mod random;
 
 pub use device::kind::{Kind, UnknownKind};
 pub use device::{Device, Running, endpoint};
+pub use disk::Disk;

@@ -45,6 +45,9 @@ impl LastPress {
     }
 }
 
+/// The name of input that is not a key.
+pub(crate) const UNKNOWN: &str = "an unknown key";
+
 /// The name and length of the first key in terminal input; `None` if its bytes are incomplete.
 pub(crate) fn first_key(bytes: &[u8]) -> Option<(String, usize)> {
     let (&byte, rest) = bytes.split_first()?;
@@ -59,33 +62,34 @@ pub(crate) fn first_key(bytes: &[u8]) -> Option<(String, usize)> {
         0..=0x1f => Some((format!("Ctrl-{}", char::from(byte | 0x40)), 1)),
         0x21..=0x7e => Some((char::from(byte).to_string(), 1)),
         _ => {
-            let length = match byte {
-                0xc2..=0xdf => 2,
-                0xe0..=0xef => 3,
-                0xf0..=0xf4 => 4,
-                _ => return name("?", 1),
+            let start = bytes.get(..4).unwrap_or(bytes);
+            let (valid, invalid) = match std::str::from_utf8(start) {
+                Ok(text) => (text, None),
+                Err(error) => {
+                    let valid = start.get(..error.valid_up_to()).unwrap_or_default();
+                    let valid = std::str::from_utf8(valid).unwrap_or_default();
+                    (valid, error.error_len())
+                }
             };
-            match bytes.get(..length) {
-                None => None,
-                Some(char) => match std::str::from_utf8(char) {
-                    Ok(char) => name(char, length),
-                    Err(_) => name("?", 1),
-                },
+            match valid.chars().next() {
+                Some(char) => Some((char.to_string(), char.len_utf8())),
+                None => name(UNKNOWN, invalid?),
             }
         }
     }
 }
 
-/// The key of an escape sequence, without its ESC.
+/// The key of an escape sequence, without its ESC. A byte that cannot belong to the sequence ends it, so that an
+/// incomplete one never swallows Ctrl-C.
 fn escape_sequence(rest: &[u8]) -> Option<(String, usize)> {
     let name = |name: &str, length: usize| Some((name.to_owned(), length));
     match rest {
         [] => None,
         [b'[' | b'O', sequence @ ..] => {
-            let end = sequence
-                .iter()
-                .position(|byte| (0x40..=0x7e).contains(byte))?;
+            let is_parameter = |byte: &u8| (0x20..=0x3f).contains(byte);
+            let end = sequence.iter().position(|byte| !is_parameter(byte))?;
             let key = match sequence.get(..=end).unwrap_or_default() {
+                [.., ..=0x1f | 0x7f..] => return name(UNKNOWN, end + 2),
                 [.., b'A'] => "Up",
                 [.., b'B'] => "Down",
                 [.., b'C'] => "Right",
@@ -98,8 +102,8 @@ fn escape_sequence(rest: &[u8]) -> Option<(String, usize)> {
             };
             name(key, end + 3)
         }
-        [0x1b, ..] => name("Esc", 1),
-        [other, ..] => Some((format!("Alt-{}", char::from(*other)), 2)),
+        [other @ 0x20..=0x7e, ..] => Some((format!("Alt-{}", char::from(*other)), 2)),
+        _ => name("Esc", 1),
     }
 }
 
@@ -127,10 +131,20 @@ mod tests {
         assert_eq!(names(b"\x1b[H\x1bOH\x1b[1~\x1b[7~"), ["Home"; 4]);
         assert_eq!(names(b"\x1b[F\x1bOF\x1b[4~\x1b[8~"), ["End"; 4]);
         assert_eq!(names("é\x03\x1a".as_bytes()), ["é", "Ctrl-C", "Ctrl-Z"]);
-        assert_eq!(names(b"\x1bx\xff "), ["Alt-x", "?", "Space"]);
+        assert_eq!(names(b"\x1bx\xff "), ["Alt-x", UNKNOWN, "Space"]);
         // Incomplete.
         assert_eq!(first_key(b"\x1b"), None);
         assert_eq!(first_key(b"\x1b[1;"), None);
         assert_eq!(first_key(b"\xe2\x82"), None);
+    }
+
+    #[test]
+    fn an_incomplete_key_swallows_no_other_key() {
+        assert_eq!(names(b"\x1b\x03"), ["Esc", "Ctrl-C"]);
+        assert_eq!(names(b"\x1b\x1b[A"), ["Esc", "Up"]);
+        assert_eq!(names(b"\x1b[1;\x03"), [UNKNOWN, "Ctrl-C"]);
+        assert_eq!(names(b"\x1bO\x1b[A"), [UNKNOWN, "Up"]);
+        assert_eq!(names(b"\xe2\x82x"), [UNKNOWN, "x"]);
+        assert_eq!(names(b"\xf0\x03"), [UNKNOWN, "Ctrl-C"]);
     }
 }

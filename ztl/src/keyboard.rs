@@ -4,6 +4,7 @@ use std::io;
 use std::sync::mpsc::{self, Receiver};
 use std::time::Instant;
 
+use crate::signals;
 #[cfg(unix)]
 use crate::terminal_mode as mode;
 
@@ -23,7 +24,8 @@ pub(crate) struct Keyboard {
 }
 
 impl Keyboard {
-    /// Takes the terminal. A thread calls `wake` after each key.
+    /// Takes the terminal. A thread calls `wake` after each key. If the terminal vanishes, the thread acts as
+    /// SIGHUP does.
     ///
     /// # Errors
     /// If stdin is not a terminal.
@@ -45,6 +47,9 @@ impl Keyboard {
                         return;
                     }
                     wake();
+                }
+                if !mode::is_restored() {
+                    signals::hang_up(true);
                 }
             })?;
         Ok(keyboard)
@@ -84,6 +89,10 @@ mod mode {
     }
 
     pub(super) fn restore() {}
+
+    pub(super) fn is_restored() -> bool {
+        true
+    }
 
     pub(super) fn drop_input() {}
 

@@ -6,6 +6,7 @@
 mod board;
 mod choose;
 mod draw;
+mod key_decoder;
 mod keys;
 mod message;
 mod rows;
@@ -36,11 +37,11 @@ pub(crate) struct LiveView {
 }
 
 impl LiveView {
-    /// Takes the terminal. The thread calls `wake` after each key.
+    /// Takes the terminal. The thread calls `wake` after each key. `attended`: the run asks the operator.
     ///
     /// # Errors
     /// If the terminal cannot be taken; it is unchanged then.
-    pub(crate) fn open(wake: impl Fn() + Send + 'static) -> io::Result<Self> {
+    pub(crate) fn open(wake: impl Fn() + Send + 'static, attended: bool) -> io::Result<Self> {
         terminal_mode::take(Mode::Screen)?;
         let shared = Arc::new(Mutex::new(Shared {
             board: Board::default(),
@@ -54,6 +55,7 @@ impl LiveView {
             sender,
             wake,
             Capabilities::of_terminal(),
+            attended,
         );
         let thread = std::thread::Builder::new()
             .name("ztl-live".to_owned())

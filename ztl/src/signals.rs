@@ -30,6 +30,9 @@ const LAST: Duration = Duration::from_millis(500);
 /// Ctrl-C, which a person can press again.
 const CTRL_C: u8 = 2;
 
+/// SIGHUP: the terminal is gone.
+const HANG_UP: u8 = 1;
+
 static FLAG: Mutex<Flag> = Mutex::new(Flag {
     raised: None,
     impatient: false,
@@ -120,10 +123,25 @@ pub(crate) fn catch() -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(|| on_signal(CTRL_C))
 }
 
-/// Handles a signal to end.
+/// Acts as SIGHUP does: the terminal is gone, but only the shell may have got the signal. If SIGHUP is ignored, only
+/// an `attended` run ends, because nobody can answer its questions.
+pub(crate) fn hang_up(attended: bool) {
+    #[cfg(unix)]
+    let ignored = ztl_serve::ignored_signals().contains(&i32::from(HANG_UP));
+    #[cfg(not(unix))]
+    let ignored = false;
+    if attended || !ignored {
+        on_signal(HANG_UP);
+    }
+}
+
+/// Handles a signal to end. SIGHUP is never the second one: the system and a shell may each send it once.
 fn on_signal(signal: u8) {
     let mut flag = flag();
     let now = Instant::now();
+    if flag.raised.is_some() && signal == HANG_UP {
+        return;
+    }
     if flag.raised.is_some() && flag.impatient {
         if flag.is_doubled(now) {
             return;

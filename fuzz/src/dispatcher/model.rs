@@ -4,129 +4,18 @@
 mod answers;
 mod places;
 mod questions;
+mod records;
+pub(super) mod state;
 
-use std::collections::BTreeMap;
-
-use ztl_core::dispatcher::{Body, Config, KEEP_INIT, TaskEvent};
+use ztl_core::dispatcher::{Body, KEEP_INIT, TaskEvent};
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::{Instant, Message, State, TaskId};
 
-use super::{BOOT, TEXT};
-use places::{Places, is_init};
 use questions::only;
-
-/// The server's capacities.
-pub(super) struct Limits {
-    pub(super) tasks: usize,
-    pub(super) held: usize,
-    pub(super) first: TaskId,
-}
-
-/// A task that was started, as its handler sees it.
-pub(super) struct Task {
-    pub(super) id: TaskId,
-    scope: &'static str,
-    state: State,
-    /// Progress, result or reason, as stored.
-    text: String,
-    /// The reply to its INIT: once accepted, and once rejected with the state.
-    accepted: Option<String>,
-    refused: Option<(State, String)>,
-    /// How many INITs had arrived when it ended.
-    ended: Option<usize>,
-    /// Rejected while its INIT still waited: the client never had an id to ask about.
-    nameless: bool,
-    /// A reply said that the task is unknown.
-    forgotten: bool,
-}
-
-/// What a request asks for, and therefore which replies are valid.
-#[derive(Debug, Clone)]
-enum Asked {
-    /// Exactly this reply.
-    Only(String),
-    /// A new task; `None` until it is started.
-    Init(Option<usize>),
-    /// The reply to a client's last INIT, which was rejected without being started.
-    Refusal {
-        scope: &'static str,
-        text: String,
-    },
-    /// The reply to a repeated INIT, or its outcome.
-    Again {
-        scope: &'static str,
-        task: usize,
-    },
-    NeverSeen(ClientId, u64),
-    Status {
-        task: usize,
-        wait: bool,
-    },
-    Abort {
-        task: usize,
-        ended: bool,
-    },
-    Probe,
-}
-
-#[derive(Debug)]
-struct Ask {
-    due: Instant,
-    envelope: Option<Envelope>,
-    scope: String,
-    payload: String,
-    asked: Asked,
-    /// The INIT's record may have been evicted: its client has the reply, or the INIT can no longer have an effect.
-    forgettable: bool,
-    /// What the client said earlier shows that the INIT has not arrived before.
-    surely_new: bool,
-    answered: bool,
-}
-
-/// The state of a client's last INIT.
-#[derive(Debug, Clone)]
-enum First {
-    Started(usize),
-    Refused(String),
-    Void,
-}
-
-struct LastInit {
-    number: u64,
-    /// Its client has asked about its task.
-    received: bool,
-    /// Its scope and payload, which no other INIT with this number shares.
-    of: (String, String),
-    first: First,
-    /// How long the server must keep the record; `None` while the INIT is undecided.
-    until: Option<Instant>,
-}
-
-pub(super) struct Model {
-    limits: Limits,
-    asks: Vec<Ask>,
-    tasks: Vec<Task>,
-    inits: BTreeMap<ClientId, LastInit>,
-    places: Places,
-    /// Number of INITs that had not arrived before.
-    new_inits: usize,
-    /// The task whose handler is just refusing to abort it.
-    refusing: Option<usize>,
-}
+use records::is_init;
+use state::{Ask, Asked, First, LastInit, Model, Task, cut};
 
 impl Model {
-    pub(super) fn new(limits: Limits) -> Self {
-        Self {
-            places: Places::new(limits.held),
-            limits,
-            asks: Vec::new(),
-            tasks: Vec::new(),
-            inits: BTreeMap::new(),
-            new_inits: 0,
-            refusing: None,
-        }
-    }
-
     pub(super) fn tasks(&self) -> &[Task] {
         &self.tasks
     }
@@ -229,7 +118,7 @@ impl Model {
 
     pub(super) fn on_abort(&mut self, ask: usize, id: TaskId, scope: &str) {
         let Asked::Abort { task, ended: false } = self.asks[ask].asked else {
-            panic!("nobody asked to abort {id}");
+            panic!("no client asked to abort {id}");
         };
         assert_eq!((self.tasks[task].id, self.tasks[task].scope), (id, scope));
     }
@@ -334,27 +223,4 @@ impl Model {
             assert!(ask.answered, "never answered: {ask:?}");
         }
     }
-
-    fn running(&self) -> impl Iterator<Item = &Task> {
-        self.tasks.iter().filter(|task| !task.state.is_final())
-    }
-}
-
-fn config() -> Config {
-    Config::new(TaskId::new(1).expect("not 0"), BOOT)
-}
-
-/// A text as a memory of [`TEXT`] bytes stores it.
-fn cut(text: &str) -> String {
-    if text.len() <= TEXT {
-        return text.to_owned();
-    }
-    let mut kept = String::new();
-    for c in text.chars() {
-        if kept.len() + c.len_utf8() > TEXT - "…".len() {
-            break;
-        }
-        kept.push(c);
-    }
-    kept + "…"
 }

@@ -427,7 +427,7 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
     let _ = black_box(pump.turn_split(node, &mut &RECEIVED, &mut Line, now()));
 }
 
-/// A server for ZeroMQ clients, whoever of them connects or goes.
+/// A server for ZeroMQ clients, which connect and disconnect in any order.
 fn run_server<C: Components>(server: &mut Server<'_, C, 3, 4, 256, 4>, input: &[u8]) {
     let peer = server.vacant().unwrap_or(Peer(receive()));
     match receive() {

@@ -9,7 +9,7 @@ use ztl_tests::lab::SCOPE;
 use crate::load::{Clients, Libzmq, Subject, measure, rounds};
 use crate::numbers::{Interval, percentile, verdict};
 use crate::plain::Plain;
-use crate::{INIT, Lab, ROUNDS, find, ratio, show};
+use crate::{Bench, INIT, ROUNDS, find, ratio, show};
 
 /// How long an idle server is watched.
 const IDLE: Duration = Duration::from_secs(10);
@@ -42,8 +42,8 @@ fn has_two_cores(part: &str) -> bool {
     enough
 }
 
-fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab)) {
-    let processes: Vec<u32> = lab.statuses().iter().map(|subject| subject.id).collect();
+fn with_pinned(bench: &Bench, servers: &str, load: &str, measure: impl FnOnce(&Bench)) {
+    let processes: Vec<u32> = bench.statuses().iter().map(|subject| subject.id).collect();
     let pin_all = |servers: &str, load: &str| {
         for process in &processes {
             pin(*process, servers);
@@ -52,19 +52,19 @@ fn with_pinned(lab: &Lab, servers: &str, load: &str, measure: impl FnOnce(&Lab))
     };
     let everywhere = cores();
     pin_all(servers, load);
-    measure(lab);
+    measure(bench);
     pin_all(&everywhere, &everywhere);
 }
 
 /// STATUS, 64 clients, server and load on cores of their own.
-pub(crate) fn cpu_per_request(lab: &Lab) {
+pub(crate) fn cpu_per_request(bench: &Bench) {
     if !has_two_cores("CPU per request") {
         return;
     }
-    with_pinned(lab, "1", "0", |lab| {
+    with_pinned(bench, "1", "0", |bench| {
         println!("CPU time of the server for a STATUS, 64 plain clients, load on another core:");
-        let mut statuses = lab.statuses();
-        rounds::<Plain>(&mut statuses, 64, lab.slice, ROUNDS);
+        let mut statuses = bench.statuses();
+        rounds::<Plain>(&mut statuses, 64, bench.slice, ROUNDS);
         for subject in &statuses {
             let cpu = Interval::of(subject.seen.iter().map(|seen| seen.cpu));
             println!("  {:<14}{cpu} µs", subject.name);
@@ -78,17 +78,17 @@ pub(crate) fn cpu_per_request(lab: &Lab) {
 }
 
 /// 64 clients that cost less than the server, which has its own core: the maximum rate.
-pub(crate) fn most(lab: &Lab) {
+pub(crate) fn most(bench: &Bench) {
     if !has_two_cores("The most that a server answers") {
         return;
     }
-    with_pinned(lab, "1", "0", |lab| {
+    with_pinned(bench, "1", "0", |bench| {
         println!(
             "The most that a server answers on a core of its own, 64 clients without libzmq on another:"
         );
         println!("STATUS:");
-        let mut statuses = lab.statuses();
-        rounds::<Plain>(&mut statuses, 64, lab.slice, ROUNDS);
+        let mut statuses = bench.statuses();
+        rounds::<Plain>(&mut statuses, 64, bench.slice, ROUNDS);
         show(&statuses, "echo");
         for (base, wanted) in [("echo", 0.85), ("bare ROUTER", 1.3)] {
             let level = ratio(&statuses, "ours", base);
@@ -97,11 +97,11 @@ pub(crate) fn most(lab: &Lab) {
         }
         println!("INIT of a trivial task:");
         let bare = [
-            lab.rep.subject("bare REP", INIT),
-            lab.router.subject("bare ROUTER", INIT),
+            bench.rep.subject("bare REP", INIT),
+            bench.router.subject("bare ROUTER", INIT),
         ];
-        let mut inits: Vec<_> = bare.into_iter().chain(lab.inits()).collect();
-        rounds::<Plain>(&mut inits, 64, lab.slice, ROUNDS);
+        let mut inits: Vec<_> = bare.into_iter().chain(bench.inits()).collect();
+        rounds::<Plain>(&mut inits, 64, bench.slice, ROUNDS);
         show(&inits, "the original");
         let times = ratio(&inits, "ours", "the original");
         let reached = verdict(times.reaches(12.0));
@@ -114,23 +114,23 @@ pub(crate) fn most(lab: &Lab) {
 }
 
 /// One client, and all of it on one core, so that no core has to be woken up.
-pub(crate) fn on_one_core(lab: &Lab) {
-    with_pinned(lab, "0", "0", |lab| {
+pub(crate) fn on_one_core(bench: &Bench) {
+    with_pinned(bench, "0", "0", |bench| {
         println!("STATUS, 1 plain client, on one core:");
-        let mut statuses = lab.statuses();
-        rounds::<Plain>(&mut statuses, 1, lab.slice, ROUNDS);
+        let mut statuses = bench.statuses();
+        rounds::<Plain>(&mut statuses, 1, bench.slice, ROUNDS);
         show(&statuses, "echo");
         let times = times(&statuses, "ours", "echo");
         let reached = verdict(times.stays_below(1.3));
         println!("  p50 of ours, of echo's: {times}; wanted at most 1.3: {reached}");
-        our_client(lab, find(&statuses, "echo"));
+        our_client(bench, find(&statuses, "echo"));
         println!("STATUS, 1 client of libzmq, on one core:");
-        let mut statuses = lab.statuses();
-        rounds::<Libzmq>(&mut statuses, 1, lab.slice, ROUNDS);
+        let mut statuses = bench.statuses();
+        rounds::<Libzmq>(&mut statuses, 1, bench.slice, ROUNDS);
         show(&statuses, "bare ROUTER");
         println!("INIT of a trivial task, 1 client, on one core:");
-        let mut inits = lab.inits();
-        rounds::<Libzmq>(&mut inits, 1, lab.slice, ROUNDS);
+        let mut inits = bench.inits();
+        rounds::<Libzmq>(&mut inits, 1, bench.slice, ROUNDS);
         show(&inits, "the original");
     });
 }
@@ -145,13 +145,13 @@ fn times(subjects: &[Subject], one: &str, other: &str) -> Interval {
 }
 
 /// STATUS by our client at our server, of what a plain client's echo took.
-fn our_client(lab: &Lab, echo: &Subject) {
-    let mut remote = RemoteTask::connect(&lab.ours.endpoint(), SCOPE).expect("an address");
+fn our_client(bench: &Bench, echo: &Subject) {
+    let mut remote = RemoteTask::connect(&bench.ours.endpoint(), SCOPE).expect("an address");
     let task = remote.trigger("test", "echo", "hi").expect("a task");
     remote.wait(&task.id, None).expect("its end");
     let mut measure = || {
         let (start, mut times) = (Instant::now(), Vec::new());
-        while start.elapsed() < lab.slice {
+        while start.elapsed() < bench.slice {
             let asked = Instant::now();
             remote.status(&task.id).expect("its state");
             times.push(asked.elapsed().as_secs_f64() * 1e6);
@@ -176,11 +176,11 @@ fn turns(process: u32) -> (u64, u64) {
 }
 
 /// Sixty-four clients are connected, have had tasks done, and ask nothing.
-pub(crate) fn idle(lab: &Lab) {
+pub(crate) fn idle(bench: &Bench) {
     println!("Idle for {IDLE:?}, 64 clients connected:");
-    for subject in lab.inits() {
+    for subject in bench.inits() {
         let mut clients = Libzmq::connect(&subject, 64);
-        measure(&subject, &mut clients, lab.slice);
+        measure(&subject, &mut clients, bench.slice);
         // Until threads that wait for more tasks have given up.
         std::thread::sleep(Duration::from_secs(12));
         let before = turns(subject.id);

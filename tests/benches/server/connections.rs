@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ztl_tests::lab::{PATIENCE, SCOPE, Server, shake_hands, ztl};
 
-use crate::Lab;
+use crate::Bench;
 use crate::numbers::{percentile, verdict};
 
 /// Bytes before a request's body: delimiter, flags and length.
@@ -17,7 +17,7 @@ const SECONDS: u64 = 60;
 /// Files besides the connections.
 const OTHER_FILES: u64 = 200;
 
-pub(crate) fn many(_: &Lab) {
+pub(crate) fn many(_: &Bench) {
     let most = rustix::process::getrlimit(rustix::process::Resource::Nofile);
     let files = most.maximum.unwrap_or(u64::MAX);
     let count = files.saturating_sub(OTHER_FILES).min(10_000);

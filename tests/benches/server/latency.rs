@@ -13,7 +13,7 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, python};
 
 use crate::load::{Clients, Libzmq, measure};
 use crate::numbers::{Interval, percentile, verdict};
-use crate::{INIT, Lab, ROUNDS};
+use crate::{Bench, INIT, ROUNDS};
 
 /// The original's client. It prints microseconds, as the median of the given number of
 /// rounds: from a goal to its result, or from the end of a longer task until the client knows it, because
@@ -62,9 +62,9 @@ for line in sys.stdin:
 struct Original(Process);
 
 impl Original {
-    fn start(lab: &Lab) -> Self {
+    fn start(bench: &Bench) -> Self {
         let mut command = Command::new(python());
-        command.args(["-c", ORIGINAL, &lab.original.port.to_string()]);
+        command.args(["-c", ORIGINAL, &bench.original.port.to_string()]);
         let mut process = Process::start(command.arg(ztl_tests::lab::reserve_port().to_string()));
         assert_eq!(process.next_line(PATIENCE), "ready");
         Self(process)
@@ -117,17 +117,17 @@ fn hand_over(slice: Duration) -> f64 {
 }
 
 /// `run`, beside one bare round trip, two hand-overs between threads, and the original.
-pub(crate) fn goal_to_result(lab: &Lab) {
-    let mut remote = RemoteTask::connect(&lab.ours.endpoint(), SCOPE).expect("an address");
-    let bare = lab.rep.subject("bare REP", INIT);
+pub(crate) fn goal_to_result(bench: &Bench) {
+    let mut remote = RemoteTask::connect(&bench.ours.endpoint(), SCOPE).expect("an address");
+    let bare = bench.rep.subject("bare REP", INIT);
     let mut client = Libzmq::connect(&bare, 1);
-    let mut original = Original::start(lab);
+    let mut original = Original::start(bench);
     original.measure("goal", 50);
-    let libzmq = RemoteTask::connect(&lab.over_libzmq.endpoint(), SCOPE).expect("an address");
+    let libzmq = RemoteTask::connect(&bench.over_libzmq.endpoint(), SCOPE).expect("an address");
     let mut libzmq = libzmq.with_transport(Transport::Libzmq).expect("a socket");
     let run = |remote: &mut RemoteTask| {
         let (start, mut times) = (Instant::now(), Vec::new());
-        while start.elapsed() < lab.slice {
+        while start.elapsed() < bench.slice {
             let asked = Instant::now();
             let end = remote.run("test", "echo", "hi", Some(PATIENCE));
             times.push(asked.elapsed().as_secs_f64() * 1e6);
@@ -141,9 +141,9 @@ pub(crate) fn goal_to_result(lab: &Lab) {
     for _ in 0..ROUNDS {
         let ours = run(&mut remote);
         let over_libzmq = run(&mut libzmq);
-        let trip = measure(&bare, &mut client, lab.slice);
+        let trip = measure(&bare, &mut client, bench.slice);
         let [theirs, _] = original.measure("goal", 100);
-        seen.push([ours, trip.p50, hand_over(lab.slice), theirs, over_libzmq]);
+        seen.push([ours, trip.p50, hand_over(bench.slice), theirs, over_libzmq]);
     }
     let column = |place: usize| Interval::of(seen.iter().map(|row| row[place])).median;
     println!("From a goal to its result, 1 client (p50):");
@@ -189,7 +189,7 @@ impl TaskController for Lasting {
 }
 
 /// From the end of a longer task until a client that waits for it knows.
-pub(crate) fn end_to_known(lab: &Lab) {
+pub(crate) fn end_to_known(bench: &Bench) {
     let (ended, ends) = channel();
     let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");
     server.register(SCOPE, Lasting(Mutex::new(ended)));
@@ -207,7 +207,7 @@ pub(crate) fn end_to_known(lab: &Lab) {
         .collect();
     times.sort_by(f64::total_cmp);
     let (p50, p99) = (percentile(&times, 50), percentile(&times, 99));
-    let [theirs, _] = Original::start(lab).measure("end", 40);
+    let [theirs, _] = Original::start(bench).measure("end", 40);
     println!("From the end of a longer task until its client knows:");
     println!(
         "  ours p50 {p50:.3} ms, p99 {p99:.3} ms; wanted 0.3 and 1: {}, {}; the original p50 {:.0} ms",

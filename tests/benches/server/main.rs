@@ -39,7 +39,7 @@ const STARTS: usize = 7;
 const INIT: &str = "/test;1;-1;dGVzdDplY2hvOmhp";
 
 /// Something that can be measured.
-type Part = fn(&Lab);
+type Part = fn(&Bench);
 
 /// The available measurements, by name.
 const PARTS: [(&str, Part); 8] = [
@@ -54,7 +54,7 @@ const PARTS: [(&str, Part); 8] = [
 ];
 
 /// All that is measured.
-struct Lab {
+struct Bench {
     ours: Server,
     over_libzmq: Server,
     original: Server,
@@ -65,7 +65,7 @@ struct Lab {
     slice: Duration,
 }
 
-impl Lab {
+impl Bench {
     fn start(slice: Duration) -> Self {
         Self {
             ours: Server::ours(),
@@ -81,9 +81,9 @@ impl Lab {
     /// Their rates, each start of them with its share of the rounds.
     fn rates<const N: usize>(&self, of: fn(&Self) -> [Subject; N], clients: usize) -> [Subject; N] {
         let measure = |_| {
-            let lab = Self::start(self.slice);
-            let mut subjects = of(&lab);
-            rounds::<Libzmq>(&mut subjects, clients, lab.slice, ROUNDS / STARTS);
+            let bench = Self::start(self.slice);
+            let mut subjects = of(&bench);
+            rounds::<Libzmq>(&mut subjects, clients, bench.slice, ROUNDS / STARTS);
             subjects
         };
         let join = |mut all: [Subject; N], more: [Subject; N]| {
@@ -127,13 +127,13 @@ impl Lab {
 }
 
 /// With libzmq's clients, which share the cores with the server.
-fn rates(lab: &Lab) {
+fn rates(bench: &Bench) {
     for clients in CLIENTS {
         println!("STATUS, {clients} clients:");
-        let statuses = lab.rates(Lab::statuses, clients);
+        let statuses = bench.rates(Bench::statuses, clients);
         show(&statuses, "bare ROUTER");
         println!("INIT of a trivial task, {clients} clients:");
-        let inits = lab.rates(Lab::inits, clients);
+        let inits = bench.rates(Bench::inits, clients);
         show(&inits, "the original");
     }
 }
@@ -180,11 +180,11 @@ fn main() {
     let all = !PARTS.iter().any(|(name, _)| named(name));
     let slice = std::env::var("ZTL_BENCH_SLICE_MS").ok();
     let slice = slice.map_or(100, |text| text.parse().expect("a whole number"));
-    let lab = Lab::start(Duration::from_millis(slice));
+    let bench = Bench::start(Duration::from_millis(slice));
     println!("{}", numbers::machine());
     for (name, measure) in PARTS {
         if all || named(name) {
-            measure(&lab);
+            measure(&bench);
         }
     }
     println!("{}", numbers::machine());

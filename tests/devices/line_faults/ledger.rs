@@ -56,7 +56,7 @@ impl Ledger {
             }
         }
         for goal in done.keys().filter(|goal| !self.0.contains_key(*goal)) {
-            let _ = writeln!(wrong, "{goal}: begun, and nobody was told anything");
+            let _ = writeln!(wrong, "{goal}: begun, and no client was told about it");
         }
         assert!(wrong.is_empty(), "{wrong}");
     }

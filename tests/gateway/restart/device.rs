@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::{Loss, Offer};
 use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
 /// What a motor did for a goal.
@@ -69,17 +69,7 @@ fn parts(goal: &str) -> Option<(&str, u64)> {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: self.name,
-            goal: GoalShape {
-                range: None,
-                unit: "ms",
-                words: "",
-            },
-            busy: Busy::Refuse,
-            loss: self.loss,
-            topics: "",
-        }
+        Offer::new(self.name).with_unit("ms").with_loss(self.loss)
     }
 
     fn check(&self, goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {

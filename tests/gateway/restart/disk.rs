@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use super::device::Device;
-use super::lab::{LONG, Lab, ONCE, USUAL, command, start_gateway};
+use super::rig::{GatewayRig, LONG, ONCE, USUAL, command, start_gateway};
 use std::time::Duration;
 use ztl_std::{RemoteTask, State, TaskId, TriggerError};
 use ztl_tests::lab::{
@@ -58,8 +58,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
                 // It has ended, but the outcome is withheld until it is journaled.
                 let told = client.status(&task.id).unwrap();
                 assert_eq!(told.state, State::Accepted);
-                let why =
-                    "it has ended, and nobody is told how before that is written: the journal ";
+                let why = "task ended; result withheld until journaled: the journal ";
                 assert!(told.text.starts_with(why), "{told:?}");
                 let end = status(State::Completed, &number.to_string());
                 ends.push((task.id, end));
@@ -155,28 +154,28 @@ fn without_a_journal_the_gateway_reports_the_lost_guarantees() {
 
 #[test]
 fn an_idle_gateway_notices_an_altered_journal_and_starts_a_new_one() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.client();
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;
     let end = client.wait(&id, LIMIT).unwrap();
-    let journal = || std::fs::OpenOptions::new().append(true).open(lab.journal());
+    let journal = || std::fs::OpenOptions::new().append(true).open(rig.journal());
     journal().unwrap().set_len(0).unwrap();
-    lab.gateway.process.wait_for(" was cut: ");
+    rig.gateway.process.wait_for(" was cut: ");
     until("the lines are there again", PATIENCE, || {
-        (lab.lines().len() >= 2).then_some(())
+        (rig.lines().len() >= 2).then_some(())
     });
     std::io::Write::write_all(&mut journal().unwrap(), b"{}").unwrap();
-    lab.gateway
+    rig.gateway
         .process
         .wait_for(" was written by somebody else: 2 bytes");
-    std::fs::remove_file(lab.journal()).unwrap();
-    lab.gateway.process.wait_for(" was removed");
+    std::fs::remove_file(rig.journal()).unwrap();
+    rig.gateway.process.wait_for(" was removed");
     until("it is there again", PATIENCE, || {
-        lab.journal().exists().then_some(())
+        rig.journal().exists().then_some(())
     });
-    lab.kill();
-    lab.start_again();
-    assert_eq!(lab.client().status(id), Ok(end));
+    rig.kill();
+    rig.start_again();
+    assert_eq!(rig.client().status(id), Ok(end));
 }
 
 #[test]

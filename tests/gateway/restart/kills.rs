@@ -1,7 +1,7 @@
 //! The gateway is killed at chosen moments of a task.
 
 use super::device::Deed;
-use super::lab::{LONG, Lab, ONCE, USUAL, command};
+use super::rig::{GatewayRig, LONG, ONCE, USUAL, command};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use ztl_std::{RemoteTask, RequestError, State, TriggerError};
@@ -11,24 +11,24 @@ use ztl_tests::lab::{
 
 #[test]
 fn a_client_that_waits_through_a_restart_gets_the_true_outcome() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.client();
     let id = start(&mut client, "motors", "arm", "7 1500");
     // Waits from before the kill until after the end.
     let waiting = std::thread::spawn(move || client.wait(id, LIMIT));
     until("it moves", PATIENCE, || {
-        (lab.device.deed("7 1500").begun == 1).then_some(())
+        (rig.device.deed("7 1500").begun == 1).then_some(())
     });
-    lab.kill();
-    lab.start_again();
+    rig.kill();
+    rig.start_again();
     let end = waiting.join().unwrap();
     assert_eq!(end, Ok(status(State::Completed, "7")));
-    assert_eq!(lab.device.deed("7 1500"), ONCE);
+    assert_eq!(rig.device.deed("7 1500"), ONCE);
 
     // It stays so after another restart.
-    lab.kill();
-    lab.start_again();
-    let mut client = lab.client();
+    rig.kill();
+    rig.start_again();
+    let mut client = rig.client();
     assert_eq!(client.status(id), Ok(status(State::Completed, "7")));
     let aborted = client.abort(id).unwrap();
     assert_eq!(aborted.state, State::Completed);
@@ -39,31 +39,31 @@ fn a_client_that_waits_through_a_restart_gets_the_true_outcome() {
 
 #[test]
 fn the_originals_client_polling_status_gets_the_true_outcome() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.gateway.original_client();
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.gateway.original_client();
     let id = client.start("motors", "belt", "7 1000");
-    lab.kill();
-    lab.start_again();
-    let mut client = lab.gateway.original_client();
+    rig.kill();
+    rig.start_again();
+    let mut client = rig.gateway.original_client();
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "7"));
     assert_eq!(client.status(id), (COMPLETED, "7"));
-    assert_eq!(lab.device.deed("7 1000"), ONCE);
+    assert_eq!(rig.device.deed("7 1000"), ONCE);
 }
 
 #[test]
 fn a_start_unanswered_at_the_kill_continues() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.quiet_client();
-    lab.device.world().mute = true;
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.quiet_client();
+    rig.device.world().mute = true;
     let asking = std::thread::spawn(move || client.trigger("motors", "arm", "7 1500"));
     until("it moves", PATIENCE, || {
-        (lab.device.deed("7 1500").begun == 1).then_some(())
+        (rig.device.deed("7 1500").begun == 1).then_some(())
     });
-    let id = lab.wait_for_line("start");
-    lab.kill();
-    lab.device.world().mute = false;
-    lab.start_again();
-    let mut client = lab.client();
+    let id = rig.wait_for_line("start");
+    rig.kill();
+    rig.device.world().mute = false;
+    rig.start_again();
+    let mut client = rig.client();
     assert_eq!(client.status(id).unwrap().state, State::Accepted);
     // Its client cannot know the id; a STATUS with that id returns the truth.
     let told = asking.join().unwrap();
@@ -73,72 +73,72 @@ fn a_start_unanswered_at_the_kill_continues() {
     );
     assert!(unknown, "{told:?}");
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
-    assert_eq!(lab.device.deed("7 1500"), ONCE);
+    assert_eq!(rig.device.deed("7 1500"), ONCE);
 }
 
 #[test]
 fn a_start_unsent_at_the_kill_never_runs() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.quiet_client();
-    lab.device.world().deaf = true;
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.quiet_client();
+    rig.device.world().deaf = true;
     let asking = std::thread::spawn(move || client.trigger("motors", "arm", "7 1"));
-    let id = lab.wait_for_line("start");
-    lab.kill();
-    lab.device.world().deaf = false;
-    lab.start_again();
-    let end = lab.client().wait(id, LIMIT).unwrap();
+    let id = rig.wait_for_line("start");
+    rig.kill();
+    rig.device.world().deaf = false;
+    rig.start_again();
+    let end = rig.client().wait(id, LIMIT).unwrap();
     assert_eq!(end.state, State::Failed);
     assert!(end.text.starts_with("never started: "), "{end:?}");
-    assert_eq!(lab.device.deed("7 1"), Deed::default());
+    assert_eq!(rig.device.deed("7 1"), Deed::default());
     assert!(asking.join().unwrap().is_err());
 }
 
 #[test]
 fn an_outcome_is_known_after_a_kill_before_anyone_asked() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.client();
     let id = start(&mut client, "motors", "arm", "7 50");
-    assert_eq!(lab.wait_for_line("ended"), id);
-    lab.kill();
+    assert_eq!(rig.wait_for_line("ended"), id);
+    rig.kill();
     // This does not need the device.
-    lab.device.world().unplugged = true;
-    lab.start_again();
+    rig.device.world().unplugged = true;
+    rig.start_again();
     let end = Ok(status(State::Completed, "7"));
-    assert_eq!(lab.client().status(id), end);
+    assert_eq!(rig.client().status(id), end);
 }
 
 #[test]
 fn a_device_reset_during_the_restart_fails_its_task() {
-    let mut lab = Lab::new(LONG);
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(LONG);
+    let mut client = rig.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
     let belt = start(&mut client, "motors", "belt", "8 60000");
-    lab.kill();
-    lab.device.world().reset = true;
-    lab.start_again();
+    rig.kill();
+    rig.device.world().reset = true;
+    rig.start_again();
     let end = status(State::Failed, "device was reset");
-    assert_eq!(lab.client().wait(arm, LIMIT), Ok(end.clone()));
-    assert_eq!(lab.client().wait(belt, LIMIT), Ok(end));
+    assert_eq!(rig.client().wait(arm, LIMIT), Ok(end.clone()));
+    assert_eq!(rig.client().wait(belt, LIMIT), Ok(end));
     let next = until("a task is taken", PATIENCE, || {
-        lab.client().trigger("motors", "arm", "9 1").ok()
+        rig.client().trigger("motors", "arm", "9 1").ok()
     });
     assert_eq!(
-        lab.client().wait(next.id, LIMIT),
+        rig.client().wait(next.id, LIMIT),
         Ok(status(State::Completed, "9"))
     );
 }
 
 #[test]
 fn an_absent_devices_tasks_fail_after_its_timeout_unless_they_carry_on() {
-    let mut lab = Lab::new(USUAL);
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(USUAL);
+    let mut client = rig.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
     let belt = start(&mut client, "motors", "belt", "8 2500");
-    lab.kill();
-    lab.device.world().unplugged = true;
+    rig.kill();
+    rig.device.world().unplugged = true;
     let started = Instant::now();
-    lab.start_again();
-    let mut client = lab.client();
+    rig.start_again();
+    let mut client = rig.client();
     let not_yet = status(State::Accepted, "device is not answering yet");
     assert_eq!(client.status(arm), Ok(not_yet));
     let belt_now = client.status(belt).unwrap();
@@ -156,21 +156,21 @@ fn an_absent_devices_tasks_fail_after_its_timeout_unless_they_carry_on() {
     // The device may have received commands from the killed gateway until then: two link timeouts.
     assert!(took >= 2 * USUAL, "{took:?}");
     until("the belt has arrived", PATIENCE, || {
-        (lab.device.deed("8 2500") == ONCE).then_some(())
+        (rig.device.deed("8 2500") == ONCE).then_some(())
     });
     assert_eq!(client.status(belt).unwrap().state, State::Accepted);
-    lab.device.world().unplugged = false;
+    rig.device.world().unplugged = false;
     assert_eq!(client.wait(belt, LIMIT), Ok(status(State::Completed, "8")));
     assert_eq!(client.status(arm), Ok(end));
 }
 
 #[test]
 fn an_abort_reaches_a_task_from_before_the_restart() {
-    let mut lab = Lab::new(LONG);
-    let id = start(&mut lab.client(), "motors", "arm", "7 60000");
-    lab.kill();
-    lab.start_again();
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(LONG);
+    let id = start(&mut rig.client(), "motors", "arm", "7 60000");
+    rig.kill();
+    rig.start_again();
+    let mut client = rig.client();
     // The answer arrives when the task has stopped or is stopping.
     assert!(client.abort(id).is_ok());
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Aborted, "7")));
@@ -178,30 +178,22 @@ fn an_abort_reaches_a_task_from_before_the_restart() {
         begun: 1,
         finished: 0,
     };
-    assert_eq!(lab.device.deed("7 60000"), stopped);
+    assert_eq!(rig.device.deed("7 60000"), stopped);
 }
 
 #[test]
 fn a_removed_devices_task_ends_like_that_of_a_silent_one() {
-    let mut lab = Lab::new(USUAL);
-    let mut client = lab.client();
+    let mut rig = GatewayRig::new(USUAL);
+    let mut client = rig.client();
     let arm = start(&mut client, "motors", "arm", "7 60000");
-    lab.kill();
+    rig.kill();
     let mut command = ztl();
-    let port = lab.port.to_string();
-    command.args([
-        "gateway",
-        "-p",
-        &port,
-        "-s",
-        SCOPE,
-        "-d",
-        "gripper=sim:gripper",
-    ]);
-    command.arg("--journal").arg(lab.journal());
+    let words = format!("gateway -p {} -s {SCOPE} -d gripper=sim:gripper", rig.port);
+    command.args(words.split(' '));
+    command.arg("--journal").arg(rig.journal());
     let process = Process::start(&mut command);
     process.wait_for("Serving ");
-    let mut client = lab.client();
+    let mut client = rig.client();
     let absent = status(State::Accepted, "device 'motors' is not served any more");
     assert_eq!(client.status(arm), Ok(absent));
     let end = status(State::Failed, "device is not answering");
@@ -215,22 +207,22 @@ fn a_removed_devices_task_ends_like_that_of_a_silent_one() {
 
 #[test]
 fn a_second_gateway_on_the_same_journal_exits_with_the_reason() {
-    let lab = Lab::new(USUAL);
-    let [soft, hard] = ["soft", "hard"].map(|name| lab.scratch.path(name));
-    std::os::unix::fs::symlink(lab.journal(), &soft).unwrap();
-    std::fs::hard_link(lab.journal(), &hard).unwrap();
-    for name in [lab.journal(), soft, hard] {
-        let mut command = command(&lab.device, reserve_port());
+    let rig = GatewayRig::new(USUAL);
+    let [soft, hard] = ["soft", "hard"].map(|name| rig.scratch.path(name));
+    std::os::unix::fs::symlink(rig.journal(), &soft).unwrap();
+    std::fs::hard_link(rig.journal(), &hard).unwrap();
+    for name in [rig.journal(), soft, hard] {
+        let mut command = command(&rig.device, reserve_port());
         let ended = Process::run(command.arg("--journal").arg(name));
         assert_eq!(ended.code, Some(1));
         let who = format!(
             "is another gateway's (process {})",
-            lab.gateway.process.id()
+            rig.gateway.process.id()
         );
         assert!(ended.stderr.contains(&who), "{}", ended.stderr);
     }
     // The first one keeps serving.
-    let mut client = lab.client();
+    let mut client = rig.client();
     let id = start(&mut client, "motors", "arm", "7 1");
     assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "7")));
 }
@@ -246,8 +238,8 @@ fn dice(state: &mut u64, below: u64) -> u64 {
 /// Kills at random moments, with tasks on both motors all the time.
 #[test]
 fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
-    let mut lab = Lab::new(LONG);
-    let endpoint = lab.gateway.endpoint();
+    let mut rig = GatewayRig::new(LONG);
+    let endpoint = rig.gateway.endpoint();
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     let stopped = std::sync::Arc::clone(&stop);
     let ends = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
@@ -282,10 +274,10 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     let mut state = 4711;
     for _ in 0..12 {
         std::thread::sleep(Duration::from_millis(dice(&mut state, 400)));
-        lab.kill();
-        lab.start_again();
+        rig.kill();
+        rig.start_again();
         if dice(&mut state, 2) == 0 {
-            lab.gateway.wait_ready("motors");
+            rig.gateway.wait_ready("motors");
         }
     }
     // A busy machine may have completed only a few by then.
@@ -295,10 +287,10 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     stop.store(true, std::sync::atomic::Ordering::SeqCst);
     for client in clients {
         let told = client.join().unwrap();
-        let mut again = lab.client();
+        let mut again = rig.client();
         for (id, (goal, end)) in told {
             assert_eq!(again.status(id), Ok(end.clone()), "{goal}");
-            let deed = lab.device.deed(&goal);
+            let deed = rig.device.deed(&goal);
             let fits = match end.state {
                 State::Completed => deed == ONCE,
                 // Killed after it was journaled and before it was sent.
@@ -310,7 +302,7 @@ fn a_kill_at_any_time_gives_each_task_one_outcome_and_motion() {
     }
     // Also tasks whose ids never reached their clients.
     assert!(
-        lab.device
+        rig.device
             .world()
             .deeds
             .values()

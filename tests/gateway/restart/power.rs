@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use super::device::{Deed, Device};
-use super::lab::{LONG, command};
+use super::rig::{LONG, command};
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
@@ -97,10 +97,10 @@ pub(super) fn journal_up_to(last: u32) -> String {
 
 #[test]
 fn no_id_is_reused_after_a_power_cut() {
-    let mut lab = OnDisk::new(&journal_up_to(2_000_000_000));
+    let mut rig = OnDisk::new(&journal_up_to(2_000_000_000));
     let mut given = BTreeSet::new();
     for round in 0..3 {
-        let mut client = lab.client();
+        let mut client = rig.client();
         for number in 0..3 {
             let goal = format!("{round}{number} 1");
             let id = client
@@ -110,22 +110,22 @@ fn no_id_is_reused_after_a_power_cut() {
             assert!(given.insert(id.number()), "{id} is given a second time");
             client.wait(id, LIMIT).expect("its end");
         }
-        lab.cut_the_power();
+        rig.cut_the_power();
     }
 }
 
 #[test]
 fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
-    let mut lab = OnDisk::new("");
-    let mut client = lab.client();
+    let mut rig = OnDisk::new("");
+    let mut client = rig.client();
     let id = client.trigger("motors", "arm", "1 1").unwrap().id;
     client.wait(id, LIMIT).expect("its end");
-    std::fs::write(lab.scratch.path("stalls"), "").expect("to write");
+    std::fs::write(rig.scratch.path("stalls"), "").expect("to write");
     // The second one waits for the first one's entry.
     let asking: Vec<_> = [("arm", "7 1"), ("belt", "8 1")]
         .into_iter()
         .map(|(motor, goal)| {
-            let mut client = lab.client();
+            let mut client = rig.client();
             std::thread::spawn(move || client.trigger("motors", motor, goal))
         })
         .collect();
@@ -136,7 +136,7 @@ fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
     for told in &told {
         match told {
             Ok(task) => {
-                lab.gateway.process.kill();
+                rig.gateway.process.kill();
                 panic!("the id {} was told and is not in the journal", task.id);
             }
             Err(refused) => {
@@ -146,7 +146,7 @@ fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
         }
     }
     // A rejected task never moves, even when the disk resumes.
-    std::fs::remove_file(lab.scratch.path("stalls")).expect("to remove");
+    std::fs::remove_file(rig.scratch.path("stalls")).expect("to remove");
     let next = until("a task is taken", PATIENCE, || {
         client.trigger("motors", "arm", "9 1").ok()
     });
@@ -154,12 +154,12 @@ fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
         client.wait(&next.id, LIMIT),
         Ok(status(State::Completed, "9"))
     );
-    lab.start_again();
+    rig.start_again();
     assert_eq!(
-        lab.client().status(next.id),
+        rig.client().status(next.id),
         Ok(status(State::Completed, "9"))
     );
     for goal in ["7 1", "8 1"] {
-        assert_eq!(lab.device.deed(goal), Deed::default(), "{goal}");
+        assert_eq!(rig.device.deed(goal), Deed::default(), "{goal}");
     }
 }

@@ -1,7 +1,7 @@
 //! A reload restores a device that still has tasks: they settle, and the device serves again.
 
 use super::device::Device;
-use super::lab::{ONCE, USUAL};
+use super::rig::{ONCE, USUAL};
 use ztl_std::{RemoteTask, State, TaskId};
 use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, Server, status, until, ztl};
 
@@ -18,25 +18,25 @@ impl Reloaded {
     /// The device is connected, and two tasks run until aborted: on its arm and its belt.
     #[track_caller]
     fn with_tasks() -> (Self, TaskId, TaskId) {
-        let mut lab = Self {
+        let mut rig = Self {
             device: Device::power_on(USUAL),
             scratch: Scratch::new(),
             gateway: None,
             reloads: 0,
         };
-        lab.configure(true);
-        lab.start();
-        lab.gateway().wait_ready("motors");
-        let mut client = lab.client();
+        rig.configure(true);
+        rig.start();
+        rig.gateway().wait_ready("motors");
+        let mut client = rig.client();
         let mut begin = |component, goal: &str| {
             let id = client.trigger("motors", component, goal).unwrap().id;
             until("the task begins", PATIENCE, || {
-                (lab.device.deed(goal).begun == 1).then_some(())
+                (rig.device.deed(goal).begun == 1).then_some(())
             });
             id.number().unwrap()
         };
         let (arm, belt) = (begin("arm", "7 1000000"), begin("belt", "8 1000000"));
-        (lab, arm, belt)
+        (rig, arm, belt)
     }
 
     fn configure(&self, has_motors: bool) {
@@ -101,49 +101,49 @@ impl Reloaded {
 
 #[test]
 fn a_device_restored_by_a_reload_continues_its_journaled_tasks() {
-    let (mut lab, arm, belt) = Reloaded::with_tasks();
-    lab.restart_without_motors();
-    let mut client = lab.client();
+    let (mut rig, arm, belt) = Reloaded::with_tasks();
+    rig.restart_without_motors();
+    let mut client = rig.client();
     let end = client.wait(arm, LIMIT);
     assert_eq!(end, Ok(status(State::Failed, "device is not answering")));
     let waits = status(State::Accepted, "device 'motors' is not served any more");
     assert_eq!(client.status(belt), Ok(waits));
 
-    lab.reload(true);
-    lab.gateway().wait_ready("motors");
+    rig.reload(true);
+    rig.gateway().wait_ready("motors");
     assert_eq!(client.status(belt).unwrap().state, State::Accepted);
     assert_eq!(client.abort(belt).unwrap().state, State::Aborted);
-    assert_eq!(lab.device.deed("8 1000000").begun, 1);
-    lab.assert_serves_again();
+    assert_eq!(rig.device.deed("8 1000000").begun, 1);
+    rig.assert_serves_again();
 }
 
 #[test]
 fn a_device_reset_before_a_reload_restores_it_has_failed_tasks() {
-    let (mut lab, _, belt) = Reloaded::with_tasks();
-    lab.restart_without_motors();
-    lab.device.world().reset = true;
-    lab.reload(true);
-    let end = lab.client().wait(belt, LIMIT);
+    let (mut rig, _, belt) = Reloaded::with_tasks();
+    rig.restart_without_motors();
+    rig.device.world().reset = true;
+    rig.reload(true);
+    let end = rig.client().wait(belt, LIMIT);
     assert_eq!(end, Ok(status(State::Failed, "device was reset")));
-    lab.assert_serves_again();
+    rig.assert_serves_again();
 }
 
 #[test]
 fn a_device_restored_early_serves_once_its_old_tasks_stopped() {
-    let (mut lab, arm, belt) = Reloaded::with_tasks();
-    lab.device.world().unplugged = true;
-    let mut client = lab.client();
+    let (mut rig, arm, belt) = Reloaded::with_tasks();
+    rig.device.world().unplugged = true;
+    let mut client = rig.client();
     let end = client.wait(arm, LIMIT);
     assert_eq!(end, Ok(status(State::Failed, "device is not answering")));
     // Its belt carries on, so only the device can say that it stopped.
-    lab.reload(false);
-    lab.reload(true);
+    rig.reload(false);
+    rig.reload(true);
     let refused = client.trigger("motors", "arm", "9 1").unwrap_err();
     let refused = refused.to_string();
     assert!(refused.contains("from before"), "{refused}");
     assert_eq!(client.status(belt).unwrap().state, State::Accepted);
 
-    lab.device.world().unplugged = false;
+    rig.device.world().unplugged = false;
     assert_eq!(client.wait(belt, LIMIT).unwrap().state, State::Aborted);
-    lab.assert_serves_again();
+    rig.assert_serves_again();
 }

@@ -2,7 +2,7 @@
 //! outcome is invented.
 
 use super::device::Deed;
-use super::lab::{LONG, Lab, ONCE, USUAL};
+use super::rig::{GatewayRig, LONG, ONCE, USUAL};
 use std::time::{Duration, Instant};
 use ztl_std::{RunError, WaitError};
 use ztl_std::{State, TriggerError};
@@ -19,13 +19,13 @@ fn wait_until(moment: Instant) {
 
 #[test]
 fn a_suspended_gateway_moves_each_motor_once() {
-    let lab = Lab::new(LONG);
+    let rig = GatewayRig::new(LONG);
     // A running shell reacts faster than a program that has to start.
     let mut shell = Process::start(&mut std::process::Command::new("sh"));
     let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("{point} 2");
-        let mut client = lab.client().with_timeout(Duration::from_millis(500));
+        let mut client = rig.client().with_timeout(Duration::from_millis(500));
         // The client connects first, so the moment falls within the task.
         let before = client.run("motors", "belt", "1 1", LIMIT);
         before.expect("its end");
@@ -36,23 +36,23 @@ fn a_suspended_gateway_moves_each_motor_once() {
             outcome.map(|status| status.state)
         });
         wait_until(start + Duration::from_micros(point));
-        shell.write_line(&format!("kill -STOP {}", lab.gateway.process.id()));
+        shell.write_line(&format!("kill -STOP {}", rig.gateway.process.id()));
         std::thread::sleep(Duration::from_millis(700));
-        lab.gateway.process.signal("CONT");
+        rig.gateway.process.signal("CONT");
         let outcome = asking.join().expect("no panic");
         println!(
             "stopped after {point} µs: {outcome:?}, {:?}",
-            lab.device.deed(&goal)
+            rig.device.deed(&goal)
         );
         outcomes.push((goal, outcome));
     }
     // Everything in flight is done by now, and the gateway serves.
     let last = until("a task is taken", PATIENCE, || {
-        lab.client().run("motors", "arm", "7 1", LIMIT).ok()
+        rig.client().run("motors", "arm", "7 1", LIMIT).ok()
     });
     assert_eq!(last, status(State::Completed, "7"));
     for (goal, outcome) in outcomes {
-        let deed = lab.device.deed(&goal);
+        let deed = rig.device.deed(&goal);
         let fits = match outcome {
             Ok(State::Completed) => deed == ONCE,
             // Unknown: either done or not done.
@@ -72,8 +72,8 @@ fn a_suspended_gateway_moves_each_motor_once() {
 
 #[test]
 fn a_gateway_suspended_beyond_the_link_timeout_reports_the_devices_outcomes() {
-    let lab = Lab::new(USUAL);
-    let mut client = lab.client();
+    let rig = GatewayRig::new(USUAL);
+    let mut client = rig.client();
     let arm = client
         .trigger("motors", "arm", "7 60000")
         .expect("taken")
@@ -82,28 +82,28 @@ fn a_gateway_suspended_beyond_the_link_timeout_reports_the_devices_outcomes() {
         .trigger("motors", "belt", "8 5000")
         .expect("taken")
         .id;
-    lab.gateway.process.signal("STOP");
+    rig.gateway.process.signal("STOP");
     // The belt carries on and arrives; the arm stopped long before.
     until("the belt has arrived", PATIENCE, || {
-        (lab.device.deed("8 5000") == ONCE).then_some(())
+        (rig.device.deed("8 5000") == ONCE).then_some(())
     });
-    lab.gateway.process.signal("CONT");
+    rig.gateway.process.signal("CONT");
     let end = client.wait(arm, LIMIT).expect("its end");
     assert_eq!(end.state, State::Failed, "{end:?}");
     let stopped = Deed {
         begun: 1,
         finished: 0,
     };
-    assert_eq!(lab.device.deed("7 60000"), stopped);
+    assert_eq!(rig.device.deed("7 60000"), stopped);
     assert_eq!(client.wait(belt, LIMIT), Ok(status(State::Completed, "8")));
 }
 
 #[test]
 fn a_gateway_killed_or_stopped_anywhere_moves_a_motor_at_most_once() {
-    let lab = Lab::new(LONG);
+    let rig = GatewayRig::new(LONG);
     for point in POINTS {
         let client =
-            |goal: &str| Process::start(our_client_at(lab.port).arg(format!("motors:arm:{goal}")));
+            |goal: &str| Process::start(our_client_at(rig.port).arg(format!("motors:arm:{goal}")));
         let goal = format!("{} 1", 100 + point);
         // Starting the program takes some milliseconds more.
         let mut killed = client(&goal);
@@ -111,10 +111,10 @@ fn a_gateway_killed_or_stopped_anywhere_moves_a_motor_at_most_once() {
         killed.kill();
         let told = killed.stdout().contains("'COMPLETED'");
         // A later task is done, so this one has started or never will.
-        let after = lab.client().run("motors", "belt", "1 1", LIMIT);
+        let after = rig.client().run("motors", "belt", "1 1", LIMIT);
         after.expect("its end");
         let deed = until("rest", PATIENCE, || {
-            let deed = lab.device.deed(&goal);
+            let deed = rig.device.deed(&goal);
             (deed.begun == deed.finished).then_some(deed)
         });
         assert!(
@@ -129,6 +129,6 @@ fn a_gateway_killed_or_stopped_anywhere_moves_a_motor_at_most_once() {
         stopped.signal("CONT");
         let ended = stopped.end(PATIENCE);
         assert!(ended.stdout.contains("'COMPLETED'"), "{goal}: {ended:?}");
-        assert_eq!(lab.device.deed(&goal), ONCE, "{goal}");
+        assert_eq!(rig.device.deed(&goal), ONCE, "{goal}");
     }
 }

@@ -7,7 +7,7 @@ use std::net::TcpListener;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant as Clock};
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::log::LogSource;
 use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
 
@@ -103,18 +103,7 @@ struct Motor;
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "",
-            words: "all flood",
-        };
-        Offer {
-            name: "motor",
-            goal,
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "",
-        }
+        Offer::new("motor").with_words("all flood")
     }
 
     fn check(&self, _goal: &str, _why: &mut Report<'_>) -> Result<(), Refused> {

@@ -2,9 +2,12 @@
 //! run.
 
 mod choose;
+mod keys;
 mod preflight;
+mod robot;
 mod stage;
 mod stop;
+mod vanished;
 
 use std::fs;
 use std::process::Command;

@@ -1,90 +1,11 @@
 //! Stopping a scene, or everything, while the run continues.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::atomic::Ordering;
 
-use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, Terminal, until, ztl};
 
+use super::robot::{Robot, playing_second_scene};
 use super::stage::{Stage, start_scene};
-
-/// `sleep` runs until it is aborted, `stubborn` until it is also released. Other tasks complete at once.
-struct Sleeper {
-    released: Arc<AtomicBool>,
-}
-
-impl TaskController for Sleeper {
-    fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
-        let stubborn = request.component == "stubborn";
-        let sleeps = stubborn || request.component == "sleep";
-        let released = Arc::clone(&self.released);
-        Ok(Box::new(move |task: &TaskContext| {
-            while stubborn && !released.load(Ordering::Relaxed) {
-                std::thread::sleep(Duration::from_millis(10));
-            }
-            if sleeps {
-                task.sleep(Duration::from_secs(600))?;
-            }
-            Ok(String::new())
-        }))
-    }
-}
-
-/// A server of sleepers.
-struct Robot {
-    port: u16,
-    released: Arc<AtomicBool>,
-    _server: ztl_std::RunningServer,
-}
-
-impl Robot {
-    fn start() -> Self {
-        let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
-        let released = Arc::new(AtomicBool::new(false));
-        let sleeper = Sleeper {
-            released: Arc::clone(&released),
-        };
-        server.register(SCOPE, sleeper);
-        let server = server.spawn().unwrap();
-        let port = server.endpoint().rsplit(':').next().unwrap();
-        Self {
-            port: port.parse().unwrap(),
-            released,
-            _server: server,
-        }
-    }
-
-    /// Its running tasks, as `ztl ps` lists them.
-    fn running(&self) -> String {
-        let port = self.port.to_string();
-        Process::run(ztl().args(["ps", "-p", &port])).stdout
-    }
-}
-
-const SHOW: &str = "\
-first:
-  light (wait=no): {test: {sleep: 100}}
-second:
-  turn: {test: {sleep: 200}}
-  bow: {test: {echo: bow}}
-third:
-  wave: {test: {echo: wave}}
-";
-
-/// Starts a run whose second scene plays while a task of the first runs in the background.
-#[track_caller]
-fn playing_second_scene() -> (Robot, Stage, Terminal) {
-    let robot = Robot::start();
-    let stage = Stage::with(SHOW, &[("test", robot.port)]);
-    let mut terminal = stage.play();
-    terminal.shows(" Next: first");
-    terminal.type_in("\r");
-    terminal.shows(" Next: second");
-    start_scene(&mut terminal, &stage);
-    terminal.shows("▶ test:sleep:200  accepted");
-    (robot, stage, terminal)
-}
 
 #[test]
 fn c_stops_the_scene_and_the_run_continues() {
@@ -134,7 +55,7 @@ fn x_stops_everything_including_foreign_tasks_and_the_run_continues() {
     let port = robot.port.to_string();
     let at = ["-r", "localhost", "-p", &port, "-s", SCOPE];
     let other = Process::start(ztl().arg("task-client").args(at).arg("test:sleep:300"));
-    until("the task of somebody else", PATIENCE, || {
+    until("the task of another client", PATIENCE, || {
         robot.running().contains("sleep:300").then_some(())
     });
     terminal.type_in("x");
@@ -207,7 +128,7 @@ fn a_step_that_asked_the_operator_is_not_retried_automatically() {
     let starts = record
         .iter()
         .filter(|line| line["event"] == "task_starting");
-    assert_eq!(starts.count(), 1, "nobody wanted another");
+    assert_eq!(starts.count(), 1, "no other was started");
 }
 
 #[test]

@@ -45,7 +45,7 @@ const DUE: [u64; 6] = [
     name("wake"),
 ];
 const INSTANT: u64 = name("Instant");
-/// Ids of tasks on the link, of which only the differences matter.
+/// Ids of tasks on the link. Only their differences matter.
 const LINK_ID: u64 = name("LinkId");
 const HIGHEST: u64 = name("highest");
 /// Larger differences are equal: no scenario has that many tasks.

@@ -2,7 +2,7 @@
 
 #![expect(
     clippy::disallowed_types,
-    reason = "seeds have 64 bits, and this is no program for a robot"
+    reason = "seeds have 64 bits, and this program never runs on a robot"
 )]
 
 use std::process::ExitCode;
@@ -14,7 +14,7 @@ use std::time::Instant;
 use ztl_simulation::explore::{Explored, explore};
 use ztl_simulation::lab::Summary;
 use ztl_simulation::plan::Plan;
-use ztl_simulation::real::model::{Action, Lab, SCENARIOS, Scenario};
+use ztl_simulation::real::model::{Action, LinkModel, SCENARIOS, Scenario};
 use ztl_simulation::shrink::{attempt, report, shrink};
 
 /// About 10 GiB of memory suffice for these.
@@ -93,7 +93,7 @@ fn model(words: &[&str]) -> Result<bool, String> {
         while let Some(scenario) = next() {
             let scenario = scenario.with_times(times);
             let begin = Instant::now();
-            let first = Lab::new(scenario);
+            let first = LinkModel::new(scenario);
             let explored = explore(&first, STATES);
             print!("{}", told(scenario, &first, &explored, begin));
             well &= explored.broken.is_none() && explored.complete;
@@ -102,7 +102,12 @@ fn model(words: &[&str]) -> Result<bool, String> {
     }))
 }
 
-fn told(scenario: &Scenario, first: &Lab, explored: &Explored<Action>, begin: Instant) -> String {
+fn told(
+    scenario: &Scenario,
+    first: &LinkModel,
+    explored: &Explored<Action>,
+    begin: Instant,
+) -> String {
     let seconds = begin.elapsed().as_secs_f32();
     let mut text = format!(
         "{}, {} faults: {explored}; {seconds:.1} s\n",

@@ -1,4 +1,4 @@
-//! Mutants of the two ends, each of which the model must catch.
+//! Mutants of the two ends. The model must catch each of them.
 //!
 //! `build.rs` compiles a second copy of the ends in which each mutant can be switched on. A mutant is a change of the
 //! source, so it breaks the real code. When that code has changed, the test `every_mutant_is_found_in_the_source` names

@@ -92,6 +92,15 @@ pub struct Plan {
     pub happenings: Vec<Happening>,
 }
 
+/// The end of a happening with a duration.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Revert {
+    Plug(usize),
+    Silence(usize, Way),
+    Start,
+    Empty,
+}
+
 impl Plan {
     /// The plan of a seed.
     #[must_use]

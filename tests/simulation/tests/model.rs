@@ -12,7 +12,7 @@ const STATES: usize = 2_000_000;
 fn the_guarantees_hold_with_one_fault() {
     for scenario in real::model::SCENARIOS {
         let scenario = scenario.with_times(1);
-        let first = real::model::Lab::new(scenario);
+        let first = real::model::LinkModel::new(scenario);
         let explored = explore(&first, STATES);
         if let Some(broken) = &explored.broken {
             let trace = first.trace(&broken.path).join("\n");
@@ -53,7 +53,7 @@ fn complaint(mutant: &Mutant) -> Option<String> {
     let (name, times) = mutant.caught_in;
     let mut scenarios = broken::model::SCENARIOS.iter();
     let scenario = scenarios.find(|scenario| scenario.name == name)?;
-    let first = broken::model::Lab::new(scenario.with_times(times));
+    let first = broken::model::LinkModel::new(scenario.with_times(times));
     let broken = explore(&first, STATES).broken?;
     Some(format!("{} ({} steps)", broken.promise, broken.path.len()))
 }

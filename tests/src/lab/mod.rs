@@ -5,6 +5,7 @@
 mod board;
 mod build;
 mod fake;
+mod keys;
 mod original;
 mod peers;
 mod ports;
@@ -20,16 +21,17 @@ mod zmtp;
 pub use board::{Board, Pin};
 pub use build::{built, installed};
 pub use fake::FakeServer;
+pub use keys::Keys;
 pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
     run_python,
 };
 pub use peers::{Peer, javascript_packages, python27};
 pub use ports::reserve_port;
-pub use process::{Ended, Process, process_status, signal};
+pub use process::{Ended, Process, process_status, processor_time, signal};
 pub use random::{Random, number, seed};
 pub use remote::{LIMIT, connect, port_of, serve, start, status};
-pub use server::{SCOPE, Server};
+pub use server::{SCOPE, Server, gateway, simulated_gripper};
 pub use service_manager::{ServiceManager, verify_unit};
 pub use terminal::Terminal;
 pub use tools::{ClientOutput, original_client, our_client, our_client_at, ours_named};

@@ -232,13 +232,7 @@ impl Process {
     /// The processor time that it took, to 10 ms.
     #[track_caller]
     pub fn processor_time(&self) -> Duration {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.id()));
-        let stat = stat.expect("it lives");
-        // Behind the name, which may contain anything: the state, ten more fields, utime and stime.
-        let fields = stat.rsplit(')').next().unwrap_or_default();
-        let ticks = fields.split_whitespace().skip(11).take(2);
-        let ticks: u64 = ticks.filter_map(|ticks| ticks.parse::<u64>().ok()).sum();
-        Duration::from_millis(ticks * 10)
+        processor_time(self.id())
     }
 
     /// The command and its output, for a failure's message.
@@ -286,6 +280,19 @@ pub fn signal(process: u32, name: &str) {
     kill.args(["-c", "kill -$0 $1", name])
         .arg(process.to_string());
     assert!(kill.status().expect("`sh`").success(), "{kill:?}");
+}
+
+/// The processor time that a process has used, in steps of 10 ms.
+#[track_caller]
+pub fn processor_time(process: u32) -> Duration {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).expect("it lives");
+    // The name, in parentheses, may contain anything.
+    let (_, fields) = stat.rsplit_once(')').expect("its name");
+    let ticks = fields.split_whitespace().skip(11).take(2);
+    let ticks: u64 = ticks
+        .map(|ticks| ticks.parse::<u64>().expect("a number"))
+        .sum();
+    Duration::from_millis(ticks * 10)
 }
 
 /// A number in a process's `/proc/PID/status`, by its name there, such as `VmRSS:`.

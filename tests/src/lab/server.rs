@@ -146,12 +146,7 @@ impl Server {
     /// The same with more options.
     #[track_caller]
     pub fn gateway_with(devices: &[&str], options: &[&str]) -> Self {
-        let mut command = ztl();
-        command.args(["gateway", "-p", "0", "-s", SCOPE]);
-        for device in devices {
-            command.args(["--device", device]);
-        }
-        Self::start(command.args(options))
+        Self::start(gateway(devices).args(options))
     }
 
     /// A gateway with a simulated gripper and a simulated head, both ready.
@@ -180,6 +175,25 @@ impl Server {
     pub fn original_client(&self) -> OriginalClient {
         OriginalClient::connect(self.port, SCOPE)
     }
+}
+
+/// `ztl gateway` at any port, with these devices.
+#[track_caller]
+pub fn gateway(devices: &[&str]) -> Command {
+    let mut command = ztl();
+    command.args(["gateway", "-p", "0", "-s", SCOPE]);
+    for device in devices {
+        command.args(["--device", device]);
+    }
+    command
+}
+
+/// `ztl device sim:gripper` at an address such as `pty:LINK`, once it is there.
+#[track_caller]
+pub fn simulated_gripper(on: &str) -> Process {
+    let device = Process::start(ztl().args(["device", "sim:gripper", "--on", on]));
+    device.wait_for("Simulated gripper at");
+    device
 }
 
 /// The original's `ztl_task_server` at a port.

@@ -4,10 +4,13 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::num::NonZero;
 use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, ExitStatus};
 use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use rustix::event::{PollFd, PollFlags, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Termios, Winsize, tcgetattr, tcsetwinsize};
 
@@ -18,17 +21,27 @@ use super::{PATIENCE, until};
 pub struct Terminal {
     name: String,
     child: Child,
-    keys: File,
+    /// `None` when the window was closed.
+    window: Option<Window>,
     /// Held open, so that the terminal outlives the program and can be looked at.
     tty: OwnedFd,
     screen: Arc<Mutex<vt100::Parser>>,
+}
+
+/// The end of the pty that a terminal emulator holds.
+struct Window {
+    keys: File,
+    /// Reads the output until `stop` is dropped.
+    reader: JoinHandle<()>,
+    stop: UnixStream,
 }
 
 impl Terminal {
     /// Starts a program in a terminal of so many columns and lines.
     #[track_caller]
     pub fn start(command: &Command, size: (u16, u16)) -> Self {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pty");
+        let master =
+            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).expect("a pty");
         grantpt(&master)
             .and_then(|()| unlockpt(&master))
             .expect("its other end");
@@ -36,7 +49,7 @@ impl Terminal {
             .expect("its name")
             .into_string()
             .unwrap();
-        // Until somebody has made it a controlling terminal, opening must not do so.
+        // Opening it must not make it the controlling terminal of this process.
         let open = || {
             let flags = rustix::fs::OFlags::RDWR | rustix::fs::OFlags::NOCTTY;
             rustix::fs::open(path.as_str(), flags, rustix::fs::Mode::empty()).expect("a terminal")
@@ -71,28 +84,27 @@ impl Terminal {
             some(size.0),
             500,
         )));
-        let keys = File::from(master);
-        let mut output = keys.try_clone().expect("its output");
-        let shown = Arc::clone(&screen);
-        std::thread::spawn(move || {
-            let mut bytes = [0; 4096];
-            while let Ok(count @ 1..) = output.read(&mut bytes) {
-                shown.lock().unwrap().process(&bytes[..count]);
-            }
-        });
         Self {
             name,
             child,
-            keys,
+            window: Some(Window::open(File::from(master), Arc::clone(&screen))),
             tty,
             screen,
         }
     }
 
+    /// Closes the window, so that the program's terminal is gone.
+    pub fn vanish(&mut self) {
+        let window = self.window.take().expect("a window");
+        drop(window.stop);
+        window.reader.join().expect("the reader");
+    }
+
     /// Types these bytes, all at once.
     #[track_caller]
     pub fn type_in(&mut self, keys: impl AsRef<[u8]>) {
-        self.keys.write_all(keys.as_ref()).expect("a terminal");
+        let window = self.window.as_mut().expect("a window");
+        window.keys.write_all(keys.as_ref()).expect("a terminal");
     }
 
     /// The lines on the screen, without trailing blanks.
@@ -136,7 +148,7 @@ impl Terminal {
         self.screen.lock().unwrap().screen().alternate_screen()
     }
 
-    /// Whether the cursor is to be seen.
+    /// Whether the cursor is visible.
     pub fn has_cursor(&self) -> bool {
         !self.screen.lock().unwrap().screen().hide_cursor()
     }
@@ -210,6 +222,34 @@ impl Terminal {
                 self.name
             );
             std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+impl Window {
+    fn open(master: File, screen: Arc<Mutex<vt100::Parser>>) -> Self {
+        let (stop, stopped) = UnixStream::pair().expect("a socket pair");
+        let mut output = master.try_clone().expect("its output");
+        let reader = std::thread::spawn(move || {
+            let mut bytes = [0; 4096];
+            loop {
+                let mut ready = [
+                    PollFd::new(&output, PollFlags::IN),
+                    PollFd::new(&stopped, PollFlags::IN),
+                ];
+                if poll(&mut ready, None).is_err() || !ready[1].revents().is_empty() {
+                    return;
+                }
+                let Ok(count @ 1..) = output.read(&mut bytes) else {
+                    return;
+                };
+                screen.lock().unwrap().process(&bytes[..count]);
+            }
+        });
+        Self {
+            keys: master,
+            reader,
+            stop,
         }
     }
 }

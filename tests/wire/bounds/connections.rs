@@ -6,11 +6,12 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State;
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, Server, busy, reserve_port, shake_hands, until, ztl,
+    Keys, LIMIT, PATIENCE, Process, Server, busy, gateway, reserve_port, shake_hands,
+    simulated_gripper, until,
 };
 
 use super::crowd::{Crowd, Says, open};
-use super::{Keys, Kind, MEMORY, Subject, is_served, with_open_files};
+use super::{Kind, MEMORY, Subject, is_served, with_open_files};
 
 /// How long a client waits at most beside a crowd.
 const QUICK: Duration = Duration::from_millis(100);
@@ -154,16 +155,9 @@ fn an_idle_crowd_takes_nothing_from_a_task_server() {
 #[test]
 fn a_device_is_reached_again_beside_an_idle_crowd() {
     let port = reserve_port();
-    let power_on = || {
-        let on = format!("tcp:{port}");
-        let device = Process::start(ztl().args(["device", "sim:gripper", "--on", &on]));
-        device.wait_for("Simulated gripper at");
-        device
-    };
+    let power_on = || simulated_gripper(&format!("tcp:{port}"));
     let mut device = power_on();
-    let url = format!("gripper=tcp:127.0.0.1:{port}");
-    let mut gateway = ztl();
-    gateway.args(["gateway", "-p", "0", "-s", "/test", "--device", &url]);
+    let mut gateway = gateway(&[&format!("gripper=tcp:127.0.0.1:{port}")]);
     let gateway = Server::start(&mut with_open_files(FEW_FILES, gateway.args(LARGE)));
     gateway.wait_ready("gripper");
     let mut remote = ztl_tests::lab::connect(&gateway.endpoint()).with_timeout(PATIENCE);
@@ -184,7 +178,7 @@ fn a_device_is_reached_again_beside_an_idle_crowd() {
 fn connections_without_a_key_lock_out_nobody(kind: Kind) {
     let _one = busy();
     let keys = Keys::make(&["robot", "anna"]);
-    let (robot, anna) = (keys.file("robot.key_secret"), keys.file("anna.key"));
+    let (robot, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let options = [
         "--key",
         &robot,
@@ -251,13 +245,13 @@ fn is_quick_beside_a_crowd(port: u16, mut attempt: impl FnMut()) {
 fn an_allowed_client_is_served_at_once_beside_thousands_of_anonymous_connections() {
     let _one = busy();
     let keys = Keys::make(&["robot", "anna"]);
-    let (robot, anna) = (keys.file("robot.key_secret"), keys.file("anna.key"));
+    let (robot, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let options = ["--key", &robot, "--client-key", &anna];
     let subject = Subject::start(Kind::Gateway, None, &options);
     let endpoint = subject.server.endpoint();
     let mut client = keys.client(&endpoint, "anna", "robot");
     is_quick_beside_a_crowd(subject.server.port, || is_served(&mut client));
-    // Also one that comes new each time.
+    // Also a client that opens a new connection each time.
     is_quick_beside_a_crowd(subject.server.port, || {
         is_served(&mut keys.client(&endpoint, "anna", "robot"));
     });

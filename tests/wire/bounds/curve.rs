@@ -5,9 +5,7 @@ use std::time::Duration;
 
 use ztl_std::keys::KeyPair;
 use ztl_std::{RequestError, State};
-use ztl_tests::lab::{PATIENCE, Process, connect, python};
-
-use super::Keys;
+use ztl_tests::lab::{Keys, PATIENCE, Process, connect, python};
 
 /// Answers an INIT with its own id, and a STATUS with the payload of the last INIT. Says how many requests came.
 const SERVER: &str = r#"
@@ -34,7 +32,7 @@ while True:
 
 fn messages_pass_both_ways(kind: &str) {
     let keys = Keys::make(&["robot", "anna"]);
-    let file = keys.file("robot.key_secret");
+    let file = keys.path("robot.key_secret");
     let mut server = Process::start(Command::new(python()).args(["-c", SERVER, kind, &file]));
     let endpoint = server.next_line(PATIENCE);
     // With a wrong key of the server, there is no connection.

@@ -71,7 +71,7 @@ fn a_path_in_use_is_refused() {
     }
     // The first keeps its place.
     serves(first);
-    // A file that is no socket is not replaced.
+    // A file that is not a socket is not replaced.
     std::fs::write(scratch.path("notes"), "keep me").expect("a file");
     let endpoint = format!("ipc://{}", scratch.path("notes").display());
     let third = TaskServer::bind(&endpoint).map(drop);

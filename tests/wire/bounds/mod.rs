@@ -9,9 +9,8 @@ mod endpoints;
 
 use std::process::Command;
 
-use ztl_std::keys::KeyPair;
 use ztl_std::{RemoteTask, RequestError, TaskId};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, connect, start, ztl};
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, start, ztl};
 
 /// Peak memory of a server that one connection abuses.
 const MEMORY: u64 = 64 << 10;
@@ -97,40 +96,5 @@ fn is_served(remote: &mut RemoteTask) {
     match remote.status(99) {
         Err(RequestError::UnknownTask { .. }) => {}
         other => panic!("not served: {other:?}"),
-    }
-}
-
-/// Pairs of keys made by `ztl keys`.
-struct Keys(Scratch);
-
-impl Keys {
-    #[track_caller]
-    fn make(names: &[&str]) -> Self {
-        let keys = Self(Scratch::new());
-        for name in names {
-            let ended = Process::run(ztl().arg("keys").arg(keys.0.path(name)));
-            assert_eq!(ended.code, Some(0), "{ended:?}");
-        }
-        keys
-    }
-
-    fn file(&self, name: &str) -> String {
-        self.0.path(name).display().to_string()
-    }
-
-    #[track_caller]
-    fn pair(&self, name: &str) -> KeyPair {
-        let file = self.0.path(format!("{name}.key_secret"));
-        KeyPair::read(file.as_path()).expect("keys")
-    }
-
-    /// A client with keys that waits patiently.
-    #[track_caller]
-    fn client(&self, endpoint: &str, own: &str, server: &str) -> RemoteTask {
-        let remote = connect(endpoint).with_timeout(PATIENCE);
-        let server = self.pair(server).public();
-        remote
-            .with_keys(self.pair(own), server)
-            .expect("encryption")
     }
 }

@@ -1,6 +1,7 @@
 //! The streams.
 
-use super::MOST;
+/// The longest frame that the servers take.
+pub(super) const MOST: usize = 3000;
 
 /// A stream of a client.
 pub(super) struct Case {

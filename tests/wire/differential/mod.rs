@@ -14,14 +14,11 @@ use std::time::Instant;
 use ztl_std::{Limits, RunningServer, TaskServer, Transport};
 use ztl_tests::lab::{PATIENCE, SCOPE, port_of, shake_hands};
 
-use self::cases::{Case, NUMBER, STATUS, greeting, handshakes, named, silent, traffic};
+use self::cases::{Case, MOST, NUMBER, STATUS, greeting, handshakes, named, silent, traffic};
 use self::differences::{
     ANSWER, DIFFERENCES, END, IDENTITY, SERVED, TIME_TO_LIVE, TOGETHER_WITH_READY,
 };
 use crate::socket::Echo;
-
-/// The longest frame that the servers take.
-const MOST: usize = 3000;
 
 /// How many connections are open at a time.
 const TOGETHER: usize = 50;

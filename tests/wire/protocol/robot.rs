@@ -24,14 +24,14 @@ pub(crate) enum Happening {
 }
 
 /// A server of `/robot` and `/lamp`.
-pub(crate) struct Lab {
+pub(crate) struct TraceServer {
     pub(crate) server: RunningServer,
     last: Last,
 }
 
 type Last = Arc<Mutex<Option<Sender<Happening>>>>;
 
-impl Lab {
+impl TraceServer {
     pub(crate) fn new() -> Self {
         let last = Last::default();
         let mut server = TaskServer::bind("tcp://127.0.0.1:*").expect("a port");

@@ -10,21 +10,21 @@ use ztl_tests::lab::{PATIENCE, Server, until};
 
 use super::document::{Block, blocks};
 use super::parallel::{side_by_side, socket};
-use super::robot::{Happening, Lab};
+use super::robot::{Happening, TraceServer};
 
 /// The document's placeholders for numbers that the server chooses.
 const GIVEN: [&str; 4] = ["10471", "10472", "81501", "81502"];
 
 /// Who answers.
 enum Host {
-    Ours(Lab),
+    Ours(TraceServer),
     Original(Server),
 }
 
 impl Host {
     fn endpoint(&self) -> String {
         match self {
-            Self::Ours(lab) => lab.server.endpoint().to_owned(),
+            Self::Ours(server) => server.server.endpoint().to_owned(),
             Self::Original(server) => server.endpoint(),
         }
     }
@@ -175,8 +175,8 @@ impl Player {
                 return;
             }
         };
-        if let Host::Ours(lab) = &self.host {
-            lab.let_happen(&happening);
+        if let Host::Ours(server) = &self.host {
+            server.let_happen(&happening);
         }
         // Waits until the server has the event; for a task without a known id, the next reply shows it.
         let ids = GIVEN.iter().take(2).rev();
@@ -193,7 +193,7 @@ impl Player {
     }
 
     fn restart(&mut self) {
-        self.host = Host::Ours(Lab::new());
+        self.host = Host::Ours(TraceServer::new());
         self.clients = Clients::of(&self.host);
     }
 }
@@ -222,7 +222,7 @@ fn servers_match_every_documented_trace() {
     let blocks = blocks("trace");
     assert!(blocks.len() >= 9, "only {} traces", blocks.len());
     let run = |block: Block| {
-        let run = move || play(&block, Host::Ours(Lab::new()));
+        let run = move || play(&block, Host::Ours(TraceServer::new()));
         Box::new(run) as Box<dyn FnOnce() + Send>
     };
     side_by_side(blocks.into_iter().map(run).collect());
@@ -242,8 +242,8 @@ fn the_documented_bytes_match_the_wire() {
     let blocks = blocks("bytes");
     assert!(!blocks.is_empty());
     for block in blocks {
-        let lab = Lab::new();
-        let address = lab.server.endpoint().replace("tcp://", "");
+        let server = TraceServer::new();
+        let address = server.server.endpoint().replace("tcp://", "");
         let mut stream = TcpStream::connect(address).expect("a connection");
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         for (number, line) in block.lines {

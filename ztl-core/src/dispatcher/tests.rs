@@ -13,13 +13,13 @@ use std::vec::Vec;
 const MANY_CLIENTS: &str = "too many clients at a time, try again in a minute";
 
 /// A server on virtual time. A client is a number; replies are collected as text.
-struct Lab {
+struct Desk {
     dispatcher: Dispatcher<Fixed<u8, 2, 3, 16, 2>>,
     now: Instant,
     answers: Vec<(u8, String)>,
 }
 
-impl Lab {
+impl Desk {
     fn new() -> Self {
         let memory = Fixed::new(["/test", "/other"]);
         let config = Config::new(TaskId::new(1).unwrap(), 4711);
@@ -30,12 +30,17 @@ impl Lab {
         }
     }
 
-    fn body(&mut self, peer: u8, body: Body<'_>) -> Option<(&'static str, u32)> {
+    fn handle(
+        &mut self,
+        peer: u8,
+        envelope: Option<Envelope>,
+        body: Body<'_>,
+    ) -> Option<(&'static str, u32)> {
         let answers = &mut self.answers;
         let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
         let action = self
             .dispatcher
-            .handle_request(self.now, peer, None, body, &mut out)?;
+            .handle_request(self.now, peer, envelope, body, &mut out)?;
         Some(match action {
             Action::Start { id, .. } => ("start", id.get()),
             Action::Abort { id, .. } => ("abort", id.get()),
@@ -43,7 +48,7 @@ impl Lab {
     }
 
     fn ask(&mut self, peer: u8, request: &str) -> Option<(&'static str, u32)> {
-        self.body(peer, Body::One(request.as_bytes()))
+        self.handle(peer, None, Body::One(request.as_bytes()))
     }
 
     fn event(&mut self, id: u32, event: TaskEvent<'_>) {
@@ -114,112 +119,112 @@ fn every_malformed_request_is_answered_and_the_next_valid_one_is_served() {
             "/test;2;99999999999999999999;Invalid ID '99999999999999999999'",
         ),
     ] {
-        let mut lab = Lab::new();
-        assert_eq!(lab.body(7, Body::One(request)), None);
-        lab.told(&[(7, answer)]);
-        lab.accepted(1);
+        let mut desk = Desk::new();
+        assert_eq!(desk.handle(7, None, Body::One(request)), None);
+        desk.told(&[(7, answer)]);
+        desk.accepted(1);
     }
-    let mut lab = Lab::new();
-    lab.body(7, Body::Several);
-    lab.told(&[(7, ";2;-1;Unknown protocol")]);
+    let mut desk = Desk::new();
+    desk.handle(7, None, Body::Several);
+    desk.told(&[(7, ";2;-1;Unknown protocol")]);
     let digits = "9".repeat(5000);
-    lab.ask(7, &std::format!("/test;2;{digits};x"));
-    lab.told(&[(7, "/test;2;-1;Invalid request")]);
+    desk.ask(7, &std::format!("/test;2;{digits};x"));
+    desk.told(&[(7, "/test;2;-1;Invalid request")]);
 }
 
 #[test]
 fn a_task_is_started_queried_and_completed() {
-    let mut lab = Lab::new();
-    assert_eq!(lab.ask(1, "/test;1;-1;x"), Some(("start", 1)));
-    lab.told(&[]);
-    lab.event(1, TaskEvent::Accepted { reply: "Initiated" });
-    lab.told(&[(1, "/test;1;1;Initiated")]);
-    lab.ask(2, "/test;2;1;a;b;c");
-    lab.told(&[(2, "/test;1;1;None")]);
-    lab.event(1, TaskEvent::Progress { text: "half" });
-    lab.ask(2, "/test;2;1;");
-    lab.told(&[(2, "/test;1;1;half")]);
-    lab.event(1, TaskEvent::Completed { result: "done" });
-    lab.ask(2, "/test;2;1;");
-    lab.told(&[(2, "/test;5;1;done")]);
+    let mut desk = Desk::new();
+    assert_eq!(desk.ask(1, "/test;1;-1;x"), Some(("start", 1)));
+    desk.told(&[]);
+    desk.event(1, TaskEvent::Accepted { reply: "Initiated" });
+    desk.told(&[(1, "/test;1;1;Initiated")]);
+    desk.ask(2, "/test;2;1;a;b;c");
+    desk.told(&[(2, "/test;1;1;None")]);
+    desk.event(1, TaskEvent::Progress { text: "half" });
+    desk.ask(2, "/test;2;1;");
+    desk.told(&[(2, "/test;1;1;half")]);
+    desk.event(1, TaskEvent::Completed { result: "done" });
+    desk.ask(2, "/test;2;1;");
+    desk.told(&[(2, "/test;5;1;done")]);
 }
 
 #[test]
 fn a_task_is_unknown_under_another_scope() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.ask(2, "/other;2;1;");
-    lab.told(&[(2, "/other;2;1;Invalid ID '1'")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.ask(2, "/other;2;1;");
+    desk.told(&[(2, "/other;2;1;Invalid ID '1'")]);
 }
 
 #[test]
 fn a_rejected_init_has_no_id_but_consumes_one() {
-    let mut lab = Lab::new();
-    lab.ask(1, "/test;1;-1;x");
-    lab.event(1, TaskEvent::Rejected { reason: "busy" });
-    lab.told(&[(1, "/test;2;-1;busy")]);
-    lab.ask(1, "/test;1;-1;x");
-    lab.event(2, TaskEvent::Threw { message: "'goal'" });
-    lab.told(&[(1, "/test;3;-1;Controller threw exception: 'goal'")]);
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[(1, "/test;2;1;Invalid ID '1'")]);
-    lab.accepted(3);
+    let mut desk = Desk::new();
+    desk.ask(1, "/test;1;-1;x");
+    desk.event(1, TaskEvent::Rejected { reason: "busy" });
+    desk.told(&[(1, "/test;2;-1;busy")]);
+    desk.ask(1, "/test;1;-1;x");
+    desk.event(2, TaskEvent::Threw { message: "'goal'" });
+    desk.told(&[(1, "/test;3;-1;Controller threw exception: 'goal'")]);
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[(1, "/test;2;1;Invalid ID '1'")]);
+    desk.accepted(3);
 }
 
 #[test]
 fn abort_is_answered_when_the_task_has_ended() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    assert_eq!(lab.ask(2, "/test;3;1;"), Some(("abort", 1)));
-    lab.told(&[]);
-    lab.event(1, TaskEvent::Aborted { result: "at 40" });
-    lab.told(&[(2, "/test;4;1;True")]);
-    lab.ask(2, "/test;2;1;");
-    lab.told(&[(2, "/test;4;1;at 40")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    assert_eq!(desk.ask(2, "/test;3;1;"), Some(("abort", 1)));
+    desk.told(&[]);
+    desk.event(1, TaskEvent::Aborted { result: "at 40" });
+    desk.told(&[(2, "/test;4;1;True")]);
+    desk.ask(2, "/test;2;1;");
+    desk.told(&[(2, "/test;4;1;at 40")]);
 }
 
 #[test]
 fn abort_of_a_task_that_completes_meanwhile_reports_completed() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.ask(2, "/test;3;1;");
-    lab.event(1, TaskEvent::Completed { result: "40" });
-    lab.told(&[(2, "/test;5;1;40")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.ask(2, "/test;3;1;");
+    desk.event(1, TaskEvent::Completed { result: "40" });
+    desk.told(&[(2, "/test;5;1;40")]);
 }
 
 #[test]
 fn a_slow_abort_is_answered_in_time_and_status_reports_the_final_state() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.ask(2, "/test;3;1;");
-    lab.pass(Duration::from_millis(1499));
-    lab.told(&[]);
-    lab.pass(Duration::from_millis(1));
-    lab.told(&[(2, "/test;1;1;aborting")]);
-    lab.event(1, TaskEvent::Aborted { result: "late" });
-    lab.told(&[]);
-    lab.ask(2, "/test;2;1;");
-    lab.told(&[(2, "/test;4;1;late")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.ask(2, "/test;3;1;");
+    desk.pass(Duration::from_millis(1499));
+    desk.told(&[]);
+    desk.pass(Duration::from_millis(1));
+    desk.told(&[(2, "/test;1;1;aborting")]);
+    desk.event(1, TaskEvent::Aborted { result: "late" });
+    desk.told(&[]);
+    desk.ask(2, "/test;2;1;");
+    desk.told(&[(2, "/test;4;1;late")]);
 }
 
 #[test]
 fn a_refused_abort_is_reported_and_the_task_continues() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.ask(2, "/test;3;1;");
-    lab.event(1, TaskEvent::AbortRefused);
-    lab.told(&[(2, "/test;1;1;False")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.ask(2, "/test;3;1;");
+    desk.event(1, TaskEvent::AbortRefused);
+    desk.told(&[(2, "/test;1;1;False")]);
 }
 
 #[test]
 fn abort_of_a_finished_task_keeps_its_result() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.event(1, TaskEvent::Completed { result: "hi" });
-    assert_eq!(lab.ask(2, "/test;3;1;"), None);
-    lab.told(&[(2, "/test;5;1;False")]);
-    lab.ask(2, "/test;2;1;");
-    lab.told(&[(2, "/test;5;1;hi")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.event(1, TaskEvent::Completed { result: "hi" });
+    assert_eq!(desk.ask(2, "/test;3;1;"), None);
+    desk.told(&[(2, "/test;5;1;False")]);
+    desk.ask(2, "/test;2;1;");
+    desk.told(&[(2, "/test;5;1;hi")]);
 }
 
 #[test]
@@ -230,85 +235,85 @@ fn a_final_state_and_its_result_never_change() {
         TaskEvent::Aborted { result: "a" },
     ];
     for first in ends {
-        let mut lab = Lab::new();
-        lab.accepted(1);
-        lab.event(1, first);
-        lab.ask(1, "/test;2;1;");
-        let told = lab.answers.clone();
+        let mut desk = Desk::new();
+        desk.accepted(1);
+        desk.event(1, first);
+        desk.ask(1, "/test;2;1;");
+        let told = desk.answers.clone();
         for later in ends.into_iter().chain([
             TaskEvent::Progress { text: "p" },
             TaskEvent::Accepted { reply: "r" },
             TaskEvent::Rejected { reason: "j" },
             TaskEvent::AbortRefused,
         ]) {
-            lab.event(1, later);
+            desk.event(1, later);
         }
-        lab.answers.clear();
-        lab.ask(1, "/test;2;1;");
-        assert_eq!(lab.answers, told);
+        desk.answers.clear();
+        desk.ask(1, "/test;2;1;");
+        assert_eq!(desk.answers, told);
     }
 }
 
 #[test]
 fn an_undecided_init_is_answered_in_time_with_its_id() {
-    let mut lab = Lab::new();
-    lab.ask(1, "/test;1;-1;x");
-    lab.pass(HOLD);
-    lab.told(&[(1, "/test;1;1;Initiated task '1', nobody has taken it yet")]);
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[(1, "/test;0;1;None")]);
-    lab.event(1, TaskEvent::Rejected { reason: "no" });
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[(1, "/test;2;1;no")]);
+    let mut desk = Desk::new();
+    desk.ask(1, "/test;1;-1;x");
+    desk.pass(HOLD);
+    desk.told(&[(1, "/test;1;1;Initiated task '1', nobody has taken it yet")]);
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[(1, "/test;0;1;None")]);
+    desk.event(1, TaskEvent::Rejected { reason: "no" });
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[(1, "/test;2;1;no")]);
 }
 
 #[test]
 fn a_full_table_drops_the_oldest_ended_task_and_never_a_running_one() {
-    let mut lab = Lab::new();
+    let mut desk = Desk::new();
     for id in 1..=3 {
-        lab.accepted(id);
+        desk.accepted(id);
     }
-    lab.ask(1, "/test;1;-1;x");
-    lab.told(&[(
+    desk.ask(1, "/test;1;-1;x");
+    desk.told(&[(
         1,
         "/test;2;-1;too many tasks are running, wait for one to end",
     )]);
-    lab.event(2, TaskEvent::Completed { result: "2" });
-    lab.pass(Duration::from_secs(1));
-    lab.event(1, TaskEvent::Completed { result: "1" });
-    lab.accepted(4);
-    lab.ask(1, "/test;2;2;");
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[(1, "/test;2;2;Invalid ID '2'"), (1, "/test;5;1;1")]);
+    desk.event(2, TaskEvent::Completed { result: "2" });
+    desk.pass(Duration::from_secs(1));
+    desk.event(1, TaskEvent::Completed { result: "1" });
+    desk.accepted(4);
+    desk.ask(1, "/test;2;2;");
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[(1, "/test;2;2;Invalid ID '2'"), (1, "/test;5;1;1")]);
 }
 
 #[test]
 fn a_device_keeps_an_ended_task_until_its_slot_is_needed() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.event(1, TaskEvent::Completed { result: "done" });
-    lab.pass(Duration::from_secs(7200));
-    assert_eq!(lab.dispatcher.poll_timeout(), None);
-    lab.accepted(2);
-    lab.accepted(3);
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[(1, "/test;5;1;done")]);
-    lab.accepted(4);
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[(1, "/test;2;1;Invalid ID '1'")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.event(1, TaskEvent::Completed { result: "done" });
+    desk.pass(Duration::from_secs(7200));
+    assert_eq!(desk.dispatcher.poll_timeout(), None);
+    desk.accepted(2);
+    desk.accepted(3);
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[(1, "/test;5;1;done")]);
+    desk.accepted(4);
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[(1, "/test;2;1;Invalid ID '1'")]);
 }
 
 #[test]
 fn requests_are_answered_at_once_when_no_reply_can_be_held() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.ask(1, "/test;1;-1;x");
-    lab.ask(2, "/test;1;-1;x");
-    assert_eq!(lab.ask(3, "/test;1;-1;x"), None);
-    lab.event(2, TaskEvent::Rejected { reason: "no" });
-    lab.ask(3, "/test;3;3;");
-    assert_eq!(lab.ask(4, "/test;3;1;"), Some(("abort", 1)));
-    lab.told(&[
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.ask(1, "/test;1;-1;x");
+    desk.ask(2, "/test;1;-1;x");
+    assert_eq!(desk.ask(3, "/test;1;-1;x"), None);
+    desk.event(2, TaskEvent::Rejected { reason: "no" });
+    desk.ask(3, "/test;3;3;");
+    assert_eq!(desk.ask(4, "/test;3;1;"), Some(("abort", 1)));
+    desk.told(&[
         (3, "/test;2;-1;too many requests are waiting, try again"),
         (1, "/test;2;-1;no"),
         (4, "/test;1;1;aborting"),
@@ -317,29 +322,29 @@ fn requests_are_answered_at_once_when_no_reply_can_be_held() {
 
 #[test]
 fn a_result_that_does_not_fit_is_cut_at_a_character_boundary() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.event(
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.event(
         1,
         TaskEvent::Completed {
             result: "fünfzehn zeichen und mehr",
         },
     );
-    lab.ask(1, "/test;2;1;");
-    let (_, answer) = lab.answers.pop().unwrap();
+    desk.ask(1, "/test;2;1;");
+    let (_, answer) = desk.answers.pop().unwrap();
     assert_eq!(answer, "/test;5;1;fünfzehn zei…".to_string());
 }
 
 #[test]
 fn an_abort_of_a_task_that_is_then_rejected_is_answered_too() {
-    let mut lab = Lab::new();
-    lab.ask(1, "/test;1;-1;x");
-    lab.ask(2, "/test;3;1;");
-    lab.event(1, TaskEvent::Rejected { reason: "no" });
-    lab.told(&[(1, "/test;2;-1;no"), (2, "/test;2;1;no")]);
+    let mut desk = Desk::new();
+    desk.ask(1, "/test;1;-1;x");
+    desk.ask(2, "/test;3;1;");
+    desk.event(1, TaskEvent::Rejected { reason: "no" });
+    desk.told(&[(1, "/test;2;-1;no"), (2, "/test;2;1;no")]);
 }
 
-impl Lab {
+impl Desk {
     /// A request of client 7 with this number, in our envelope.
     fn ours(&mut self, peer: u8, number: u64, request: &str) -> Option<(&'static str, u32)> {
         self.with_early_end(peer, number, false, request)
@@ -365,52 +370,43 @@ impl Lab {
         early_end: bool,
         request: &str,
     ) -> Option<(&'static str, u32)> {
-        let answers = &mut self.answers;
-        let mut out = |peer, reply: &Reply<'_>| answers.push((peer, text(reply)));
         let envelope = Envelope {
             client: ClientId([client; 16]),
             number,
             early_end,
         };
-        let body = Body::One(request.as_bytes());
-        let action =
-            self.dispatcher
-                .handle_request(self.now, peer, Some(envelope), body, &mut out)?;
-        Some(match action {
-            Action::Start { id, .. } => ("start", id.get()),
-            Action::Abort { id, .. } => ("abort", id.get()),
-        })
+        self.handle(peer, Some(envelope), Body::One(request.as_bytes()))
     }
 }
 
 #[test]
 fn a_repeated_init_starts_nothing_and_gets_the_same_reply() {
-    let mut lab = Lab::new();
-    assert_eq!(lab.ours(1, 5, "/test;1;-1;x"), Some(("start", 1)));
-    assert_eq!(lab.ours(2, 5, "/test;1;-1;x"), None);
-    lab.event(1, TaskEvent::Accepted { reply: "ok" });
-    lab.pass(Duration::from_millis(3));
-    assert_eq!(lab.ours(3, 5, "/test;1;-1;x"), None);
-    lab.told(&[
+    let mut desk = Desk::new();
+    assert_eq!(desk.ours(1, 5, "/test;1;-1;x"), Some(("start", 1)));
+    assert_eq!(desk.ours(2, 5, "/test;1;-1;x"), None);
+    desk.event(1, TaskEvent::Accepted { reply: "ok" });
+    desk.pass(Duration::from_millis(3));
+    assert_eq!(desk.ours(3, 5, "/test;1;-1;x"), None);
+    desk.told(&[
         (1, "/test;1;1;ok"),
         (2, "/test;1;1;ok"),
         (3, "/test;1;1;ok"),
     ]);
     // The next number is a new INIT.
-    assert_eq!(lab.ours(1, 6, "/test;1;-1;x"), Some(("start", 2)));
-    assert_eq!(lab.ours(1, 5, "/test;1;-1;x"), None);
-    lab.told(&[(1, "/test;2;-1;this INIT was given up by its client")]);
+    assert_eq!(desk.ours(1, 6, "/test;1;-1;x"), Some(("start", 2)));
+    assert_eq!(desk.ours(1, 5, "/test;1;-1;x"), None);
+    desk.told(&[(1, "/test;2;-1;this INIT was given up by its client")]);
 }
 
 #[test]
 fn a_repeated_rejected_init_gets_the_same_reply() {
-    let mut lab = Lab::new();
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.event(1, TaskEvent::Threw { message: "'goal'" });
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.ours(1, 6, "$ztl;2;-1;outcome 5");
+    let mut desk = Desk::new();
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.event(1, TaskEvent::Threw { message: "'goal'" });
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.ours(1, 6, "$ztl;2;-1;outcome 5");
     let threw = "Controller threw exception: 'goal'";
-    lab.told(&[
+    desk.told(&[
         (1, &std::format!("/test;3;-1;{threw}")),
         (1, &std::format!("/test;3;-1;{threw}")),
         (1, &std::format!("$ztl;3;-1;{threw}")),
@@ -419,29 +415,33 @@ fn a_repeated_rejected_init_gets_the_same_reply() {
 
 #[test]
 fn outcome_reports_an_init_or_voids_it_for_a_minute() {
-    let mut lab = Lab::new();
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.ours(2, 6, "$ztl;2;-1;outcome 5");
-    lab.told(&[]);
-    lab.event(1, TaskEvent::Accepted { reply: "ok" });
-    lab.told(&[(1, "/test;1;1;ok"), (2, "$ztl;1;1;ok")]);
-    lab.ours(2, 7, "$ztl;2;-1;outcome 5");
-    lab.told(&[(2, "$ztl;1;1;ok")]);
-    lab.ours(2, 9, "$ztl;2;-1;outcome 8");
-    lab.told(&[(2, "$ztl;2;0;never seen since boot 4711")]);
-    assert_eq!(lab.ours(2, 8, "/test;1;-1;x"), None, "it arrives after all");
-    lab.told(&[(2, "/test;2;-1;this INIT was given up by its client")]);
+    let mut desk = Desk::new();
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.ours(2, 6, "$ztl;2;-1;outcome 5");
+    desk.told(&[]);
+    desk.event(1, TaskEvent::Accepted { reply: "ok" });
+    desk.told(&[(1, "/test;1;1;ok"), (2, "$ztl;1;1;ok")]);
+    desk.ours(2, 7, "$ztl;2;-1;outcome 5");
+    desk.told(&[(2, "$ztl;1;1;ok")]);
+    desk.ours(2, 9, "$ztl;2;-1;outcome 8");
+    desk.told(&[(2, "$ztl;2;0;never seen since boot 4711")]);
+    assert_eq!(
+        desk.ours(2, 8, "/test;1;-1;x"),
+        None,
+        "it arrives after all"
+    );
+    desk.told(&[(2, "/test;2;-1;this INIT was given up by its client")]);
 }
 
 #[test]
 fn outcome_waits_for_an_undecided_init() {
-    let mut lab = Lab::new();
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.pass(HOLD);
-    lab.ours(2, 6, "$ztl;2;-1;outcome 5");
-    lab.pass(HOLD);
+    let mut desk = Desk::new();
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.pass(HOLD);
+    desk.ours(2, 6, "$ztl;2;-1;outcome 5");
+    desk.pass(HOLD);
     let undecided = "Initiated task '1', nobody has taken it yet";
-    lab.told(&[
+    desk.told(&[
         (1, &std::format!("/test;1;1;{undecided}")),
         (2, &std::format!("$ztl;1;1;{undecided}")),
     ]);
@@ -449,16 +449,16 @@ fn outcome_waits_for_an_undecided_init() {
 
 #[test]
 fn an_answered_init_is_kept_for_a_minute() {
-    let mut lab = Lab::new();
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.event(1, TaskEvent::Accepted { reply: "ok" });
-    lab.pass(Duration::from_millis(59_990));
-    lab.answers.clear();
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.told(&[(1, "/test;1;1;ok")]);
-    lab.pass(Duration::from_millis(20));
+    let mut desk = Desk::new();
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.event(1, TaskEvent::Accepted { reply: "ok" });
+    desk.pass(Duration::from_millis(59_990));
+    desk.answers.clear();
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.told(&[(1, "/test;1;1;ok")]);
+    desk.pass(Duration::from_millis(20));
     assert_eq!(
-        lab.dispatcher.poll_timeout(),
+        desk.dispatcher.poll_timeout(),
         None,
         "its record has expired"
     );
@@ -466,25 +466,25 @@ fn an_answered_init_is_kept_for_a_minute() {
 
 #[test]
 fn an_early_end_replaces_the_reply_if_the_client_asks_for_it() {
-    let mut lab = Lab::new();
-    lab.with_early_end(1, 5, true, "/test;1;-1;x");
-    lab.event(1, TaskEvent::Accepted { reply: "ok" });
-    lab.told(&[]);
-    lab.event(1, TaskEvent::Completed { result: "40" });
-    lab.told(&[(1, "/test;5;1;40")]);
+    let mut desk = Desk::new();
+    desk.with_early_end(1, 5, true, "/test;1;-1;x");
+    desk.event(1, TaskEvent::Accepted { reply: "ok" });
+    desk.told(&[]);
+    desk.event(1, TaskEvent::Completed { result: "40" });
+    desk.told(&[(1, "/test;5;1;40")]);
     // A slower task gets the usual reply, and so does an INIT that does not ask for an early end.
-    lab.with_early_end(1, 6, true, "/test;1;-1;x");
-    lab.event(2, TaskEvent::Accepted { reply: "ok" });
-    lab.pass(Duration::from_millis(3));
-    lab.told(&[(1, "/test;1;2;ok")]);
-    lab.ours(1, 7, "/test;1;-1;x");
-    lab.event(3, TaskEvent::Accepted { reply: "ok" });
-    lab.told(&[(1, "/test;1;3;ok")]);
+    desk.with_early_end(1, 6, true, "/test;1;-1;x");
+    desk.event(2, TaskEvent::Accepted { reply: "ok" });
+    desk.pass(Duration::from_millis(3));
+    desk.told(&[(1, "/test;1;2;ok")]);
+    desk.ours(1, 7, "/test;1;-1;x");
+    desk.event(3, TaskEvent::Accepted { reply: "ok" });
+    desk.told(&[(1, "/test;1;3;ok")]);
 }
 
 #[test]
 fn an_init_that_replaces_one_with_a_held_reply_leaves_its_text_intact() {
-    let mut lab = Lab::new();
+    let mut desk = Desk::new();
     let second = Duration::from_secs(1);
     for (id, next, asked) in [
         (1, "/test;1;-1;x", None),
@@ -495,49 +495,49 @@ fn an_init_that_replaces_one_with_a_held_reply_leaves_its_text_intact() {
         ),
     ] {
         let number = u64::from(id);
-        lab.with_early_end(1, number, true, "/test;1;-1;x");
-        lab.event(id, TaskEvent::Accepted { reply: "ok" });
-        lab.pass(Duration::from_millis(1));
-        lab.told(&[]);
+        desk.with_early_end(1, number, true, "/test;1;-1;x");
+        desk.event(id, TaskEvent::Accepted { reply: "ok" });
+        desk.pass(Duration::from_millis(1));
+        desk.told(&[]);
         // Sent before the 3 ms have passed.
-        lab.ours(2, number + 1, next);
-        lab.event(id + 1, TaskEvent::Rejected { reason: "no" });
+        desk.ours(2, number + 1, next);
+        desk.event(id + 1, TaskEvent::Rejected { reason: "no" });
         let asked = asked.unwrap_or("/test;2;-1;no");
-        lab.told(&[(1, &std::format!("/test;1;{id};ok")), (2, asked)]);
-        lab.pass(second);
-        lab.told(&[]);
+        desk.told(&[(1, &std::format!("/test;1;{id};ok")), (2, asked)]);
+        desk.pass(second);
+        desk.told(&[]);
     }
 }
 
 #[test]
 fn a_reused_number_is_rejected_under_the_requested_scope() {
-    let mut lab = Lab::new();
+    let mut desk = Desk::new();
     let taken = "2;-1;another INIT has this number";
-    lab.ours(1, 5, "/test;1;-1;x");
+    desk.ours(1, 5, "/test;1;-1;x");
     for decided in [false, true] {
         if decided {
-            lab.event(1, TaskEvent::Accepted { reply: "ok" });
-            lab.told(&[(1, "/test;1;1;ok")]);
+            desk.event(1, TaskEvent::Accepted { reply: "ok" });
+            desk.told(&[(1, "/test;1;1;ok")]);
         }
-        assert_eq!(lab.ours(2, 5, "/other;1;-1;x"), None);
-        assert_eq!(lab.ours(2, 5, "/test;1;-1;y"), None);
-        lab.told(&[
+        assert_eq!(desk.ours(2, 5, "/other;1;-1;x"), None);
+        assert_eq!(desk.ours(2, 5, "/test;1;-1;y"), None);
+        desk.told(&[
             (2, &std::format!("/other;{taken}")),
             (2, &std::format!("/test;{taken}")),
         ]);
     }
-    assert_eq!(lab.ours(2, 5, "/test;1;-1;x"), None);
-    lab.told(&[(2, "/test;1;1;ok")]);
+    assert_eq!(desk.ours(2, 5, "/test;1;-1;x"), None);
+    desk.told(&[(2, "/test;1;1;ok")]);
 }
 
 #[test]
 fn a_final_state_without_prior_acceptance_answers_the_init_each_time() {
-    let mut lab = Lab::new();
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.event(1, TaskEvent::Failed { reason: "stuck" });
-    lab.ours(1, 5, "/test;1;-1;x");
-    lab.ask(1, "/test;2;1;");
-    lab.told(&[
+    let mut desk = Desk::new();
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.event(1, TaskEvent::Failed { reason: "stuck" });
+    desk.ours(1, 5, "/test;1;-1;x");
+    desk.ask(1, "/test;2;1;");
+    desk.told(&[
         (1, "/test;1;1;stuck"),
         (1, "/test;1;1;stuck"),
         (1, "/test;3;1;stuck"),
@@ -546,31 +546,31 @@ fn a_final_state_without_prior_acceptance_answers_the_init_each_time() {
 
 #[test]
 fn status_of_our_clients_waits_for_the_final_state_and_others_do_not() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.ours(2, 1, "/test;2;1;wait 1000");
-    lab.ask(3, "/test;2;1;wait 1000");
-    lab.told(&[(3, "/test;1;1;None")]);
-    lab.event(1, TaskEvent::Progress { text: "half" });
-    lab.pass(Duration::from_millis(999));
-    lab.told(&[]);
-    lab.pass(Duration::from_millis(1));
-    lab.told(&[(2, "/test;1;1;half")]);
-    lab.ours(2, 2, "/test;2;1;wait 60000");
-    lab.pass(Duration::from_millis(1998));
-    lab.event(1, TaskEvent::Completed { result: "all" });
-    lab.told(&[(2, "/test;5;1;all")]);
-    lab.ours(2, 3, "/test;2;1;wait 1000");
-    lab.told(&[(2, "/test;5;1;all")]);
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.ours(2, 1, "/test;2;1;wait 1000");
+    desk.ask(3, "/test;2;1;wait 1000");
+    desk.told(&[(3, "/test;1;1;None")]);
+    desk.event(1, TaskEvent::Progress { text: "half" });
+    desk.pass(Duration::from_millis(999));
+    desk.told(&[]);
+    desk.pass(Duration::from_millis(1));
+    desk.told(&[(2, "/test;1;1;half")]);
+    desk.ours(2, 2, "/test;2;1;wait 60000");
+    desk.pass(Duration::from_millis(1998));
+    desk.event(1, TaskEvent::Completed { result: "all" });
+    desk.told(&[(2, "/test;5;1;all")]);
+    desk.ours(2, 3, "/test;2;1;wait 1000");
+    desk.told(&[(2, "/test;5;1;all")]);
 }
 
 #[test]
 fn an_init_is_rejected_if_its_reply_could_not_be_recorded() {
-    let mut lab = Lab::new();
+    let mut desk = Desk::new();
     for client in [1, 2, 3] {
-        lab.request_of(client, client, 1, false, "/test;1;-1;x");
+        desk.request_of(client, client, 1, false, "/test;1;-1;x");
     }
-    lab.told(&[(3, &std::format!("/test;2;-1;{MANY_CLIENTS}"))]);
+    desk.told(&[(3, &std::format!("/test;2;-1;{MANY_CLIENTS}"))]);
 }
 
 /// Both the table and the held replies or client records are full, and the table holds an ended task.
@@ -621,13 +621,13 @@ fn a_rejected_init_drops_no_ended_task() {
 
 #[test]
 fn probe_describes_the_server() {
-    let mut lab = Lab::new();
-    lab.accepted(1);
-    lab.accepted(2);
-    lab.event(1, TaskEvent::Completed { result: "" });
-    lab.ask(3, "$ztl;2;-1;probe");
+    let mut desk = Desk::new();
+    desk.accepted(1);
+    desk.accepted(2);
+    desk.event(1, TaskEvent::Completed { result: "" });
+    desk.ask(3, "$ztl;2;-1;probe");
     let version = crate::VERSION;
-    lab.told(&[(
+    desk.told(&[(
         3,
         &std::format!(
             "$ztl;5;0;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{\"/test\": {{}}, \"/other\": {{}}}}, running: {{2: \"/test\"}}}}"
@@ -639,51 +639,51 @@ fn probe_describes_the_server() {
         "$ztl;x;-1;probe",
         "$ztl;2;-1;outcome 5",
     ] {
-        assert_eq!(lab.ask(3, request), None);
-        let (_, answer) = lab.answers.pop().unwrap();
+        assert_eq!(desk.ask(3, request), None);
+        let (_, answer) = desk.answers.pop().unwrap();
         assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
     for payload in ["outcome", "outcome x", "outcome -1"] {
-        lab.ours(3, 9, &std::format!("$ztl;2;-1;{payload}"));
-        let (_, answer) = lab.answers.pop().unwrap();
+        desk.ours(3, 9, &std::format!("$ztl;2;-1;{payload}"));
+        let (_, answer) = desk.answers.pop().unwrap();
         assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
 }
 
 #[test]
 fn tasks_from_before_a_restart_are_known_and_their_ids_are_not_reused() {
-    let mut lab = Lab::new();
-    lab.now = Instant::from_millis(7_200_000);
-    let restore = |lab: &mut Lab, id, state, ended| {
+    let mut desk = Desk::new();
+    desk.now = Instant::from_millis(7_200_000);
+    let restore = |desk: &mut Desk, id, state, ended| {
         let mut task = Task::<_, heapless::String<16>>::new(Scope(1));
         task.state = state;
         crate::tasks::Text::set(&mut task.text, "before");
         task.ended = ended;
-        lab.dispatcher.restore(TaskId::new(id).unwrap(), task)
+        desk.dispatcher.restore(TaskId::new(id).unwrap(), task)
     };
     let half_an_hour_ago = Instant::from_millis(5_400_000);
-    assert!(restore(&mut lab, 7, State::Accepted, Instant::NEVER));
-    assert!(restore(&mut lab, 5, State::Completed, half_an_hour_ago));
-    lab.dispatcher.skip_to(TaskId::new(20).unwrap());
-    lab.accepted(21);
+    assert!(restore(&mut desk, 7, State::Accepted, Instant::NEVER));
+    assert!(restore(&mut desk, 5, State::Completed, half_an_hour_ago));
+    desk.dispatcher.skip_to(TaskId::new(20).unwrap());
+    desk.accepted(21);
     assert!(
-        !restore(&mut lab, 30, State::Accepted, Instant::NEVER),
+        !restore(&mut desk, 30, State::Accepted, Instant::NEVER),
         "there is no room"
     );
-    lab.ask(2, "/other;2;7;");
-    lab.ask(2, "/other;2;5;");
-    lab.ask(2, "/test;2;7;");
-    lab.told(&[
+    desk.ask(2, "/other;2;7;");
+    desk.ask(2, "/other;2;5;");
+    desk.ask(2, "/test;2;7;");
+    desk.told(&[
         (2, "/other;1;7;before"),
         (2, "/other;5;5;before"),
         (2, "/test;2;7;Invalid ID '7'"),
     ]);
-    assert_eq!(lab.ask(2, "/other;3;7;"), Some(("abort", 7)));
-    lab.event(7, TaskEvent::Aborted { result: "here" });
-    lab.told(&[(2, "/other;4;7;True")]);
+    assert_eq!(desk.ask(2, "/other;3;7;"), Some(("abort", 7)));
+    desk.event(7, TaskEvent::Aborted { result: "here" });
+    desk.told(&[(2, "/other;4;7;True")]);
     // The task that ended first is dropped, and that was before the restart.
-    lab.accepted(31);
-    lab.ask(2, "/other;2;5;");
-    lab.ask(2, "/other;2;7;");
-    lab.told(&[(2, "/other;2;5;Invalid ID '5'"), (2, "/other;4;7;here")]);
+    desk.accepted(31);
+    desk.ask(2, "/other;2;5;");
+    desk.ask(2, "/other;2;7;");
+    desk.told(&[(2, "/other;2;5;Invalid ID '5'"), (2, "/other;4;7;here")]);
 }

@@ -102,6 +102,66 @@ pub struct Offer<'a> {
     pub topics: &'a str,
 }
 
+impl<'a> Offer<'a> {
+    /// A component that refuses a second task, aborts when the link is lost, describes no goals and publishes nothing.
+    #[must_use]
+    pub const fn new(name: &'a str) -> Self {
+        Self {
+            name,
+            goal: GoalShape {
+                range: None,
+                unit: "",
+                words: "",
+            },
+            busy: Busy::Refuse,
+            loss: Loss::Abort,
+            topics: "",
+        }
+    }
+
+    /// Accepts numbers from `least` to `most`.
+    #[must_use]
+    pub const fn with_range(mut self, least: f32, most: f32, unit: &'a str) -> Self {
+        self.goal.range = Some((least, most));
+        self.with_unit(unit)
+    }
+
+    /// Accepts goals in this unit.
+    #[must_use]
+    pub const fn with_unit(mut self, unit: &'a str) -> Self {
+        self.goal.unit = unit;
+        self
+    }
+
+    /// Accepts these words, separated by spaces.
+    #[must_use]
+    pub const fn with_words(mut self, words: &'a str) -> Self {
+        self.goal.words = words;
+        self
+    }
+
+    /// What happens to a second task.
+    #[must_use]
+    pub const fn with_busy(mut self, busy: Busy) -> Self {
+        self.busy = busy;
+        self
+    }
+
+    /// What happens when the link is lost.
+    #[must_use]
+    pub const fn with_loss(mut self, loss: Loss) -> Self {
+        self.loss = loss;
+        self
+    }
+
+    /// Publishes readings of these topics, separated by spaces.
+    #[must_use]
+    pub const fn with_topics(mut self, topics: &'a str) -> Self {
+        self.topics = topics;
+        self
+    }
+}
+
 /// A message of the link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -11,20 +11,20 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 
-use std::time::Duration;
+use std::time::{Duration, UNIX_EPOCH};
 
 use ztl_core::link::Loss;
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::*;
-use ztl_mcu::link::{Busy, GoalShape, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+use ztl_sim::Disk;
 use ztl_sim::line::{Dice, Faults, FaultyLine};
-use ztl_std::gateway::DeviceJournal;
+use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
 mod restart;
-
-use restart::Disk;
 
 /// The real motions of the motors, independent of any message.
 #[derive(Default)]
@@ -57,20 +57,7 @@ fn millis_of(goal: &str) -> Option<u64> {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "ms",
-            words: "",
-        };
-        let name = self.name;
-        let (busy, loss) = (Busy::Refuse, self.loss);
-        Offer {
-            name,
-            goal,
-            busy,
-            loss,
-            topics: "",
-        }
+        Offer::new(self.name).with_unit("ms").with_loss(self.loss)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
@@ -131,10 +118,28 @@ fn arrived(line: &mut FaultyLine, now: Instant) -> Vec<u8> {
     }
 }
 
+/// The simulation has no wall clock.
+fn moment() -> Moment {
+    Moment {
+        wall: UNIX_EPOCH,
+        running: Duration::ZERO,
+    }
+}
+
+/// The session of a gateway that was started on a disk.
+fn session(disk: &Disk) -> Session<DeviceJournal<Disk>> {
+    let stranger = u64::from(numbers());
+    let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), stranger);
+    let gateway = log.gateway();
+    let log = Arc::new(Mutex::new(log));
+    let book = DeviceJournal::new(log, "lab", moment);
+    Session::with_journal(book, gateway, Some(115_200), numbers)
+}
+
 type SmallNode = Node<'static, [Motor; 2], 2, 128>;
 
 /// A gateway's session, a line, a device, and clients that keep books.
-struct Lab {
+struct Pair {
     now: Instant,
     session: Session<DeviceJournal<Disk>>,
     disk: Disk,
@@ -171,13 +176,13 @@ fn numbers() -> u32 {
     NEXT.fetch_add(1, Ordering::Relaxed).max(1)
 }
 
-impl Lab {
+impl Pair {
     fn new(seed: u64) -> Self {
         let world = Rc::default();
         let disk = Disk::default();
         let mut lab = Self {
             now: Instant::from_millis(1000),
-            session: restart::session(&disk),
+            session: session(&disk),
             disk,
             node: node(&world, 1),
             boots: 1,
@@ -328,14 +333,14 @@ impl Lab {
 }
 
 #[track_caller]
-fn ended(lab: &Lab, id: TaskId) -> (State, &str) {
+fn ended(lab: &Pair, id: TaskId) -> (State, &str) {
     let (state, text) = lab.ended.get(&id).expect("it has ended");
     (*state, text)
 }
 
 #[test]
 fn a_task_is_accepted_and_completed() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let id = lab.ask("arm", 200);
     lab.pass(Duration::from_millis(150));
     assert!(lab.session.is_up());
@@ -347,7 +352,7 @@ fn a_task_is_accepted_and_completed() {
 
 #[test]
 fn a_device_rejection_is_reported_with_its_reason() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let first = lab.ask("arm", 500);
     let second = lab.ask("arm", 500);
     let third = lab.ask("leg", 500);
@@ -365,7 +370,7 @@ fn a_device_rejection_is_reported_with_its_reason() {
 
 #[test]
 fn a_goal_too_long_for_the_device_is_rejected_with_the_limit() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     lab.pass(Duration::from_millis(300));
     let id = TaskId::new(1).unwrap();
     let goal = "x".repeat(200);
@@ -377,7 +382,7 @@ fn a_goal_too_long_for_the_device_is_rejected_with_the_limit() {
 
 #[test]
 fn a_rejected_task_leaves_its_number_to_the_next_one() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     lab.pass(Duration::from_millis(300));
     lab.ask("arm", 60_000);
     for _ in 0..20 {
@@ -402,7 +407,7 @@ fn a_rejected_task_leaves_its_number_to_the_next_one() {
 
 #[test]
 fn a_device_that_cannot_describe_a_component_is_rejected_with_the_reason() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let long: &'static str = Box::leak("n".repeat(120).into_boxed_str());
     let motor = |place, name| Motor {
         place,
@@ -423,7 +428,7 @@ fn a_device_that_cannot_describe_a_component_is_rejected_with_the_reason() {
 
 #[test]
 fn without_a_device_a_task_is_rejected_in_time_and_never_starts() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     lab.down.cut(Instant::ZERO..Instant::from_millis(5000));
     let id = lab.ask("arm", 200);
     lab.pass(Duration::from_millis(999));
@@ -437,7 +442,7 @@ fn without_a_device_a_task_is_rejected_in_time_and_never_starts() {
 #[test]
 fn a_cut_line_fails_the_task_only_after_the_devices_timeout() {
     for (down, up) in [(true, false), (false, true), (true, true)] {
-        let mut lab = Lab::new(1);
+        let mut lab = Pair::new(1);
         lab.pass(Duration::from_millis(300));
         let id = lab.ask("arm", 60_000);
         let belt = lab.ask("belt", 20_000);
@@ -467,7 +472,7 @@ fn a_cut_line_fails_the_task_only_after_the_devices_timeout() {
 
 #[test]
 fn a_reset_fails_the_devices_tasks_and_it_serves_again() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let id = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(500));
     lab.reset();
@@ -481,7 +486,7 @@ fn a_reset_fails_the_devices_tasks_and_it_serves_again() {
 
 #[test]
 fn a_task_survives_a_briefly_unplugged_line() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let id = lab.ask("arm", 2000);
     lab.pass(Duration::from_millis(500));
     lab.replug();
@@ -492,7 +497,7 @@ fn a_task_survives_a_briefly_unplugged_line() {
 
 #[test]
 fn an_abort_is_resent_in_a_new_session() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let id = lab.ask("belt", 60_000);
     lab.pass(Duration::from_millis(500));
     lab.down.cut(lab.now..lab.now + Duration::from_millis(1500));
@@ -506,11 +511,11 @@ fn an_abort_is_resent_in_a_new_session() {
 
 #[test]
 fn another_gateways_tasks_are_aborted_and_acknowledged() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let stranger = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(500));
     // The gateway dies; another one, that knows nothing, takes over.
-    lab.session = restart::session(&Disk::default());
+    lab.session = session(&Disk::default());
     lab.asked.remove(&stranger);
     lab.accepted.clear();
     lab.session.handle_connected(lab.now);
@@ -525,7 +530,7 @@ fn another_gateways_tasks_are_aborted_and_acknowledged() {
 /// reported `device was reset` for a running task.
 #[test]
 fn a_welcome_from_before_a_reset_opens_no_session() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     // The device's messages are delayed; it is reset meanwhile.
     lab.up.hold_until(lab.now + Duration::from_millis(800));
     lab.pass(Duration::from_millis(200));
@@ -542,7 +547,7 @@ fn a_welcome_from_before_a_reset_opens_no_session() {
     lab.check();
 }
 
-impl Drop for Lab {
+impl Drop for Pair {
     fn drop(&mut self) {
         if std::thread::panicking() {
             for line in &self.trace {

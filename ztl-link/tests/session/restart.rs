@@ -1,76 +1,14 @@
 //! Gateways that are killed and started again on what they have written down.
 
-use std::io;
-use std::sync::{Arc, Mutex};
-use std::time::UNIX_EPOCH;
-
 use super::*;
-use ztl_std::gateway::{JournalRecords, Moment, Storage};
 
-/// A disk that outlives the gateways, and may be full.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Disk(Arc<Mutex<(Vec<u8>, bool)>>);
-
-impl Disk {
-    pub(super) fn fill(&self, full: bool) {
-        self.0.lock().unwrap().1 = full;
-    }
-
-    pub(super) fn written(&self) -> Vec<u8> {
-        self.0.lock().unwrap().0.clone()
-    }
-}
-
-impl Storage for Disk {
-    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
-        let (written, full) = &mut *self.0.lock().unwrap();
-        if *full {
-            return Err(io::ErrorKind::StorageFull.into());
-        }
-        written.extend_from_slice(lines);
-        Ok(())
-    }
-
-    fn cut(&mut self, len: u64) -> io::Result<()> {
-        self.0.lock().unwrap().0.truncate(len as usize);
-        Ok(())
-    }
-
-    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
-        self.cut(0)?;
-        self.add(lines, true)
-    }
-
-    fn place(&self) -> String {
-        "on a simulated disk".to_owned()
-    }
-}
-
-/// The simulation has no wall clock.
-fn moment() -> Moment {
-    Moment {
-        wall: UNIX_EPOCH,
-        running: Duration::ZERO,
-    }
-}
-
-/// The session of a gateway that was started on a disk.
-pub(super) fn session(disk: &Disk) -> Session<DeviceJournal<Disk>> {
-    let stranger = u64::from(numbers());
-    let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), stranger);
-    let gateway = log.gateway();
-    let log = Arc::new(Mutex::new(log));
-    let book = DeviceJournal::new(log, "lab", moment);
-    Session::with_journal(book, gateway, Some(115_200), numbers)
-}
-
-impl Lab {
+impl Pair {
     /// The gateway is killed and started again; what is on the line stays there.
     pub(super) fn restart(&mut self, dice: &mut Dice) {
         self.note("gateway killed and started again".to_owned());
         // It may die while it writes a line, from which nothing has followed then.
         let torn = &b"{\"event\":\"start\",\"task\":1"[..dice.below(25) as usize];
-        self.disk.0.lock().unwrap().0.extend_from_slice(torn);
+        self.disk.tear(torn);
         let disk = self.disk.clone();
         let log = JournalRecords::open(disk.clone(), &disk.written(), moment(), 0);
         // A reported outcome is known and unchanged.
@@ -117,7 +55,7 @@ impl Lab {
 
 #[test]
 fn a_restarted_gateway_continues_the_devices_tasks() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let arm = lab.ask("arm", 1500);
     let belt = lab.ask("belt", 3000);
     lab.pass(Duration::from_millis(500));
@@ -133,7 +71,7 @@ fn a_restarted_gateway_continues_the_devices_tasks() {
 
 #[test]
 fn a_journaled_but_unsent_start_never_runs() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     lab.pass(Duration::from_millis(300));
     lab.down.cut(lab.now..lab.now + Duration::from_millis(100));
     let id = lab.ask("arm", 100);
@@ -149,7 +87,7 @@ fn a_journaled_but_unsent_start_never_runs() {
 
 #[test]
 fn a_restarted_gateway_waits_for_a_silent_devices_timeout() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let arm = lab.ask("arm", 60_000);
     let belt = lab.ask("belt", 20_000);
     lab.pass(Duration::from_millis(500));
@@ -168,10 +106,10 @@ fn a_restarted_gateway_waits_for_a_silent_devices_timeout() {
 
 #[test]
 fn an_outcome_that_cannot_be_journaled_is_neither_reported_nor_acknowledged() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let id = lab.ask("arm", 400);
     lab.pass(Duration::from_millis(300));
-    lab.disk.fill(true);
+    lab.disk.set_full(true);
     let refused = lab.ask("belt", 100);
     lab.pass(Duration::from_secs(3));
     assert!(lab.ended.is_empty());
@@ -185,7 +123,7 @@ fn an_outcome_that_cannot_be_journaled_is_neither_reported_nor_acknowledged() {
     lab.restart(&mut Dice::new(1));
     lab.pass(Duration::from_secs(1));
     assert!(lab.ended.is_empty());
-    lab.disk.fill(false);
+    lab.disk.set_full(false);
     lab.pass(Duration::from_millis(600));
     assert_eq!(ended(&lab, id), (State::Completed, "at some place"));
     lab.check();
@@ -193,14 +131,14 @@ fn an_outcome_that_cannot_be_journaled_is_neither_reported_nor_acknowledged() {
 
 #[test]
 fn an_outcome_decided_by_the_gateway_is_journaled_before_it_is_reported() {
-    let mut lab = Lab::new(1);
+    let mut lab = Pair::new(1);
     let id = lab.ask("arm", 60_000);
     lab.pass(Duration::from_millis(300));
-    lab.disk.fill(true);
+    lab.disk.set_full(true);
     lab.reset();
     lab.pass(Duration::from_secs(5));
     assert!(lab.ended.is_empty());
-    lab.disk.fill(false);
+    lab.disk.set_full(false);
     lab.pass(Duration::from_millis(600));
     assert_eq!(ended(&lab, id), (State::Failed, "device was reset"));
     lab.check();
@@ -209,17 +147,17 @@ fn an_outcome_decided_by_the_gateway_is_journaled_before_it_is_reported() {
 #[test]
 fn a_task_that_never_started_is_not_confused_with_a_new_one() {
     for wait in (300..900).step_by(50) {
-        let mut lab = Lab::new(1);
+        let mut lab = Pair::new(1);
         lab.pass(Duration::from_millis(300));
         lab.down.cut(lab.now..lab.now + Duration::from_millis(100));
         let lost = lab.ask("arm", 100);
         lab.pass(Duration::from_millis(50));
         lab.down.lose();
         // Its end is kept back while the next task starts.
-        lab.disk.fill(true);
+        lab.disk.set_full(true);
         lab.restart(&mut Dice::new(1));
         lab.pass(Duration::from_millis(wait));
-        lab.disk.fill(false);
+        lab.disk.set_full(false);
         let next = lab.ask("arm", 10);
         lab.pass(Duration::from_secs(1));
         assert_eq!(ended(&lab, lost).0, State::Failed);
@@ -230,7 +168,7 @@ fn a_task_that_never_started_is_not_confused_with_a_new_one() {
 
 #[test]
 fn a_start_lost_with_its_gateway_is_not_confused_with_another_task() {
-    let mut lab = Lab::new(7);
+    let mut lab = Pair::new(7);
     lab.pass(Duration::from_millis(300));
     // The Start is written down, and the gateway dies before the line takes it.
     let mine = lab.ask("belt", 700);
@@ -262,7 +200,7 @@ fn a_start_lost_with_its_gateway_is_not_confused_with_another_task() {
 
 #[test]
 fn a_reset_with_the_same_boot_id_is_no_rejection() {
-    let mut lab = Lab::new(7);
+    let mut lab = Pair::new(7);
     lab.pass(Duration::from_millis(300));
     let task = lab.ask("belt", 700);
     // It moves, and the answer is still on the line.
@@ -288,7 +226,7 @@ fn a_device_with_an_out_of_range_link_timeout_is_rejected() {
         (60_000, true),
         (60_001, false),
     ] {
-        let mut lab = Lab::new(7);
+        let mut lab = Pair::new(7);
         let mut identity = Identity::new("lab", "1", 1);
         identity.link_timeout = Duration::from_millis(millis);
         let motor = |place, loss| Motor {

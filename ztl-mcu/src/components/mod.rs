@@ -116,4 +116,6 @@ pub use stepper::{
 };
 
 #[cfg(test)]
+mod testing;
+#[cfg(test)]
 mod tests;

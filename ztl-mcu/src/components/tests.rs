@@ -1,11 +1,9 @@
 //! The components in a real node, with a gateway played by hand, on virtual time.
 
+use super::testing::{Pin, Wire};
 use super::*;
 use crate::{Components, Identity, Instant, Node};
 use core::cell::Cell;
-use core::convert::Infallible;
-use embedded_hal::digital::{self, InputPin, OutputPin};
-use embedded_hal::pwm::{self, SetDutyCycle};
 use std::format;
 use std::string::String;
 use std::vec::Vec;
@@ -13,50 +11,6 @@ use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode,
     next_seq, session_key,
 };
-
-/// A pin or a PWM channel whose value is looked at.
-struct Pin<'a>(&'a Cell<u16>);
-
-impl digital::ErrorType for Pin<'_> {
-    type Error = Infallible;
-}
-
-impl OutputPin for Pin<'_> {
-    fn set_low(&mut self) -> Result<(), Infallible> {
-        self.0.set(0);
-        Ok(())
-    }
-
-    fn set_high(&mut self) -> Result<(), Infallible> {
-        self.0.set(1);
-        Ok(())
-    }
-}
-
-impl InputPin for Pin<'_> {
-    fn is_high(&mut self) -> Result<bool, Infallible> {
-        Ok(self.0.get() > 0)
-    }
-
-    fn is_low(&mut self) -> Result<bool, Infallible> {
-        Ok(self.0.get() == 0)
-    }
-}
-
-impl pwm::ErrorType for Pin<'_> {
-    type Error = Infallible;
-}
-
-impl SetDutyCycle for Pin<'_> {
-    fn max_duty_cycle(&self) -> u16 {
-        20_000
-    }
-
-    fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Infallible> {
-        self.0.set(duty);
-        Ok(())
-    }
-}
 
 const SESSION: u32 = 5;
 const BOOT: u32 = 77;
@@ -169,12 +123,12 @@ impl<C: Components> Desk<'_, C> {
 /// The simulated hardware.
 #[derive(Default)]
 struct World {
-    pan: Cell<u16>,
-    step: Cell<u16>,
-    direction: Cell<u16>,
-    end: Cell<u16>,
-    lamp: Cell<u16>,
-    button: Cell<u16>,
+    pan: Wire,
+    step: Wire,
+    direction: Wire,
+    end: Wire,
+    lamp: Wire,
+    button: Wire,
     progress: Cell<usize>,
 }
 
@@ -189,7 +143,7 @@ fn components(world: &World) -> impl Components + use<'_> {
         ..StepperConfig::DEFAULT
     };
     let motor = StepMotor::new(Pin(&world.step), Pin(&world.direction), &SLIDE)
-        .with_low_limit(LimitFlag(|| world.end.get() > 0));
+        .with_low_limit(LimitFlag(|| world.end.value.get() > 0));
     (
         Servo::new("pan", Pin(&world.pan), PAN),
         Stepper::new("slide", motor, SLIDE),
@@ -234,7 +188,7 @@ fn each_component_describes_its_goals() {
 #[test]
 fn components_run_tasks_concurrently() {
     let world = World::default();
-    world.button.set(1);
+    world.button.value.set(1);
     let mut desk = desk(&world);
     desk.start(1, 0, "90.5");
     desk.start(2, 0, "90");
@@ -243,19 +197,19 @@ fn components_run_tasks_concurrently() {
     desk.start(5, 3, "pressed");
     assert_eq!(desk.heard(), ["refused: pan takes -90 to 90 degrees"]);
     desk.pass(250);
-    assert_eq!(world.lamp.get(), 1);
-    world.button.set(0);
+    assert_eq!(world.lamp.value.get(), 1);
+    world.button.value.set(0);
     desk.pass(250);
-    assert_eq!(world.lamp.get(), 0);
+    assert_eq!(world.lamp.value.get(), 0);
     assert_eq!(desk.heard(), ["5 COMPLETED: pressed", "4 COMPLETED: off"]);
     desk.pass(2000);
     assert_eq!(desk.heard(), ["3 COMPLETED: 700", "2 COMPLETED: 90.0"]);
-    assert_eq!(world.pan.get(), 2000);
+    assert_eq!(world.pan.value.get(), 6500);
     assert!(world.progress.get() > 20);
 
     desk.start(6, 1, "home");
     desk.pass(500);
-    world.end.set(1);
+    world.end.value.set(1);
     desk.pass(20);
     assert_eq!(desk.heard(), ["6 COMPLETED: 0"]);
 }
@@ -278,11 +232,11 @@ fn a_lost_link_makes_each_component_safe() {
             "3 FAILED: link was lost",
         ]
     );
-    assert_eq!(world.pan.get(), 0, "released");
-    assert_eq!(world.lamp.get(), 0);
-    world.step.set(9);
+    assert_eq!(world.pan.value.get(), 0, "released");
+    assert_eq!(world.lamp.value.get(), 0);
+    world.step.value.set(9);
     desk.pass(100);
-    assert_eq!(world.step.get(), 9, "no step more");
+    assert_eq!(world.step.value.get(), 9, "no step more");
 }
 
 #[test]
@@ -294,20 +248,20 @@ fn a_lost_link_makes_outputs_of_earlier_tasks_safe() {
     desk.start(3, 2, "on");
     desk.pass(60_000);
     assert_eq!(desk.heard().len(), 3);
-    assert!(world.pan.get() > 0 && world.lamp.get() == 1);
+    assert!(world.pan.value.get() > 0 && world.lamp.value.get() == 1);
     desk.pings = false;
     desk.pass(1100);
-    assert_eq!(world.lamp.get(), 0);
-    assert_eq!(world.pan.get(), 0, "released");
-    assert_eq!(world.step.get(), 0);
+    assert_eq!(world.lamp.value.get(), 0);
+    assert_eq!(world.pan.value.get(), 0, "released");
+    assert_eq!(world.step.value.get(), 0);
     // It stays so, and the link, which is back, moves nothing by itself.
     desk.pass(60_000);
     desk.pings = true;
     desk.pass(1000);
-    assert_eq!((world.lamp.get(), world.pan.get()), (0, 0));
+    assert_eq!((world.lamp.value.get(), world.pan.value.get()), (0, 0));
     assert_eq!(desk.heard(), [""; 0]);
     desk.start(4, 2, "on");
-    assert_eq!(world.lamp.get(), 1);
+    assert_eq!(world.lamp.value.get(), 1);
 }
 
 #[test]

@@ -14,8 +14,7 @@ use std::format;
 use std::string::{String, ToString};
 use std::vec::Vec as Grown;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Busy, Frame, GoalShape, Hello, Loss, Offer, VERSION, Welcome, encode,
-    session_key,
+    ADDR_ONLY_NODE, Body, Busy, Frame, Hello, Loss, Offer, VERSION, Welcome, encode, session_key,
 };
 
 /// The calls that a motor received, in order.
@@ -38,18 +37,10 @@ struct Motor<'t> {
 
 impl Component for Motor<'_> {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: Some((0.0, 100.0)),
-            unit: "ms",
-            words: "",
-        };
-        Offer {
-            name: self.name,
-            goal,
-            busy: self.busy,
-            loss: self.loss,
-            topics: "",
-        }
+        Offer::new(self.name)
+            .with_range(0.0, 100.0, "ms")
+            .with_busy(self.busy)
+            .with_loss(self.loss)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

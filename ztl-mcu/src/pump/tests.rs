@@ -16,8 +16,8 @@ use std::format;
 use std::string::String;
 use std::vec::Vec;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Busy, Decoder, Frame, GoalShape, Hello, LinkId, Loss, NO_SEQ, NO_SESSION,
-    Offer, VERSION, encode, session_key,
+    ADDR_ONLY_NODE, Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, Offer, VERSION,
+    encode, session_key,
 };
 
 /// Moves until it is stopped, with endless readings if configured.
@@ -30,18 +30,7 @@ pub(super) struct Belt {
 
 impl Component for Belt {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "",
-            words: "on",
-        };
-        Offer {
-            name: "belt",
-            goal,
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "speed",
-        }
+        Offer::new("belt").with_words("on").with_topics("speed")
     }
 
     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {

@@ -50,12 +50,11 @@ pub struct Peer(pub u8);
 ///
 /// ```
 /// # use ztl_mcu::{Component, Identity, Refused, Report, Run, Instant};
-/// # use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+/// # use ztl_mcu::link::Offer;
 /// # struct Lamp;
 /// # impl Component for Lamp {
 /// #     fn offer(&self) -> Offer<'_> {
-/// #         let goal = GoalShape { range: None, unit: "", words: "on off" };
-/// #         Offer { name: "lamp", goal, busy: Busy::Refuse, loss: Loss::Abort, topics: "" }
+/// #         Offer::new("lamp").with_words("on off")
 /// #     }
 /// #     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> { Ok(()) }
 /// #     fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> { Ok(()) }

@@ -3,7 +3,7 @@
 use std::string::{String, ToString};
 use std::vec::Vec;
 
-use ztl_core::link::{Busy, GoalShape, Loss, Offer};
+use ztl_core::link::{Busy, Offer};
 
 use super::{Connection, Peer, Server, Socket};
 use crate::{Component, Identity, Instant, Refused, Report, Run};
@@ -122,20 +122,11 @@ pub(super) struct Motor {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "motor",
-            goal: GoalShape {
-                range: None,
-                unit: "",
-                words: "up down",
-            },
-            busy: match self.patient {
-                true => Busy::Queue(1),
-                false => Busy::Refuse,
-            },
-            loss: Loss::Abort,
-            topics: "",
-        }
+        let busy = match self.patient {
+            true => Busy::Queue(1),
+            false => Busy::Refuse,
+        };
+        Offer::new("motor").with_words("up down").with_busy(busy)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

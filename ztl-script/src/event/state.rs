@@ -47,7 +47,7 @@ pub enum WaitReason {
     },
     /// An INIT was sent and not answered: whether the task runs is unknown.
     StartUnknown,
-    /// A task failed, was aborted by somebody else, or was not started.
+    /// A task failed, was aborted by another client, or was not started.
     Failed,
     /// A task exceeds its time limit.
     TooLong,

@@ -89,7 +89,7 @@ impl Invocation {
             let text = argument.template.fill(call)?;
             if argument.guarded && text.starts_with('-') {
                 return Err(format!(
-                    "'{}' begins with '-', which the program might take for an option; whoever serves it can allow that (dashes: allowed)",
+                    "'{}' begins with '-', which the program might take for an option; `dashes: allowed` in the server's file allows it",
                     shown(&text)
                 ));
             }

@@ -1,6 +1,6 @@
 //! A motor that moves at constant speed.
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Instant, Refused, Report, Run};
 
 /// The properties of an axis.
@@ -88,17 +88,10 @@ impl Axis {
 
 impl Component for Axis {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: self.kind.name,
-            goal: GoalShape {
-                range: Some(self.kind.range),
-                unit: self.kind.unit,
-                words: self.kind.words,
-            },
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "",
-        }
+        let (least, most) = self.kind.range;
+        Offer::new(self.kind.name)
+            .with_range(least, most, self.kind.unit)
+            .with_words(self.kind.words)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
+use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
 
 /// Length of a reading in bytes.
@@ -32,17 +32,7 @@ const TAKES: &str = "probe takes no goals, it only publishes";
 
 impl Component for Sensor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: "probe",
-            goal: GoalShape {
-                range: None,
-                unit: "",
-                words: "",
-            },
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "reading",
-        }
+        Offer::new("probe").with_topics("reading")
     }
 
     fn check(&self, _goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

@@ -137,7 +137,7 @@ impl Gateway {
         self.leave_running = leave;
     }
 
-    /// Its devices, to be seen and changed also after the gateway is registered at a server.
+    /// Its devices. They can be inspected and changed also after the gateway is registered at a server.
     #[must_use]
     pub fn devices(&self) -> Devices {
         self.devices.clone()

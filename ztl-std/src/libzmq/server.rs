@@ -10,7 +10,7 @@ use ztl_core::envelope::Envelope;
 use super::authenticator::Authenticator;
 use super::{can_encrypt, io_error, sockets};
 use crate::log_targets::TASKS;
-use crate::server::router::{Content, Received, Request, ReturnPath};
+use crate::server::incoming::{Content, Received, Request, ReturnPath};
 use crate::server::{Access, BindError, CurrentAccess, Limits};
 
 /// Where the server's thread receives wake-ups.

@@ -35,7 +35,7 @@ pub(super) struct Engine {
     pub(super) next_limits: Arc<Mutex<Option<Limits>>>,
     pub(super) observer: Option<Observer>,
     pub(super) dropped: DroppedLog,
-    /// Limits the lines about requests that are refused, of which anyone can send any number.
+    /// Limits the log lines about refused requests, because anyone can send any number of them.
     pub(super) refusals: RateLimit,
     /// Whether it was logged that all task ids are used up.
     pub(super) logged_used_up: bool,

@@ -9,8 +9,8 @@ use ztl_core::{Instant, TaskId};
 
 use super::clock::now;
 use super::handler::Answers;
+use super::incoming::ReturnPath;
 use super::limits::Limits;
-use super::router::ReturnPath;
 use super::task_table::{HeapText, TaskTable};
 use crate::offers::quoted;
 use crate::task_list::TaskList;

@@ -14,6 +14,7 @@ mod dropped;
 mod engine;
 mod handle;
 mod handler;
+pub(crate) mod incoming;
 #[cfg(feature = "config")]
 mod limit_text;
 mod limits;
@@ -21,7 +22,7 @@ mod memory;
 mod reporter;
 mod requests;
 mod rounds;
-pub(crate) mod router;
+mod router;
 mod task_server;
 mod task_table;
 mod waker;

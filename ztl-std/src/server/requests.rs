@@ -12,8 +12,8 @@ use ztl_core::tasks::Tasks;
 use super::access::Sender;
 use super::clock::now;
 use super::engine::Engine;
+use super::incoming::Request;
 use super::reporter::TaskReporter;
-use super::router::Request;
 use crate::log_targets::TASKS;
 
 impl Engine {

@@ -12,8 +12,8 @@ use ztl_core::tasks::Tasks;
 
 use super::clock::now;
 use super::engine::Engine;
+use super::incoming::Received;
 use super::reporter::Report;
-use super::router::Received;
 use crate::log_targets::TASKS;
 
 /// Requests taken before reports are, and the other way round.

@@ -1,17 +1,16 @@
 //! Receives requests and sends answers, over one of two transports.
 
 use std::io;
-use std::ops::Deref;
 use std::time::Duration;
 
 use tracing::warn;
-use ztl_core::envelope::Envelope;
 use ztl_core::reply::Reply;
 use ztl_zmtp::session::Security;
 use ztl_zmtp::{Router as RouterType, curve};
 
-use super::access::{Access, CurrentAccess, Sender};
+use super::access::{Access, CurrentAccess};
 use super::bind::{BindError, not_here};
+use super::incoming::{Content, Received, Request, ReturnPath};
 use super::limits::Limits;
 use super::waker::Signal;
 use crate::keys::PublicKey;
@@ -19,57 +18,9 @@ use crate::keys::PublicKey;
 use crate::libzmq::server::RouterSocket;
 use crate::log_targets::TASKS;
 use crate::native::Endpoint;
-use crate::native::peers::{PeerId, Peers, Rules};
+use crate::native::peers::{Peers, Rules};
 use crate::random;
 use crate::transport::Transport;
-
-/// Leads an answer back to its client.
-#[derive(Debug)]
-pub(crate) enum ReturnPath {
-    /// The connection, and the frames before the content.
-    Native(PeerId, Box<[u8]>),
-    /// The ROUTER identity, the envelope, the empty delimiter.
-    #[cfg(feature = "libzmq")]
-    Libzmq(Vec<zmq::Message>),
-}
-
-/// The content of a message.
-pub(crate) enum Content {
-    Native(Box<[u8]>),
-    #[cfg(feature = "libzmq")]
-    Libzmq(zmq::Message),
-}
-
-impl Deref for Content {
-    type Target = [u8];
-
-    fn deref(&self) -> &[u8] {
-        match self {
-            Self::Native(bytes) => bytes,
-            #[cfg(feature = "libzmq")]
-            Self::Libzmq(message) => message,
-        }
-    }
-}
-
-/// A request as it arrived.
-pub(crate) struct Request {
-    pub(crate) path: ReturnPath,
-    pub(crate) envelope: Option<Envelope>,
-    /// The only frame after the delimiter; `None` if there are several.
-    pub(crate) content: Option<Content>,
-    pub(crate) sender: Sender,
-}
-
-/// What [`Router::receive`] found.
-pub(crate) enum Received {
-    Request(Request),
-    /// Something that woke the server's thread.
-    #[cfg(feature = "libzmq")]
-    Wake,
-    /// A message that is dropped, for this reason.
-    Dropped(&'static str),
-}
 
 /// The server's end of its connections.
 pub(super) enum Router {

@@ -56,7 +56,8 @@ impl Outbound {
         }
     }
 
-    /// Sends a message: frames as they are on the wire, of which each announces another, then a last one.
+    /// Sends a message: `envelope` has frames as they are on the wire, each of which announces another; `last` is the last
+    /// frame.
     pub fn message(&mut self, envelope: &[u8], last: &[u8]) {
         #[cfg(feature = "curve")]
         if let Some(cipher) = &mut self.cipher {

@@ -313,7 +313,7 @@ fn a_client_accepts_only_the_server_whose_key_it_has() {
     let mut client = End::<Dealer>::new(Security::Curve(wrong));
     talk(&mut server, &mut client, 10_000, &mut |_| ());
     assert_eq!(server.fault, Some(Fault::Security));
-    // Without encryption nobody gets in, whatever the mechanism says.
+    // A client without encryption is rejected, with any mechanism in its greeting.
     let [server, _] = curve();
     let mut server = End::<Router>::new(server);
     let mut client = End::<Dealer>::new(Security::Null);

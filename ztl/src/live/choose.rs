@@ -2,6 +2,9 @@
 
 use ztl_script::event::SceneOutline;
 
+/// Longest input in bytes; a name of a scene is shorter.
+const LONGEST: usize = 200;
+
 /// The input so far, and the scene that Enter shows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Chooser {
@@ -75,8 +78,10 @@ impl Chooser {
     }
 
     fn add(&mut self, char: char, scenes: &[SceneOutline]) {
-        self.typed.push(char);
-        self.find(scenes);
+        if self.typed.len() < LONGEST {
+            self.typed.push(char);
+            self.find(scenes);
+        }
     }
 
     /// Moves the cursor to the match.

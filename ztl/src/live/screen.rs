@@ -10,18 +10,23 @@ use ztl_script::event::{Question, RunCommand};
 use super::board::Board;
 use super::choose::{Chooser, Chosen};
 use super::draw::{self, Pane, View};
+use super::key_decoder::KeyDecoder;
 use super::keys;
 use super::rows::Seen;
 use super::text::{Capabilities, Line};
-use crate::key_press::{self, KeyPress, LastPress};
-use crate::{terminal, terminal_mode};
+use crate::key_press::{KeyPress, LastPress};
+use crate::{signals, terminal, terminal_mode};
 
 /// Longest time from an event to its display.
 const PAUSE: Duration = Duration::from_millis(40);
 /// Interval at which the clocks on the screen advance.
 const TICK: Duration = Duration::from_millis(100);
-/// How long to wait for the rest of an incomplete key.
-const REST: Duration = Duration::from_millis(40);
+/// So many keys that arrive together are a paste.
+const PASTE: usize = 16;
+/// What arrives this soon after a part of a paste belongs to it.
+const PASTE_GOES_ON: Duration = Duration::from_millis(300);
+/// Longest input that is handled at once.
+const MOST_INPUT: usize = 64 * 1024;
 /// How late keys may be read that are read together.
 const LATE: Duration = Duration::from_secs(2);
 /// After this time a question that still stands did not accept its answer.
@@ -47,6 +52,11 @@ pub(super) struct Screen {
     pressed: Sender<KeyPress>,
     wake: Box<dyn Fn() + Send>,
     capabilities: Capabilities,
+    /// Whether the run asks the operator.
+    attended: bool,
+    decoder: KeyDecoder,
+    /// When the last part of a paste was received.
+    pasted: Option<Instant>,
     view: View,
     /// The part of the body that is visible.
     body: Seen,
@@ -68,12 +78,16 @@ impl Screen {
         pressed: Sender<KeyPress>,
         wake: impl Fn() + Send + 'static,
         capabilities: Capabilities,
+        attended: bool,
     ) -> Self {
         Self {
             shared,
             pressed,
             wake: Box::new(wake),
             capabilities,
+            attended,
+            decoder: KeyDecoder::default(),
+            pasted: None,
             view: View::default(),
             body: Seen::default(),
             shown_question: 0,
@@ -88,9 +102,14 @@ impl Screen {
 
     pub(super) fn run(mut self) {
         while !lock(&self.shared).over && !terminal_mode::is_restored() {
-            if self.turn().is_err() {
-                // The terminal is gone. A signal ends the run.
-                std::thread::sleep(TICK);
+            match self.turn() {
+                Ok(()) => {}
+                // Another program on this terminal may have made it non-blocking.
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    self.drawn.clear();
+                    std::thread::sleep(TICK);
+                }
+                Err(_) => return signals::hang_up(self.attended),
             }
         }
     }
@@ -102,51 +121,49 @@ impl Screen {
         self.read_keys(PAUSE)
     }
 
-    /// Reads keys, and waits for the rest of an incomplete one.
+    /// Waits for keys, and handles all that were typed.
     fn read_keys(&mut self, limit: Duration) -> io::Result<()> {
         let mut typed = terminal_mode::read_within(limit)?;
-        let mut at = 0;
-        while at < typed.len() {
-            match key_press::first_key(typed.get(at..).unwrap_or_default()) {
-                Some((_, length)) => at += length,
-                None => {
-                    let rest = terminal_mode::read_within(REST)?;
-                    if rest.is_empty() {
-                        break;
-                    }
-                    typed.extend(rest);
-                }
-            }
+        let mut more = !typed.is_empty();
+        while more && typed.len() < MOST_INPUT {
+            let next = terminal_mode::read_within(Duration::ZERO)?;
+            more = !next.is_empty();
+            typed.extend(next);
         }
-        self.handle_keys(&typed);
+        let now = Instant::now();
+        if let Some(key) = self.decoder.given_up(now, &typed) {
+            self.handle_keys(vec![key], false);
+        }
+        let keys = self.decoder.complete(now, &typed);
+        let goes_on = |at: Instant| now.saturating_duration_since(at) < PASTE_GOES_ON;
+        let goes_on = self.pasted.is_some_and(goes_on);
+        if !keys.is_empty() && (goes_on || keys.len() >= PASTE) {
+            self.pasted = Some(now);
+        }
+        self.handle_keys(keys, goes_on);
         Ok(())
     }
 
-    /// Of keys read together, only the first is a decision: the operator has not seen its effect yet.
-    fn handle_keys(&mut self, typed: &[u8]) {
-        let mut rest = typed;
-        let mut nth = 0;
-        while !rest.is_empty() {
-            let (key, length) = key_press::first_key(rest).unwrap_or_else(|| match rest {
-                [0x1b] => ("Esc".to_owned(), 1),
-                _ => ("?".to_owned(), rest.len()),
-            });
-            rest = rest.get(length..).unwrap_or_default();
+    /// Of keys read together, only the first is a decision: the operator has not seen its effect yet. `pasted`: they
+    /// follow others of a paste.
+    fn handle_keys(&mut self, keys: Vec<String>, pasted: bool) {
+        let count = keys.len();
+        for (nth, key) in keys.into_iter().enumerate() {
+            let first = nth == 0 && !pasted;
             match key.as_str() {
                 "Ctrl-Z" => terminal_mode::suspend(),
                 "Ctrl-L" => self.drawn.clear(),
                 // A stop key always counts, even after other keys.
-                name if keys::stops(name) => self.press(key, nth > 0),
+                name if keys::stops(name) => self.press(key, !first),
                 // Moving decides nothing.
-                name if self.is_choosing() || keys::scrolls(name) => self.press(key, nth > 0),
-                _ if nth == 0 => self.press(key, !rest.is_empty()),
+                name if self.is_choosing() || keys::scrolls(name) => self.press(key, !first),
+                _ if first => self.press(key, count > 1),
                 _ => {
                     let press = LastPress::after(None, Instant::now(), Duration::ZERO);
                     self.last_key = Some((key.clone(), press));
                     self.send(key, None, None);
                 }
             }
-            nth += 1;
         }
     }
 

@@ -51,7 +51,10 @@ impl<'s> View<'s> {
     ) -> Result<Self, Box<dyn std::error::Error>> {
         let Some(lines) = lines else {
             #[cfg(unix)]
-            return Ok(Self::Live(LiveView::open(move || inputs.wake())?));
+            return Ok(Self::Live(LiveView::open(
+                move || inputs.wake(),
+                !unattended,
+            )?));
             #[cfg(not(unix))]
             return Err("the live view is not supported on this system; use --plain".into());
         };

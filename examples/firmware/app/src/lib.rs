@@ -91,17 +91,10 @@ pub trait Board {
 /// The node of the robot. `boot` differs from reset to reset.
 // Not inlined, so that only the node stays on the stack.
 #[inline(never)]
-fn robot<P, S, D, L, O>(
+fn robot(
     boot: u32,
-    pins: Pins<P, S, D, L, O>,
-) -> Node<'static, impl Components, TASKS, FRAME>
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+) -> Node<'static, impl Components, TASKS, FRAME> {
     #[cfg(feature = "defmt")]
     defmt::info!("desk robot started, boot {=u32:x}", boot);
     Node::new(
@@ -111,14 +104,9 @@ where
 }
 
 /// The components of the robot.
-fn components<P, S, D, L, O>(pins: Pins<P, S, D, L, O>) -> impl Components
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
+fn components(
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+) -> impl Components {
     let stage = StepMotor::new(pins.step, pins.direction, &STAGE)
         .with_low_limit(Switch::active_low(pins.limit));
     (
@@ -136,14 +124,11 @@ fn pump() -> Pump<'static> {
 }
 
 /// Runs forever.
-pub fn run<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
+pub fn run(
+    boot: u32,
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+    board: &mut impl Board,
+) -> ! {
     let mut node = robot(boot, pins);
     let pump = pump();
     let mut stopped = false;
@@ -170,17 +155,10 @@ where
 }
 
 /// The robot as a server for up to `PEERS` ZeroMQ clients, without a gateway.
-pub fn server<const PEERS: usize, P, S, D, L, O>(
+pub fn server<const PEERS: usize>(
     boot: u32,
-    pins: Pins<P, S, D, L, O>,
-) -> Server<'static, impl Components, PEERS, TASKS, FRAME, TASKS>
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+) -> Server<'static, impl Components, PEERS, TASKS, FRAME, TASKS> {
     let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
     Server::new("/lab", identity, components(pins))
 }
@@ -200,15 +178,12 @@ pub fn poll_stop<C: Components, const PEERS: usize>(
 }
 
 /// Runs forever as a server for a ZeroMQ client on the serial port.
-pub fn serve<P, S, D, L, O>(boot: u32, pins: Pins<P, S, D, L, O>, board: &mut impl Board) -> !
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
-    let mut server = server::<1, _, _, _, _, _>(boot, pins);
+pub fn serve(
+    boot: u32,
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+    board: &mut impl Board,
+) -> ! {
+    let mut server = server::<1>(boot, pins);
     let mut line = Line::new();
     loop {
         let now = board.now();
@@ -224,22 +199,15 @@ where
 
 /// Runs forever, as a future. `resume` becomes ready to end an emergency stop.
 #[cfg(feature = "async")]
-pub async fn run_async<P, S, D, L, O>(
+pub async fn run_async(
     boot: u32,
-    pins: Pins<P, S, D, L, O>,
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
     rx: &mut impl embedded_io_async::Read,
     tx: &mut impl embedded_io_async::Write,
     mut delay: impl embedded_hal_async::delay::DelayNs,
     now: impl Fn() -> Instant,
     mut resume: impl AsyncFnMut(),
-) -> !
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
+) -> ! {
     let mut node = robot(boot, pins);
     let pump = pump();
     loop {

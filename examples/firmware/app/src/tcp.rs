@@ -35,21 +35,14 @@ pub struct Address {
 }
 
 /// Runs forever. The board's serial port is not used.
-pub fn serve<P, S, D, L, O>(
+pub fn serve(
     boot: u32,
-    pins: Pins<P, S, D, L, O>,
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
     board: &mut impl Board,
     mut device: impl Device,
     address: Address,
-) -> !
-where
-    P: SetDutyCycle,
-    S: OutputPin,
-    D: OutputPin,
-    L: InputPin,
-    O: OutputPin,
-{
-    let mut server = server::<PEERS, _, _, _, _, _>(boot, pins);
+) -> ! {
+    let mut server = server::<PEERS>(boot, pins);
     let [a, b, c, d] = address.ip;
     let mac = HardwareAddress::Ethernet(EthernetAddress(address.mac));
     let mut config = Config::new(mac);

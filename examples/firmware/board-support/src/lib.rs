@@ -6,6 +6,8 @@ pub mod board;
 pub mod boots;
 #[cfg(target_arch = "arm")]
 pub mod clock;
+#[cfg(target_arch = "arm")]
+mod handlers;
 pub mod lamp;
 #[cfg(target_arch = "arm")]
 mod memory;

@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, Copy)]
 pub struct Register(*mut u32);
 
-// SAFETY: an access is one instruction, whoever makes it.
+// SAFETY: an access is one instruction, also in an interrupt.
 unsafe impl Sync for Register {}
 
 impl Register {

@@ -1,12 +1,10 @@
 //! The desk robot.
 
-use core::panic::PanicInfo;
-
 use board_support::board;
 use board_support::clock::{self, SysTick};
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use microbit::random;
 use microbit::uart::Uart;
 
@@ -25,14 +23,4 @@ fn main() -> ! {
     board::run(boot, Uart::start(), SysTick::<CYCLES>::start(core.SYST))
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-    board::poll_buttons();
-}
-
-/// Resets the board, so that the gateway can report the tasks that were running.
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!(board::poll_buttons);

@@ -5,8 +5,7 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::reply::Reply;
 use ztl_core::{Instant, Message, State};
 
-use super::{Asked, First, LastInit, Model, Task, cut};
-use crate::dispatcher::BOOT;
+use super::state::{Asked, BOOT, First, LastInit, Model, Task, cut};
 
 /// A reply's state, id and payload.
 type Told<'a> = (&'a str, &'a str, &'a str);

@@ -7,8 +7,7 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::integer::Integer;
 use ztl_core::{Message, Request};
 
-use super::{Asked, First, Model, config};
-use crate::dispatcher::SCOPES;
+use super::state::{Asked, First, Model, SCOPES, config};
 
 const GIVEN_UP: &str = "this INIT was given up by its client";
 const NUMBER_TAKEN: &str = "another INIT has this number";

@@ -2,8 +2,7 @@
 
 use std::cell::Cell;
 use std::collections::HashMap;
-use std::io;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, UNIX_EPOCH};
 
 use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
@@ -14,7 +13,8 @@ use ztl_core::tasks::{Task, Text};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 use ztl_link::{LinkEvent, Session};
-use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment, Storage};
+use ztl_sim::Disk;
+use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
 pub(super) const SCOPE: &str = "/lab";
 
@@ -22,54 +22,20 @@ pub(super) const SCOPE: &str = "/lab";
 type Room = Fixed<Envelope, 1, 48, 160, 24>;
 pub(super) type LabSession = Session<Option<DeviceJournal<Disk>>>;
 
-/// A disk that survives the gateways, and may be full.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Disk(Arc<Mutex<(Vec<u8>, bool)>>);
-
-impl Disk {
-    fn with<T>(&self, act: impl FnOnce(&mut (Vec<u8>, bool)) -> T) -> T {
-        act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    pub(super) fn fill(&self, full: bool) {
-        self.with(|(_, is_full)| *is_full = full);
-    }
-
-    /// Leaves an incomplete entry, as if the gateway was killed while writing.
-    pub(super) fn tear(&self, len: usize) {
-        let torn = b"{\"event\":\"start\",\"task\":1";
-        self.with(|(written, _)| written.extend_from_slice(&torn[..len.min(torn.len())]));
-    }
-}
-
-impl Storage for Disk {
-    fn add(&mut self, lines: &[u8], _needed: bool) -> io::Result<()> {
-        self.with(|(written, full)| {
-            if *full {
-                return Err(io::ErrorKind::StorageFull.into());
-            }
-            written.extend_from_slice(lines);
-            Ok(())
-        })
-    }
-
-    fn cut(&mut self, len: u64) -> io::Result<()> {
-        self.with(|(written, _)| written.truncate(len as usize));
-        Ok(())
-    }
-
-    fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
-        self.cut(0)?;
-        self.add(lines, true)
-    }
-
-    fn place(&self) -> String {
-        "on a simulated disk".to_owned()
-    }
-}
-
 thread_local! {
     static NOW: Cell<Instant> = const { Cell::new(Instant::ZERO) };
+    static NUMBER: Cell<u32> = const { Cell::new(0) };
+}
+
+/// Sets where the numbers of sessions start.
+pub(super) fn set_first_number(number: u32) {
+    NUMBER.set(number);
+}
+
+/// The next session number; deterministic.
+fn number() -> u32 {
+    NUMBER.set(NUMBER.get().wrapping_add(0x9E37_79B9));
+    NUMBER.get()
 }
 
 /// Sets all clocks, including those of the journals.
@@ -105,10 +71,8 @@ impl Gateway {
     pub(super) fn new(now: Instant, devices: usize, disk: Option<&Disk>, boot: u32) -> Self {
         // No id is reused, as with a random number between 1 and 2^30.
         let first = TaskId::new(boot * 100_000).expect("boots count from 1");
-        let log = disk.map(|disk| {
-            let written = disk.with(|(written, _)| written.clone());
-            JournalRecords::open(disk.clone(), &written, moment(), 77)
-        });
+        let log =
+            disk.map(|disk| JournalRecords::open(disk.clone(), &disk.written(), moment(), 77));
         let id = log
             .as_ref()
             .map_or(u64::from(boot), JournalRecords::gateway);
@@ -121,7 +85,7 @@ impl Gateway {
             let book = log
                 .clone()
                 .map(|log| DeviceJournal::new(log, &name(device), moment));
-            Session::with_journal(book, id, Some(115_200), super::number)
+            Session::with_journal(book, id, Some(115_200), number)
         });
         let mut gateway = Self {
             dispatcher: Dispatcher::new(Fixed::new([SCOPE]), Config::new(first, boot)),

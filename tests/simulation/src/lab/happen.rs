@@ -5,16 +5,7 @@ use ztl_sim::line::Faults;
 
 use super::Lab;
 use super::gateway::Gateway;
-use crate::plan::{Way, What};
-
-/// The end of a happening with a duration.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Revert {
-    Plug(usize),
-    Silence(usize, Way),
-    Start,
-    Empty,
-}
+use crate::plan::{Revert, What};
 
 impl Lab {
     pub(super) fn happen(&mut self, what: What) {
@@ -54,7 +45,9 @@ impl Lab {
             What::Kill(torn, time) => {
                 if self.gateway.take().is_some() {
                     if let Some(disk) = &self.disk {
-                        disk.tear(torn);
+                        // An incomplete entry.
+                        let entry = b"{\"event\":\"start\",\"task\":1";
+                        disk.tear(entry.get(..torn).unwrap_or(entry));
                     }
                     self.books.killed();
                     self.able_since = Instant::NEVER;
@@ -65,7 +58,7 @@ impl Lab {
             }
             What::Full(time) => {
                 if let Some(disk) = &self.disk {
-                    disk.fill(true);
+                    disk.set_full(true);
                     self.able_since = Instant::NEVER;
                     self.reverts.push((now + time, Revert::Empty));
                 }
@@ -108,7 +101,7 @@ impl Lab {
                 Revert::Start => self.start_gateway(),
                 Revert::Empty => {
                     if let Some(disk) = &self.disk {
-                        disk.fill(false);
+                        disk.set_full(false);
                     }
                     self.able_since = now;
                 }

@@ -3,9 +3,9 @@
 use ztl_core::{State, TaskId};
 use ztl_link::LinkEvent;
 
-use super::Summary;
 use super::client::Known;
 use super::motor::Truth;
+use super::summary::Summary;
 
 /// What clients know about each task.
 pub(super) struct Books {

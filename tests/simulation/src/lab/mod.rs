@@ -7,22 +7,24 @@ mod gateway;
 mod happen;
 mod judge;
 mod motor;
+mod summary;
 
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 use std::time::Duration;
 
 use ztl_core::Instant;
 use ztl_core::time::earliest;
+use ztl_sim::Disk;
 
 use self::client::{Known, Person, Wish, person};
 use self::device::Device;
-use self::gateway::{Disk, Gateway, Letter, name};
-use self::happen::Revert;
+use self::gateway::{Gateway, Letter, name};
 use self::judge::Books;
 use self::motor::{Condition, NAMES, Shared, Truth};
-use crate::plan::{Happening, Plan};
+use crate::plan::{Happening, Plan, Revert};
+pub use summary::{Failure, Summary};
 
 /// Everything must settle within this time after the last fault.
 const QUIET: Duration = Duration::from_secs(14);
@@ -31,73 +33,12 @@ const NETWORK: Duration = Duration::from_millis(1);
 /// Maximum number of turns between two happenings, about ten times what they need.
 const TURNS: usize = 40_000;
 
-/// Statistics of a run.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Summary {
-    /// Tasks that a motor started.
-    pub begun: u32,
-    /// Tasks reported as completed.
-    pub completed: u32,
-    /// Tasks with another final state.
-    pub ended: u32,
-    /// Refused tasks.
-    pub refused: u32,
-    /// Tasks with an unknown outcome.
-    pub unknown: u32,
-}
-
-impl std::ops::AddAssign for Summary {
-    fn add_assign(&mut self, other: Self) {
-        self.begun += other.begun;
-        self.completed += other.completed;
-        self.ended += other.ended;
-        self.refused += other.refused;
-        self.unknown += other.unknown;
-    }
-}
-
-impl std::fmt::Display for Summary {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self {
-            begun,
-            completed,
-            ended,
-            refused,
-            unknown,
-        } = self;
-        write!(
-            f,
-            "{begun} tasks were begun; clients were told {completed} completed, {ended} ended in \
-             another way, {refused} refused, and could not know of {unknown}"
-        )
-    }
-}
-
-/// A broken promise.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Failure {
-    /// Which.
-    pub complaint: String,
-    /// The trace, if it was requested.
-    pub trace: Vec<String>,
-}
-
-thread_local! {
-    static NUMBER: Cell<u32> = const { Cell::new(0) };
-}
-
-/// The next session number; deterministic.
-fn number() -> u32 {
-    NUMBER.set(NUMBER.get().wrapping_add(0x9E37_79B9));
-    NUMBER.get()
-}
-
 /// Plays a plan. Returns its trace if `traced`.
 ///
 /// # Errors
 /// The first broken promise.
 pub fn play(plan: &Plan, traced: bool) -> Result<(Summary, Vec<String>), Failure> {
-    NUMBER.set(plan.seed as u32);
+    gateway::set_first_number(plan.seed as u32);
     let mut lab = Lab::new(plan, traced);
     let done = lab.run(plan);
     let trace = lab.trace;

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
-use ztl_core::link::{GoalShape, Offer};
+use ztl_core::link::Offer;
 use ztl_core::{Instant, State};
 use ztl_mcu::{Component, Refused, Report, Run};
 
@@ -112,17 +112,10 @@ fn read(goal: &str) -> Option<(usize, u64)> {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: NAMES[self.place.1],
-            goal: GoalShape {
-                range: None,
-                unit: "ms",
-                words: "",
-            },
-            busy: self.plan.busy,
-            loss: self.plan.loss,
-            topics: "",
-        }
+        Offer::new(NAMES[self.place.1])
+            .with_unit("ms")
+            .with_busy(self.plan.busy)
+            .with_loss(self.plan.loss)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

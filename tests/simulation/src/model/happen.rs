@@ -3,13 +3,13 @@
 use ztl_core::State;
 
 use super::gateway::Told;
-use super::lab::{Gateway, Lab, LabSession, node};
 use super::line::Way;
+use super::link::{Gateway, LabSession, LinkModel, node};
 use super::words::{Act, Action, Fault};
 use crate::explore::System;
 use crate::fingerprint::{Fingerprint, Origin};
 
-impl Lab {
+impl LinkModel {
     fn can_act(&self) -> bool {
         let Some(act) = self.scenario.acts.get(self.acts) else {
             return false;
@@ -101,7 +101,7 @@ impl Lab {
     }
 }
 
-impl System for Lab {
+impl System for LinkModel {
     type Action = Action;
 
     fn calm(&self) -> Action {

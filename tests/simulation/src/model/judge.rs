@@ -1,14 +1,14 @@
-//! The promises, as checks of a laboratory.
+//! The promises, as checks of the model.
 
 use ztl_core::State;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 
 use super::ends::link::LinkEvent;
 use super::gateway::Told;
-use super::lab::{Lab, gateway_of};
 use super::line::Parcel;
+use super::link::{LinkModel, gateway_of};
 
-impl Lab {
+impl LinkModel {
     pub(super) fn on_sent(&mut self, parcel: &Parcel) -> Result<(), String> {
         let opens = parcel.is("Welcome") && parcel.session != self.answered.0;
         let executed = parcel.seq != 0 && (parcel.session, parcel.seq) != self.answered && !opens;

@@ -5,16 +5,16 @@
 mod gateway;
 mod happen;
 mod judge;
-mod lab;
 mod line;
+mod link;
 mod motor;
 mod scenarios;
 mod words;
 
 use super::ends;
 
-pub use lab::Lab;
 pub use line::Way;
+pub use link::LinkModel;
 pub use motor::Kind;
 pub use scenarios::SCENARIOS;
 pub use words::{Act, Action, Fault, Scenario};

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::time::Duration;
 
-use ztl_core::link::{Busy, GoalShape, Loss, Offer};
+use ztl_core::link::{Busy, Loss, Offer};
 use ztl_core::{Instant, State};
 
 use super::ends::mcu::{Component, Refused, Report, Run};
@@ -54,7 +54,7 @@ impl Truth {
 }
 
 thread_local! {
-    /// The truth of the current laboratory; the node does not expose its components.
+    /// The truth of the current model; the node does not expose its components.
     static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
 }
 
@@ -104,17 +104,10 @@ fn read(goal: &str) -> Option<(u8, u16)> {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer {
-            name: ["arm", "belt"][self.place],
-            goal: GoalShape {
-                range: None,
-                unit: "ms",
-                words: "",
-            },
-            busy: self.kind.busy,
-            loss: self.kind.loss,
-            topics: "",
-        }
+        Offer::new(["arm", "belt"][self.place])
+            .with_unit("ms")
+            .with_busy(self.kind.busy)
+            .with_loss(self.kind.loss)
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {

@@ -2,8 +2,9 @@
 
 use ztl_core::link::{Busy, Loss};
 
+use super::Fault::{Copy, Cut, Drop, Hold, Kill, KillWriting, Reset, Stall, Tape, Unplug};
 use super::motor::ENDLESS;
-use super::{Act, Fault, Kind, Scenario, Way};
+use super::{Act, Kind, Scenario, Way};
 
 const ABORT: Kind = Kind {
     loss: Loss::Abort,
@@ -58,70 +59,46 @@ pub const SCENARIOS: &[Scenario] = &[
         about: "a short task; frames are lost, delayed and repeated",
         acts: &[ask(0, 0, 40)],
         faults: &[
-            Fault::Drop(DOWN),
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Hold(UP),
-            Fault::Copy(DOWN),
-            Fault::Copy(UP),
+            Drop(DOWN),
+            Drop(UP),
+            Hold(DOWN),
+            Hold(UP),
+            Copy(DOWN),
+            Copy(UP),
         ],
         ..PLAIN
     },
     Scenario {
         name: "cut",
         about: "an endless task; either direction is cut or stalled, a frame is delayed",
-        faults: &[
-            Fault::Cut(DOWN),
-            Fault::Cut(UP),
-            Fault::Stall(DOWN),
-            Fault::Stall(UP),
-            Fault::Hold(DOWN),
-        ],
+        faults: &[Cut(DOWN), Cut(UP), Stall(DOWN), Stall(UP), Hold(DOWN)],
         ..PLAIN
     },
     Scenario {
         name: "late",
         about: "a Start that arrives just before its deadline, long after the last command",
         acts: &[ask(0, 1, 100), ask(0, 0, ENDLESS)],
-        faults: &[Fault::Cut(DOWN), Fault::Hold(DOWN)],
+        faults: &[Cut(DOWN), Hold(DOWN)],
         ..PLAIN
     },
     Scenario {
         name: "unplug",
         about: "an endless task; the line is closed, a direction is cut, frames are delayed",
-        faults: &[
-            Fault::Unplug,
-            Fault::Cut(DOWN),
-            Fault::Cut(UP),
-            Fault::Hold(DOWN),
-            Fault::Hold(UP),
-        ],
+        faults: &[Unplug, Cut(DOWN), Cut(UP), Hold(DOWN), Hold(UP)],
         ..PLAIN
     },
     Scenario {
         name: "carry-on",
         about: "a task that carries on without a link; cuts, stalls, resets",
         acts: &[ask(0, 1, ENDLESS)],
-        faults: &[
-            Fault::Cut(DOWN),
-            Fault::Cut(UP),
-            Fault::Stall(UP),
-            Fault::Unplug,
-            Fault::Reset,
-        ],
+        faults: &[Cut(DOWN), Cut(UP), Stall(UP), Unplug, Reset],
         ..PLAIN
     },
     Scenario {
         name: "abort",
         about: "a task that is aborted; frames are lost and delayed, a direction is cut",
         acts: &[ask(0, 0, ENDLESS), abort(0, 0)],
-        faults: &[
-            Fault::Drop(DOWN),
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Cut(DOWN),
-            Fault::Cut(UP),
-        ],
+        faults: &[Drop(DOWN), Drop(UP), Hold(DOWN), Cut(DOWN), Cut(UP)],
         ..PLAIN
     },
     Scenario {
@@ -129,13 +106,13 @@ pub const SCENARIOS: &[Scenario] = &[
         about: "a task; the device is reset, frames are lost, delayed and repeated",
         acts: &[ask(0, 0, 500)],
         faults: &[
-            Fault::Reset,
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Hold(UP),
-            Fault::Copy(DOWN),
-            Fault::Stall(UP),
-            Fault::Cut(UP),
+            Reset,
+            Drop(UP),
+            Hold(DOWN),
+            Hold(UP),
+            Copy(DOWN),
+            Stall(UP),
+            Cut(UP),
         ],
         ..PLAIN
     },
@@ -143,13 +120,7 @@ pub const SCENARIOS: &[Scenario] = &[
         name: "restart",
         about: "a task; the gateway is killed and restarted without a journal",
         acts: &[ask(0, 1, ENDLESS)],
-        faults: &[
-            Fault::Kill(0),
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Copy(DOWN),
-            Fault::Cut(UP),
-        ],
+        faults: &[Kill(0), Drop(UP), Hold(DOWN), Copy(DOWN), Cut(UP)],
         ..PLAIN
     },
     Scenario {
@@ -158,13 +129,13 @@ pub const SCENARIOS: &[Scenario] = &[
         journal: true,
         acts: &[ask(0, 0, 500)],
         faults: &[
-            Fault::Kill(0),
-            Fault::KillWriting(0),
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Reset,
-            Fault::Cut(UP),
-            Fault::Cut(DOWN),
+            Kill(0),
+            KillWriting(0),
+            Drop(UP),
+            Hold(DOWN),
+            Reset,
+            Cut(UP),
+            Cut(DOWN),
         ],
         ..PLAIN
     },
@@ -173,13 +144,7 @@ pub const SCENARIOS: &[Scenario] = &[
         about: "a second task waits for the first, which may be aborted; the line is bad",
         motors: [QUEUE, CARRY_ON],
         acts: &[ask(0, 0, 300), ask(0, 0, 100), abort(0, 0)],
-        faults: &[
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Cut(DOWN),
-            Fault::Cut(UP),
-            Fault::Reset,
-        ],
+        faults: &[Drop(UP), Hold(DOWN), Cut(DOWN), Cut(UP), Reset],
         times: 1,
         ..PLAIN
     },
@@ -188,13 +153,7 @@ pub const SCENARIOS: &[Scenario] = &[
         about: "a second task replaces the first; the line is bad",
         motors: [REPLACE, CARRY_ON],
         acts: &[ask(0, 0, ENDLESS), ask(0, 0, 200)],
-        faults: &[
-            Fault::Drop(UP),
-            Fault::Hold(DOWN),
-            Fault::Cut(DOWN),
-            Fault::Cut(UP),
-            Fault::Reset,
-        ],
+        faults: &[Drop(UP), Hold(DOWN), Cut(DOWN), Cut(UP), Reset],
         times: 1,
         ..PLAIN
     },
@@ -202,7 +161,7 @@ pub const SCENARIOS: &[Scenario] = &[
         name: "full",
         about: "more ended tasks than the device has room for, while it is not heard",
         acts: &[ask(0, 0, 40), ask(0, 1, 40), ask(0, 0, 40)],
-        faults: &[Fault::Cut(UP), Fault::Drop(UP)],
+        faults: &[Cut(UP), Drop(UP)],
         times: 1,
         ..PLAIN
     },
@@ -210,12 +169,7 @@ pub const SCENARIOS: &[Scenario] = &[
         name: "repeat",
         about: "a task; the line repeats all frames, in any session",
         acts: &[ask(0, 0, 40)],
-        faults: &[
-            Fault::Tape(DOWN),
-            Fault::Tape(UP),
-            Fault::Unplug,
-            Fault::Cut(UP),
-        ],
+        faults: &[Tape(DOWN), Tape(UP), Unplug, Cut(UP)],
         ..PLAIN
     },
     Scenario {
@@ -223,12 +177,7 @@ pub const SCENARIOS: &[Scenario] = &[
         about: "two gateways on one device, each with a task; one is killed, the line is bad",
         gateways: 2,
         acts: &[ask(0, 0, 500), ask(1, 0, 500)],
-        faults: &[
-            Fault::Kill(0),
-            Fault::Cut(UP),
-            Fault::Hold(DOWN),
-            Fault::Drop(UP),
-        ],
+        faults: &[Kill(0), Cut(UP), Hold(DOWN), Drop(UP)],
         times: 1,
         ..PLAIN
     },
@@ -238,7 +187,7 @@ pub const SCENARIOS: &[Scenario] = &[
         gateways: 2,
         late: true,
         acts: &[ask(0, 1, ENDLESS), ask(1, 1, ENDLESS)],
-        faults: &[Fault::Cut(DOWN), Fault::Kill(1)],
+        faults: &[Cut(DOWN), Kill(1)],
         ..PLAIN
     },
 ];

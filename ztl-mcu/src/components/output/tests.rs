@@ -1,62 +1,17 @@
 use super::*;
-use core::cell::Cell;
-use embedded_hal::digital::{Error, ErrorKind, ErrorType};
+use crate::components::testing::{self, Pin, Wire};
 use std::string::String;
 
-/// A pin whose level is looked at.
-struct Pin<'a> {
-    high: &'a Cell<bool>,
-    broken: &'a Cell<bool>,
+fn lamp(wire: &Wire) -> DigitalOutput<Pin<'_>> {
+    DigitalOutput::new("lamp", Pin(wire), DigitalOutputConfig::DEFAULT)
 }
 
-#[derive(Debug)]
-struct Broken;
-
-impl Error for Broken {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
-    }
-}
-
-impl ErrorType for Pin<'_> {
-    type Error = Broken;
-}
-
-impl Pin<'_> {
-    fn set(&self, high: bool) -> Result<(), Broken> {
-        if self.broken.get() {
-            return Err(Broken);
-        }
-        self.high.set(high);
-        Ok(())
-    }
-}
-
-impl OutputPin for Pin<'_> {
-    fn set_low(&mut self) -> Result<(), Broken> {
-        self.set(false)
-    }
-
-    fn set_high(&mut self) -> Result<(), Broken> {
-        self.set(true)
-    }
-}
-
-/// As a node does it.
 fn start(lamp: &mut DigitalOutput<Pin<'_>>, ms: u64, goal: &str) -> Result<(), String> {
-    let mut text = heapless::String::<48>::new();
-    let now = Instant::from_millis(ms);
-    let mut checked = lamp.check(goal, &mut Report::new(&mut text));
-    if checked.is_ok() {
-        checked = lamp.start(now, goal, &mut Report::new(&mut text));
-    }
-    checked.map_err(|Refused| text.as_str().into())
+    testing::start(lamp, Instant::from_millis(ms), goal)
 }
 
 fn poll(lamp: &mut DigitalOutput<Pin<'_>>, ms: u64) -> (Run, String) {
-    let mut text = heapless::String::<48>::new();
-    let run = lamp.poll(Instant::from_millis(ms), &mut Report::new(&mut text));
-    (run, text.as_str().into())
+    testing::poll(lamp, Instant::from_millis(ms))
 }
 
 /// How it stands, and what is said.
@@ -66,13 +21,10 @@ fn says(run: Run, text: &str) -> (Run, String) {
 
 #[test]
 fn on_and_off_take_effect_at_once_and_persist() {
-    let (high, broken) = (Cell::new(true), Cell::new(false));
-    let pin = Pin {
-        high: &high,
-        broken: &broken,
-    };
-    let mut lamp = DigitalOutput::new("lamp", pin, DigitalOutputConfig::DEFAULT);
-    assert!(!high.get(), "off from the beginning");
+    let wire = Wire::default();
+    wire.set(true);
+    let mut lamp = lamp(&wire);
+    assert!(!wire.is_high(), "off from the beginning");
     for (goal, on) in [
         ("on", true),
         ("off", false),
@@ -80,21 +32,17 @@ fn on_and_off_take_effect_at_once_and_persist() {
         ("False", false),
     ] {
         start(&mut lamp, 5, goal).unwrap();
-        assert_eq!(high.get(), on);
+        assert_eq!(wire.is_high(), on);
         let text = if on { "on" } else { "off" };
         assert_eq!(poll(&mut lamp, 5), says(Run::Completed, text));
-        assert_eq!(high.get(), on);
+        assert_eq!(wire.is_high(), on);
     }
 }
 
 #[test]
 fn a_pulse_has_the_requested_length_and_reports_the_time_left() {
-    let (high, broken) = (Cell::new(false), Cell::new(false));
-    let pin = Pin {
-        high: &high,
-        broken: &broken,
-    };
-    let mut lamp = DigitalOutput::new("lamp", pin, DigitalOutputConfig::DEFAULT);
+    let wire = Wire::default();
+    let mut lamp = lamp(&wire);
     for goal in [
         "pulse 200",
         "200",
@@ -103,14 +51,14 @@ fn a_pulse_has_the_requested_length_and_reports_the_time_left() {
         "{'pulse': 200.0}",
     ] {
         start(&mut lamp, 1000, goal).unwrap();
-        assert!(high.get());
+        assert!(wire.is_high());
         assert_eq!(poll(&mut lamp, 1000), says(Run::Running, "on, 200 ms left"));
         assert_eq!(poll(&mut lamp, 1080), says(Run::Running, "on, 120 ms left"));
         assert_eq!(poll(&mut lamp, 1199), says(Run::Running, "on, 1 ms left"));
         let wake = lamp.poll_timeout(Instant::from_millis(1199));
         assert_eq!(wake, Instant::from_millis(1200));
         assert_eq!(poll(&mut lamp, 1200), says(Run::Completed, "off"));
-        assert!(!high.get());
+        assert!(!wire.is_high());
     }
     start(&mut lamp, 0, "3600000").unwrap();
     assert_eq!(
@@ -121,15 +69,11 @@ fn a_pulse_has_the_requested_length_and_reports_the_time_left() {
 
 #[test]
 fn an_abort_ends_a_pulse() {
-    let (high, broken) = (Cell::new(false), Cell::new(false));
-    let pin = Pin {
-        high: &high,
-        broken: &broken,
-    };
-    let mut lamp = DigitalOutput::new("lamp", pin, DigitalOutputConfig::DEFAULT);
+    let wire = Wire::default();
+    let mut lamp = lamp(&wire);
     start(&mut lamp, 0, "pulse 200").unwrap();
     lamp.abort(Instant::from_millis(3));
-    assert!(!high.get());
+    assert!(!wire.is_high());
     assert_eq!(poll(&mut lamp, 3), says(Run::Aborted, "off"));
     start(&mut lamp, 4, "on").unwrap();
     assert_eq!(poll(&mut lamp, 4), says(Run::Completed, "on"));
@@ -148,24 +92,24 @@ fn the_safe_state_is_as_configured() {
         (false, Keep, "pulse 200", false),
         (false, Off, "pulse 200", false),
     ] {
-        let (high, broken) = (Cell::new(false), Cell::new(false));
-        let pin = Pin {
-            high: &high,
-            broken: &broken,
-        };
+        let wire = Wire::default();
         let config = DigitalOutputConfig {
             inverted,
             safe,
             ..DigitalOutputConfig::DEFAULT
         };
-        let mut lamp = DigitalOutput::new("lamp", pin, config);
+        let mut lamp = DigitalOutput::new("lamp", Pin(&wire), config);
         if safe != Keep {
-            assert_eq!(high.get() != inverted, safe == On, "from the beginning");
+            assert_eq!(wire.is_high() != inverted, safe == On, "from the beginning");
         }
         start(&mut lamp, 0, goal).unwrap();
         poll(&mut lamp, 0);
         lamp.make_safe(Instant::from_millis(1));
-        assert_eq!(high.get() != inverted, after, "{inverted} {safe:?} {goal}");
+        assert_eq!(
+            wire.is_high() != inverted,
+            after,
+            "{inverted} {safe:?} {goal}"
+        );
         assert_eq!(lamp.is_on(), after);
         let hold = lamp.offer().loss == Loss::Hold;
         assert_eq!(hold, safe == Keep);
@@ -174,33 +118,25 @@ fn the_safe_state_is_as_configured() {
 
 #[test]
 fn a_failing_pin_fails_the_task() {
-    let (high, broken) = (Cell::new(false), Cell::new(false));
-    let pin = Pin {
-        high: &high,
-        broken: &broken,
-    };
-    let mut lamp = DigitalOutput::new("lamp", pin, DigitalOutputConfig::DEFAULT);
-    broken.set(true);
+    let wire = Wire::default();
+    let mut lamp = lamp(&wire);
+    wire.broken.set(true);
     start(&mut lamp, 0, "pulse 100").unwrap();
     let failed = says(Run::Failed, "the output pin failed");
     assert_eq!(poll(&mut lamp, 0), failed);
-    broken.set(false);
+    wire.broken.set(false);
     start(&mut lamp, 0, "pulse 100").unwrap();
-    broken.set(true);
+    wire.broken.set(true);
     assert_eq!(poll(&mut lamp, 100), failed);
-    broken.set(false);
+    wire.broken.set(false);
     start(&mut lamp, 0, "off").unwrap();
     assert_eq!(poll(&mut lamp, 0), says(Run::Completed, "off"));
 }
 
 #[test]
 fn any_other_goal_is_rejected_with_the_valid_ones() {
-    let (high, broken) = (Cell::new(false), Cell::new(false));
-    let pin = Pin {
-        high: &high,
-        broken: &broken,
-    };
-    let mut lamp = DigitalOutput::new("lamp", pin, DigitalOutputConfig::DEFAULT);
+    let wire = Wire::default();
+    let mut lamp = lamp(&wire);
     for goal in [
         "",
         "blink",
@@ -226,5 +162,5 @@ fn any_other_goal_is_rejected_with_the_valid_ones() {
         let refused = Err("lamp takes on, off, or pulse 1 to 3600000 ms".into());
         assert_eq!(start(&mut lamp, 0, goal), refused, "{goal}");
     }
-    assert!(!high.get());
+    assert!(!wire.is_high());
 }

@@ -1,69 +1,25 @@
 //! A servo whose pulses are measured, on virtual time.
 
 use super::*;
-use core::cell::RefCell;
-use embedded_hal::pwm::{Error, ErrorKind, ErrorType};
+use crate::components::testing::{self, Pin, Wire};
 use proptest::prelude::*;
+use std::boxed::Box;
 use std::format;
-use std::rc::Rc;
 use std::string::String;
 use std::vec::Vec;
 
-#[derive(Debug, Default)]
-struct Line {
-    duty: u16,
-    writes: usize,
-    broken: bool,
-}
-
-/// 20 ms in 65,000 counts: 3.25 to a µs.
-#[derive(Debug, Clone)]
-struct Pwm(Rc<RefCell<Line>>);
-
-const MAX: u16 = 65_000;
-
-#[derive(Debug)]
-struct Broken;
-
-impl Error for Broken {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
-    }
-}
-
-impl ErrorType for Pwm {
-    type Error = Broken;
-}
-
-impl SetDutyCycle for Pwm {
-    fn max_duty_cycle(&self) -> u16 {
-        MAX
-    }
-
-    fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Broken> {
-        assert!(duty <= MAX);
-        let mut line = self.0.borrow_mut();
-        if line.broken {
-            return Err(Broken);
-        }
-        line.duty = duty;
-        line.writes += 1;
-        Ok(())
-    }
-}
-
 struct Bench {
-    line: Rc<RefCell<Line>>,
-    servo: Servo<Pwm>,
+    wire: &'static Wire,
+    servo: Servo<Pin<'static>>,
     now: Instant,
 }
 
 impl Bench {
     fn new(config: ServoConfig) -> Self {
-        let line = Rc::new(RefCell::new(Line::default()));
+        let wire: &'static Wire = Box::leak(Box::default());
         Self {
-            servo: Servo::new("pan", Pwm(Rc::clone(&line)), config),
-            line,
+            servo: Servo::new("pan", Pin(wire), config),
+            wire,
             now: Instant::from_millis(7),
         }
     }
@@ -73,21 +29,16 @@ impl Bench {
     }
 
     fn pulse_us(&self) -> f32 {
-        f32::from(self.line.borrow().duty) / 3.25
+        // 20 ms in 65,000 counts.
+        f32::from(self.wire.value.get()) / 3.25
     }
 
     fn start(&mut self, goal: &str) -> Result<(), String> {
-        let mut text = heapless::String::<48>::new();
-        let start = self
-            .servo
-            .start(self.now, goal, &mut Report::new(&mut text));
-        start.map_err(|Refused| text.as_str().into())
+        testing::start(&mut self.servo, self.now, goal)
     }
 
     fn poll(&mut self) -> (Run, String) {
-        let mut text = heapless::String::<48>::new();
-        let run = self.servo.poll(self.now, &mut Report::new(&mut text));
-        (run, text.as_str().into())
+        testing::poll(&mut self.servo, self.now)
     }
 
     #[track_caller]
@@ -165,17 +116,17 @@ fn a_motion_takes_the_expected_time_and_reports_its_position() {
 fn no_pulse_is_sent_before_the_first_task_or_twice() {
     let mut bench = Bench::new(ServoConfig::DEFAULT);
     bench.servo.make_safe(bench.now);
-    assert_eq!(bench.line.borrow().writes, 0);
+    assert_eq!(bench.wire.writes.get(), 0);
     bench.start("90").unwrap();
     assert_eq!(
         bench.poll(),
         completed("90.0"),
         "it is there, as it believes"
     );
-    assert_eq!(bench.line.borrow().writes, 1);
+    assert_eq!(bench.wire.writes.get(), 1);
     bench.start("90").unwrap();
     bench.poll();
-    assert_eq!(bench.line.borrow().writes, 1);
+    assert_eq!(bench.wire.writes.get(), 1);
 }
 
 #[test]
@@ -247,11 +198,11 @@ fn a_servo_made_safe_holds_or_releases_and_resumes_from_there() {
 #[test]
 fn a_failing_output_fails_the_task() {
     let mut bench = Bench::new(ServoConfig::DEFAULT);
-    bench.line.borrow_mut().broken = true;
+    bench.wire.broken.set(true);
     bench.start("0").unwrap();
     let failed = (Run::Failed, "the PWM output failed".into());
     assert_eq!(bench.poll(), failed);
-    bench.line.borrow_mut().broken = false;
+    bench.wire.broken.set(false);
     bench.start("0").unwrap();
     assert_eq!(bench.run(10_000), completed("0.0"));
 }

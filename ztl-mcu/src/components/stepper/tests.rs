@@ -413,7 +413,7 @@ fn a_motor_behind_a_mutex_is_driven_by_its_interrupt_alone() {
         assert_eq!(bench.poll(), (Run::Running, "0".into()));
         bench.pass(1000);
     }
-    assert_eq!(bench.position(), 0, "nobody has called the interrupt");
+    assert_eq!(bench.position(), 0, "the interrupt was not called");
     for _ in 0..100_000 {
         bench.interrupt();
         bench.pass(25);

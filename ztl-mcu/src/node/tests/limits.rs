@@ -136,18 +136,7 @@ impl<'p> Chatty<'p> {
 
 impl Component for Chatty<'_> {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "",
-            words: "",
-        };
-        Offer {
-            name: "belt",
-            goal,
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: "speed",
-        }
+        Offer::new("belt").with_topics("speed")
     }
 
     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {

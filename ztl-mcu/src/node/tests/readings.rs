@@ -17,18 +17,7 @@ struct Sensor {
 
 impl Component for Sensor {
     fn offer(&self) -> Offer<'_> {
-        let goal = GoalShape {
-            range: None,
-            unit: "",
-            words: "",
-        };
-        Offer {
-            name: "sensor",
-            goal,
-            busy: Busy::Refuse,
-            loss: Loss::Abort,
-            topics: self.topics,
-        }
+        Offer::new("sensor").with_topics(self.topics)
     }
 
     fn check(&self, _: &str, why: &mut Report<'_>) -> Result<(), Refused> {

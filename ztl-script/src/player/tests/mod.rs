@@ -335,7 +335,7 @@ fn a_failure_can_stop_everything_at_once() {
     world.machine("robot").refusals.insert("arm", 0);
     world.run(|_, question| match question {
         Question::Scene { .. } => Some(RunCommand::Start),
-        _ => panic!("nobody is asked"),
+        _ => panic!("there is no question"),
     });
     assert_eq!(world.outcome(), Some(RunOutcome::Stopped));
     assert_eq!(world.began.len(), 2, "the next step was not started");

@@ -132,7 +132,7 @@ fn a_task_is_stopped_as_soon_as_its_init_is_answered() {
     world.machine("robot").pauses.push(pause);
     world.command(RunCommand::Start);
     world.command(RunCommand::StopScene);
-    assert_eq!(world.player.question(), None, "nobody knows yet");
+    assert_eq!(world.player.question(), None, "not known yet");
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 0 }));
     assert_eq!(confirmed(&world), [(1, true)]);
     let now = world.now;

@@ -105,10 +105,7 @@ fn the_run_waits_for_a_server_that_pauses_at_any_point() {
 fn a_step_reports_a_silent_server_and_goes_on_when_it_is_back() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
-        let mut world = World::new(&script, PlayOptions::default());
-        world.pause(name, 500, 30_000);
-        world.begin();
-        world.command(RunCommand::Start);
+        let mut world = World::started_with(&script, |world| world.pause(name, 500, 30_000));
         assert_eq!(world.until_asked(), FIRST_STEP);
         assert_eq!(
             world.why(),
@@ -136,7 +133,7 @@ fn a_step_reports_a_silent_server_and_goes_on_when_it_is_back() {
 fn a_server_restart_at_any_point_is_noticed_and_needs_a_decision() {
     for name in ["robot", "lamp"] {
         for at in moments() {
-            let about = format!("{name} started anew at {at:?}");
+            let about = format!("{name} restarted at {at:?}");
             let mut world = World::new(SCRIPT, PlayOptions::default());
             world.machine(name).restarts.push(at);
             world.begin();
@@ -227,15 +224,12 @@ fn an_unattended_run_stops_where_a_decision_is_needed() {
 #[test]
 fn an_unanswered_init_is_never_resent() {
     let script = "s: {a (on_failure=retry 5): {robot: {base: 1}}, b: {robot: {arm: 1}}}";
-    let mut world = World::new(script, PlayOptions::default());
-    world.pause("robot", 0, 2500);
-    world.begin();
-    world.command(RunCommand::Start);
+    let mut world = World::started_with(script, |world| world.pause("robot", 0, 2500));
     assert_eq!(world.until_asked(), FIRST_STEP);
     assert_eq!(world.why(), Some(&WaitReason::StartUnknown));
     assert!(
         !world.player.choices().contains(&RunCommand::Retry),
-        "nobody knows that it failed"
+        "its failure is not known"
     );
     world.pass(Duration::from_secs(600));
     assert_eq!(world.timeline(), [(2501, "robot:base:1")]);
@@ -377,10 +371,7 @@ fn a_second_stop_leaves_at_once() {
 fn a_pending_init_is_stopped_with_everything_else() {
     for name in ["robot", "lamp"] {
         let script = format!("s: {{a: {{{name}: {{base: 60}}}}}}");
-        let mut world = World::new(&script, PlayOptions::default());
-        world.pause(name, 0, 1000);
-        world.begin();
-        world.command(RunCommand::Start);
+        let mut world = World::started_with(&script, |world| world.pause(name, 0, 1000));
         world.pass(Duration::from_millis(100));
         world.command(RunCommand::Stop);
         world.run(|_, question| panic!("{question:?}"));
@@ -394,10 +385,7 @@ fn the_operator_is_asked_about_an_absent_server_unless_the_script_says_to_go_on(
     for (policy, asked) in [("", true), ("(on_failure=go on)", false)] {
         let script =
             format!("s: {{'a{policy}': {{lamp: {{light: 1}}}}, b: {{robot: {{arm: 1}}}}}}");
-        let mut world = World::new(&script, PlayOptions::default());
-        world.pause("lamp", 0, 7000);
-        world.begin();
-        world.command(RunCommand::Start);
+        let mut world = World::started_with(&script, |world| world.pause("lamp", 0, 7000));
         let question = world.until_asked();
         assert_eq!(
             question == Some(Question::Step { scene: 0, step: 0 }),
@@ -420,10 +408,7 @@ fn the_operator_is_asked_about_an_absent_server_unless_the_script_says_to_go_on(
 #[test]
 fn an_unanswered_init_does_not_delay_the_end_of_a_stop() {
     let script = "s: {a: {robot: {base: 60}}}";
-    let mut world = World::new(script, PlayOptions::default());
-    world.pause("robot", 0, 600_000);
-    world.begin();
-    world.command(RunCommand::Start);
+    let mut world = World::started_with(script, |world| world.pause("robot", 0, 600_000));
     world.pass(Duration::from_millis(100));
     world.command(RunCommand::Stop);
     world.run(|_, question| panic!("{question:?}"));
@@ -456,7 +441,7 @@ fn a_step_is_not_retried_automatically_after_asking_the_operator() {
         assert_eq!(world.until_asked(), FIRST_STEP, "{task}");
         assert!(world.why().is_some_and(WaitReason::may_mend), "{task}");
         world.pass(Duration::from_secs(60));
-        assert_eq!(world.began.len(), 1, "{task}: nobody decided");
+        assert_eq!(world.began.len(), 1, "{task}: there was no decision");
         assert_eq!(world.player.question(), FIRST_STEP, "{task}");
         assert_eq!(world.why(), Some(&WaitReason::Failed), "{task}");
         assert!(
@@ -481,10 +466,7 @@ fn a_step_is_not_retried_automatically_after_asking_the_operator() {
 #[test]
 fn a_failed_retry_can_be_retried_while_another_task_is_unknown() {
     let script = "s: {a (parallel; on_failure=ask): {robot: {base: 100}, lamp: {arm: 1 fail}}}";
-    let mut world = World::new(script, PlayOptions::default());
-    world.pause("robot", 500, 500_000);
-    world.begin();
-    world.command(RunCommand::Start);
+    let mut world = World::started_with(script, |world| world.pause("robot", 500, 500_000));
     for arms in 1..4 {
         world.pass(Duration::from_secs(10));
         assert!(matches!(world.why(), Some(WaitReason::ServerSilent { .. })));

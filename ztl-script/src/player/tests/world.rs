@@ -182,7 +182,13 @@ impl World {
 
     /// Starts the first scene.
     pub(super) fn started(script: &str) -> Self {
+        Self::started_with(script, |_| {})
+    }
+
+    /// The same with servers that `prepare` changes first.
+    pub(super) fn started_with(script: &str, prepare: impl FnOnce(&mut Self)) -> Self {
         let mut world = Self::new(script, PlayOptions::default());
+        prepare(&mut world);
         world.begin();
         world.command(RunCommand::Start);
         world

@@ -33,14 +33,14 @@ fn program(change: impl FnOnce(&mut Program)) -> Arc<Program> {
 }
 
 /// A run, and what it wanted since it was last asked.
-struct Lab {
+struct Stage {
     run: Run,
     start: Instant,
     now: Instant,
     actions: Vec<Action>,
 }
 
-impl Lab {
+impl Stage {
     fn new(change: impl FnOnce(&mut Program)) -> Self {
         let now = Instant::now();
         let mut actions = Vec::new();
@@ -96,13 +96,13 @@ const fn code(code: i32) -> i32 {
 
 #[test]
 fn a_program_that_cannot_reject_is_accepted_when_it_starts() {
-    let mut lab = Lab::new(|_| {});
-    lab.wants(&[Action::Accept]);
-    lab.says("@ 10 percent\n@ 20 percent\nhello\n");
-    lab.wants(&[Action::Progress("20 percent".to_owned())]);
-    assert_eq!(lab.run.poll_timeout(), None);
+    let mut stage = Stage::new(|_| {});
+    stage.wants(&[Action::Accept]);
+    stage.says("@ 10 percent\n@ 20 percent\nhello\n");
+    stage.wants(&[Action::Progress("20 percent".to_owned())]);
+    assert_eq!(stage.run.poll_timeout(), None);
     assert_eq!(
-        lab.ends(code(0)),
+        stage.ends(code(0)),
         (Outcome::Completed("hello".to_owned()), vec![])
     );
 }
@@ -110,37 +110,39 @@ fn a_program_that_cannot_reject_is_accepted_when_it_starts() {
 #[test]
 fn a_program_that_can_reject_is_accepted_at_its_first_progress_or_in_time() {
     let refuses = |program: &mut Program| program.rejected_by = vec![2];
-    let mut lab = Lab::new(refuses);
-    lab.wants(&[]);
-    lab.says("no progress\n");
-    lab.wants(&[]);
-    lab.says("@ on my way\n");
-    lab.wants(&[Action::Accept, Action::Progress("on my way".to_owned())]);
+    let mut stage = Stage::new(refuses);
+    stage.wants(&[]);
+    stage.says("no progress\n");
+    stage.wants(&[]);
+    stage.says("@ on my way\n");
+    stage.wants(&[Action::Accept, Action::Progress("on my way".to_owned())]);
     assert_eq!(
-        lab.ends(code(2)).0,
+        stage.ends(code(2)).0,
         Outcome::Failed("exit code 2: no progress".to_owned())
     );
 
-    let mut lab = Lab::new(refuses);
-    lab.until(299);
-    lab.wants(&[]);
-    lab.until(300);
-    lab.wants(&[Action::Accept]);
+    let mut stage = Stage::new(refuses);
+    stage.until(299);
+    stage.wants(&[]);
+    stage.until(300);
+    stage.wants(&[Action::Accept]);
 
-    let mut lab = Lab::new(refuses);
-    lab.run.handle_error_output(b"the arm is locked\n", |_| {});
+    let mut stage = Stage::new(refuses);
+    stage
+        .run
+        .handle_error_output(b"the arm is locked\n", |_| {});
     assert_eq!(
-        lab.ends(code(2)),
+        stage.ends(code(2)),
         (Outcome::Rejected("the arm is locked".to_owned()), vec![])
     );
-    let lab = Lab::new(refuses);
+    let stage = Stage::new(refuses);
     assert_eq!(
-        lab.ends(code(2)).0,
+        stage.ends(code(2)).0,
         Outcome::Rejected("refused (exit code 2)".to_owned())
     );
-    let lab = Lab::new(refuses);
+    let stage = Stage::new(refuses);
     assert_eq!(
-        lab.ends(code(0)),
+        stage.ends(code(0)),
         (Outcome::Completed(String::new()), vec![Action::Accept])
     );
 }
@@ -148,10 +150,10 @@ fn a_program_that_can_reject_is_accepted_at_its_first_progress_or_in_time() {
 #[test]
 fn a_failure_has_the_exit_code_and_the_last_line() {
     let failed = |raw, errors: &str, out: &str| {
-        let mut lab = Lab::new(|_| {});
-        lab.says(out);
-        lab.run.handle_error_output(errors.as_bytes(), |_| {});
-        match lab.ends(raw).0 {
+        let mut stage = Stage::new(|_| {});
+        stage.says(out);
+        stage.run.handle_error_output(errors.as_bytes(), |_| {});
+        match stage.ends(raw).0 {
             Outcome::Failed(reason) => reason,
             other => panic!("{other:?}"),
         }
@@ -168,64 +170,68 @@ fn a_failure_has_the_exit_code_and_the_last_line() {
 
 #[test]
 fn an_aborted_program_is_aborted_once_its_whole_group_has_ended() {
-    let mut lab = Lab::new(|_| {});
-    lab.wants(&[Action::Accept]);
-    lab.stop(StopReason::Client);
-    lab.wants(&[Action::Signal(Signal::INT)]);
-    lab.stop(StopReason::Server);
-    lab.wants(&[]);
+    let mut stage = Stage::new(|_| {});
+    stage.wants(&[Action::Accept]);
+    stage.stop(StopReason::Client);
+    stage.wants(&[Action::Signal(Signal::INT)]);
+    stage.stop(StopReason::Server);
+    stage.wants(&[]);
     // Its child takes a moment longer.
-    assert!(!lab.run.is_over(lab.now, || true));
+    assert!(!stage.run.is_over(stage.now, || true));
     assert!(
-        !lab.run
-            .is_over(lab.now, || panic!("not looked for again at once"))
+        !stage
+            .run
+            .is_over(stage.now, || panic!("not looked for again at once"))
     );
-    lab.until(20);
-    assert!(lab.run.is_over(lab.now, || false));
-    assert!(!lab.run.leaves_behind());
-    assert_eq!(lab.ends(code(0)).0, Outcome::Aborted("aborted".to_owned()));
+    stage.until(20);
+    assert!(stage.run.is_over(stage.now, || false));
+    assert!(!stage.run.leaves_behind());
+    assert_eq!(
+        stage.ends(code(0)).0,
+        Outcome::Aborted("aborted".to_owned())
+    );
 }
 
 #[test]
 fn the_group_is_killed_after_its_grace_and_abandoned_a_second_later() {
-    let mut lab = Lab::new(|_| {});
-    lab.says("at 3\n");
-    lab.stop(StopReason::Client);
-    lab.actions.clear();
-    lab.until(1999);
-    lab.wants(&[]);
-    assert!(!lab.run.is_over(lab.now, || true));
-    lab.until(2000);
-    lab.wants(&[Action::Signal(Signal::KILL)]);
-    lab.now += CHECK;
-    assert!(!lab.run.is_over(lab.now, || true));
-    lab.now = lab.start + Duration::from_secs(3);
-    assert!(lab.run.is_over(lab.now, || true));
+    let mut stage = Stage::new(|_| {});
+    stage.says("at 3\n");
+    stage.stop(StopReason::Client);
+    stage.actions.clear();
+    stage.until(1999);
+    stage.wants(&[]);
+    assert!(!stage.run.is_over(stage.now, || true));
+    stage.until(2000);
+    stage.wants(&[Action::Signal(Signal::KILL)]);
+    stage.now += CHECK;
+    assert!(!stage.run.is_over(stage.now, || true));
+    stage.now = stage.start + Duration::from_secs(3);
+    assert!(stage.run.is_over(stage.now, || true));
     let text = "at 3 (killed: not ended within 2 s of SIGINT)";
-    assert_eq!(lab.ends(9).0, Outcome::Aborted(text.to_owned()));
+    assert_eq!(stage.ends(9).0, Outcome::Aborted(text.to_owned()));
 }
 
 #[test]
 fn a_time_limit_stops_the_program_and_fails_the_task() {
-    let mut lab = Lab::new(|program| program.limit = Some(Duration::from_secs(30)));
-    lab.wants(&[Action::Accept]);
-    lab.until(30_000);
-    lab.wants(&[Action::Signal(Signal::INT)]);
-    lab.until(32_000);
-    lab.wants(&[Action::Signal(Signal::KILL)]);
+    let mut stage = Stage::new(|program| program.limit = Some(Duration::from_secs(30)));
+    stage.wants(&[Action::Accept]);
+    stage.until(30_000);
+    stage.wants(&[Action::Signal(Signal::INT)]);
+    stage.until(32_000);
+    stage.wants(&[Action::Signal(Signal::KILL)]);
     let text = "not done within 30 s (killed: not ended within 2 s of SIGINT)";
-    assert_eq!(lab.ends(9).0, Outcome::Failed(text.to_owned()));
+    assert_eq!(stage.ends(9).0, Outcome::Failed(text.to_owned()));
 }
 
 #[test]
 fn each_kind_of_result() {
     let ends = |kind: ResultKind, out: &str| {
-        let mut lab = Lab::new(|program| {
+        let mut stage = Stage::new(|program| {
             program.result = kind;
             program.output = 32;
         });
-        lab.says(out);
-        lab.ends(code(0)).0
+        stage.says(out);
+        stage.ends(code(0)).0
     };
     let completed = |text: &str| Outcome::Completed(text.to_owned());
     let out = "one\n@ half\ntwo\n\n";

@@ -6,16 +6,14 @@
 #[path = "../ethernet.rs"]
 mod ethernet;
 
-use core::panic::PanicInfo;
-
 use app::tcp::Address;
 use board_support::board;
 use board_support::boots;
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use board_support::vectors;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use ethernet::Ethernet;
 
 /// Cycles per millisecond in QEMU, where the core runs at 12.5 MHz after a reset.
@@ -41,13 +39,4 @@ fn main() -> ! {
     board::serve_tcp(boots::count(), ethernet, ADDRESS, clock)
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-    board::poll_buttons();
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!(board::poll_buttons);

@@ -7,14 +7,12 @@
 #[path = "../uart.rs"]
 mod uart;
 
-use core::panic::PanicInfo;
-
 use board_support::board;
 use board_support::boots;
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use uart::Uart;
 
 #[entry]
@@ -29,13 +27,4 @@ fn main() -> ! {
     )
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-    board::poll_buttons();
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!(board::poll_buttons);

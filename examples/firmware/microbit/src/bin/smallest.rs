@@ -2,14 +2,12 @@
 #![no_std]
 #![no_main]
 
-use core::panic::PanicInfo;
-
 use board_support::board::Clock;
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use board_support::panel::Lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use embedded_io::Write;
 use microbit::random;
 use microbit::uart::Uart;
@@ -44,13 +42,4 @@ fn node() -> Node<'static, [DigitalOutput<Lamp>; 1], 2, 128> {
     Node::new(identity, [lamp])
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-}
-
-/// Resets the board, so that the gateway can report the tasks that were running.
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!();

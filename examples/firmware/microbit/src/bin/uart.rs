@@ -2,13 +2,11 @@
 #![no_std]
 #![no_main]
 
-use core::panic::PanicInfo;
-
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use board_support::lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use microbit::uart::Uart;
 
 #[entry]
@@ -19,12 +17,4 @@ fn main() -> ! {
     lamp::echo(Uart::start(), SysTick::<16_000>::start(core.SYST))
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!();

@@ -2,13 +2,11 @@
 #![no_std]
 #![no_main]
 
-use core::panic::PanicInfo;
-
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use board_support::lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use microbit::random;
 use microbit::uart::Uart;
 
@@ -24,12 +22,4 @@ fn main() -> ! {
     )
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!();

@@ -5,13 +5,11 @@
 #[path = "../uart.rs"]
 mod uart;
 
-use core::panic::PanicInfo;
-
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use board_support::lamp;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
+use cortex_m_rt::entry;
 use uart::Uart;
 
 #[entry]
@@ -22,12 +20,4 @@ fn main() -> ! {
     lamp::echo(Uart::start(), SysTick::<25_000>::start(core.SYST))
 }
 
-#[exception]
-fn SysTick() {
-    clock::tick();
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    SCB::sys_reset()
-}
+board_support::handlers!();

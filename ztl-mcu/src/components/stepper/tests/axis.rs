@@ -6,9 +6,10 @@ use std::string::String;
 use std::vec::Vec;
 
 use critical_section::Mutex;
-use embedded_hal::digital::{Error, ErrorKind, ErrorType, InputPin, OutputPin};
+use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
 
 use super::super::*;
+use crate::components::testing::{self, Broken};
 
 /// The axis as the world has it.
 #[derive(Debug)]
@@ -108,15 +109,6 @@ impl Axis {
             "low" => self.low.is_some_and(|low| self.position <= low),
             _ => self.high.is_some_and(|high| self.position >= high),
         }
-    }
-}
-
-#[derive(Debug)]
-pub(super) struct Broken;
-
-impl Error for Broken {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
     }
 }
 
@@ -229,17 +221,13 @@ impl Bench {
     }
 
     pub(super) fn start(&mut self, goal: &str) -> Result<(), String> {
-        let mut text = heapless::String::<64>::new();
         let now = self.now();
-        let start = self.stepper.start(now, goal, &mut Report::new(&mut text));
-        start.map_err(|Refused| text.as_str().into())
+        testing::start(&mut *self.stepper, now, goal)
     }
 
     pub(super) fn poll(&mut self) -> (Run, String) {
-        let mut text = heapless::String::<64>::new();
         let now = self.now();
-        let run = self.stepper.poll(now, &mut Report::new(&mut text));
-        (run, text.as_str().into())
+        testing::poll(&mut *self.stepper, now)
     }
 
     pub(super) fn abort(&mut self) {

@@ -15,14 +15,14 @@ pub(super) const LONG: Duration = Duration::from_secs(8);
 pub(super) const USUAL: Duration = Duration::from_secs(1);
 
 /// A gateway that can be killed and started again.
-pub(super) struct Lab {
+pub(super) struct GatewayRig {
     pub(super) device: Device,
     pub(super) scratch: Scratch,
     pub(super) port: u16,
     pub(super) gateway: Server,
 }
 
-impl Lab {
+impl GatewayRig {
     #[track_caller]
     pub(super) fn new(link_timeout: Duration) -> Self {
         let device = Device::power_on(link_timeout);

@@ -1,4 +1,4 @@
-//! Tells the linker where the board's memory is.
+//! Build script of the boards with `cortex-m-rt`: tells the linker where the board's memory is.
 
 fn main() {
     let directory = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();

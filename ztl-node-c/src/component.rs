@@ -1,48 +1,88 @@
 //! A component in C, as the node uses it.
 
-use core::ffi::{CStr, c_char, c_int};
+use core::ffi::{c_char, c_int, c_uchar, c_uint, c_void};
 use core::time::Duration;
 
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::{Instant, Reading, Refused, Run};
 
-use crate::node::Component;
 use crate::report::Report;
+use crate::text::{is_text, text};
 use crate::{
     ZTL_NODE_ABORTED, ZTL_NODE_COMPLETED, ZTL_NODE_E_NULL, ZTL_NODE_E_POLICY, ZTL_NODE_E_TEXT,
     ZTL_NODE_FAILED, ZTL_NODE_FRAME, ZTL_NODE_LOSS_ABORT, ZTL_NODE_LOSS_CARRY_ON,
     ZTL_NODE_LOSS_HOLD, ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, ZTL_NODE_TAKEN,
 };
 
-/// Longest name, unit, list of words or list of topics, in bytes.
-const LONGEST: usize = 64;
-
-/// Converts a C string; `None` if it is NULL or not UTF-8.
-///
-/// # Safety
-/// `text` is NULL, or ends with a zero and does not change while it is used.
-pub(crate) unsafe fn text<'a>(text: *const c_char) -> Option<&'a str> {
-    if text.is_null() {
-        return None;
-    }
-    // SAFETY: not NULL; the caller promises the rest.
-    let bytes = unsafe { CStr::from_ptr(text) }.to_bytes();
-    core::str::from_utf8(bytes).ok()
-}
-
-/// Whether a text is usable in a description; if `may_lack`, NULL is too.
-///
-/// # Safety
-/// See [`text`].
-pub(crate) unsafe fn is_text(it: *const c_char, may_lack: bool) -> bool {
-    // SAFETY: promised by the caller.
-    let told = unsafe { text(it) };
-    told.map_or(may_lack && it.is_null(), |told| told.len() <= LONGEST)
-}
-
 /// The time in milliseconds, as C uses it.
 fn millis(now: Instant) -> u32 {
     now.as_millis() as u32
+}
+
+/// A part of the device that executes one task at a time. The firmware keeps it and everything it points to
+/// unchanged while the node exists; a `static const` is best. The node calls its functions from within its
+/// own. They must return quickly, because each is called between two bytes of the line.
+#[repr(C)]
+pub struct Component {
+    /// Name that clients use. Not NULL.
+    pub name: *const c_char,
+    /// Words that it accepts as goals, separated by spaces, or NULL. For information only.
+    pub words: *const c_char,
+    /// Unit of the numbers that it accepts, or NULL. For information only.
+    pub unit: *const c_char,
+    /// Names under which it publishes readings, separated by spaces, or NULL.
+    pub topics: *const c_char,
+    /// Smallest number that it accepts; for information only.
+    pub least: f32,
+    /// Largest number that it accepts; equal to `least` if it accepts no numbers.
+    pub most: f32,
+    /// What happens to a second task: ZTL_NODE_REFUSE, ZTL_NODE_REPLACE, or how many may wait.
+    pub busy: c_int,
+    /// What it does when the link is lost: one of ZTL_NODE_LOSS_....
+    pub loss: c_int,
+    /// Interval between calls of `poll`, in milliseconds; 0 means 10.
+    pub poll_ms: c_uint,
+    /// Passed to each function; owned by the firmware, may be NULL.
+    pub context: *mut c_void,
+    /// Checks a goal without moving anything: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. NULL accepts every goal,
+    /// which `start` may still refuse. The goal belongs to the library and is valid during the call.
+    pub check: Option<
+        unsafe extern "C" fn(context: *mut c_void, goal: *const c_char, why: *mut Report) -> c_int,
+    >,
+    /// Starts a task whose goal was checked, while none is running: ZTL_NODE_TAKEN or ZTL_NODE_REFUSED. Not
+    /// NULL. The goal belongs to the library and is valid during the call.
+    pub start: Option<
+        unsafe extern "C" fn(
+            context: *mut c_void,
+            now_ms: c_uint,
+            goal: *const c_char,
+            why: *mut Report,
+        ) -> c_int,
+    >,
+    /// Advances the task and reports: ZTL_NODE_RUNNING, or its final state. After `make_safe` it is also called without a
+    /// task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, any other value that it is. Further calls may
+    /// follow and must leave the component safe. Not NULL.
+    pub poll: Option<
+        unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
+    >,
+    /// Stops the task as soon as it is safe; a later `poll` returns ZTL_NODE_ABORTED. Not NULL.
+    pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
+    /// Goes to the safe state, with or without a task, after a lost link or an emergency stop. If that takes time, `poll`
+    /// continues it: the node calls `poll` until it returns anything but ZTL_NODE_RUNNING, which ends a task. Not
+    /// NULL.
+    pub make_safe: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
+    /// Writes the next reading and the index of its topic, if one is due and fits. Returns the number of bytes, 0 for no
+    /// reading. The node calls it at most every 10 ms. `size` is the longest reading that a frame holds: drop a longer one,
+    /// because it can never be sent. NULL if it publishes nothing.
+    pub reading: Option<
+        unsafe extern "C" fn(
+            context: *mut c_void,
+            now_ms: c_uint,
+            topic: *mut c_uchar,
+            buffer: *mut c_uchar,
+            size: usize,
+        ) -> usize,
+    >,
 }
 
 /// Points to the description that the firmware keeps. It was checked when the node was created.

@@ -1,4 +1,4 @@
-//! A laboratory of the model: one or two gateways, a line, and a node with motors.
+//! The whole of the model: one or two gateways, a line, and a node with motors.
 
 use std::cell::Cell;
 
@@ -37,9 +37,9 @@ pub(super) struct Client {
     pub(super) boot: u32,
 }
 
-/// The whole laboratory.
+/// Gateways, a line, a node and clients.
 #[derive(Debug, Clone)]
-pub struct Lab {
+pub struct LinkModel {
     pub(super) scenario: &'static Scenario,
     pub(super) now: Instant,
     pub(super) gateways: Vec<Gateway>,
@@ -94,8 +94,8 @@ const BAUD: u32 = 2560;
 /// Initial value of all clocks but the node's.
 const BEGIN: Instant = Instant::from_millis(10_000);
 
-impl Lab {
-    /// A laboratory that was just switched on.
+impl LinkModel {
+    /// All of it, just switched on.
     #[must_use]
     pub fn new(scenario: &'static Scenario) -> Self {
         let mut journal = Journal::default();
