@@ -2,7 +2,7 @@
 
 use ztl_script::event::SceneOutline;
 
-/// Longest input in bytes; a name of a scene is shorter.
+/// Longest input in bytes, so that a paste cannot make each search slower.
 const LONGEST: usize = 200;
 
 /// The input so far, and the scene that Enter shows.

@@ -6,7 +6,7 @@ use crate::key_press::{UNKNOWN, first_key};
 
 /// A lone ESC that nothing follows within this time is the key Esc.
 const ESCAPE: Duration = Duration::from_millis(500);
-/// Bytes that follow ESC later than this were typed after it; Alt sends them together.
+/// Bytes that follow ESC later than this were typed after it. Alt with a key sends both together.
 const TOGETHER: Duration = Duration::from_millis(40);
 /// How long to wait for the next byte of any other key. A slow connection resends lost bytes within this time.
 const REST: Duration = Duration::from_secs(1);
@@ -99,13 +99,13 @@ mod tests {
     }
 
     #[test]
-    fn a_sequence_after_a_reported_esc_is_no_letters() {
+    fn the_rest_of_a_sequence_after_a_reported_esc_is_not_read_as_letters() {
         let right = [(0, "\x1b"), (900, "["), (1700, "C")];
         assert_eq!(keys(&right, 5000), ["Esc", "Right"]);
     }
 
     #[test]
-    fn a_lone_esc_is_a_key_and_no_part_of_the_next() {
+    fn a_lone_esc_is_a_key_and_not_a_part_of_the_next() {
         assert_eq!(keys(&[(0, "\x1b")], 5000), ["Esc"]);
         assert_eq!(keys(&[(0, "\x1b")], 400), Vec::<String>::new());
         assert_eq!(keys(&[(0, "\x1b"), (100, "x")], 5000), ["Esc", "x"]);

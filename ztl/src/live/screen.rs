@@ -21,7 +21,7 @@ use crate::{signals, terminal, terminal_mode};
 const PAUSE: Duration = Duration::from_millis(40);
 /// Interval at which the clocks on the screen advance.
 const TICK: Duration = Duration::from_millis(100);
-/// So many keys that arrive together are a paste.
+/// This many keys that arrive together are a paste.
 const PASTE: usize = 16;
 /// What arrives this soon after a part of a paste belongs to it.
 const PASTE_GOES_ON: Duration = Duration::from_millis(300);
