@@ -8,9 +8,10 @@
 
 mod arrivals;
 mod peer;
+mod places;
 mod turns;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::io::{self, Write as _};
 use std::net::IpAddr;
 use std::time::Duration;
@@ -22,7 +23,8 @@ use ztl_zmtp::session::Security;
 
 pub(crate) use self::peer::{Incoming, PeerId};
 use self::peer::{Peer, Served};
-use super::streams::{Endpoint, Listener, Stream};
+use self::places::Places;
+use super::streams::{Endpoint, Listener};
 use crate::log_targets::TASKS;
 use crate::rate_limit::RateLimit;
 use crate::time::now;
@@ -55,14 +57,6 @@ pub(crate) struct Rules {
     pub(crate) memory: usize,
 }
 
-impl Rules {
-    /// How many connections may be without a handshake, beside those with one.
-    fn strangers(&self, known: usize) -> usize {
-        let free = self.connections.saturating_sub(known);
-        free.max(self.connections / 5).max(4)
-    }
-}
-
 /// The connections of a server, as a socket of type `S`.
 pub(crate) struct Peers<S> {
     poll: Poll,
@@ -71,14 +65,8 @@ pub(crate) struct Peers<S> {
     rules: Rules,
     slots: Vec<Option<Peer<S>>>,
     free: Vec<usize>,
-    /// How many have finished the handshake.
-    known: usize,
-    /// How many have not, in all and by address.
-    strangers: usize,
-    strangers_of: BTreeMap<IpAddr, usize>,
-    next_number: u32,
-    /// Those that had not finished the handshake when they came, the oldest first.
-    arrivals: VecDeque<(usize, u32)>,
+    places: Places,
+    next_number: u64,
     /// Peers with something to read, in turns.
     ready: VecDeque<usize>,
     /// Turns until the next [`wait`](Self::wait), so that those that send only commands stop nobody.
@@ -92,8 +80,6 @@ pub(crate) struct Peers<S> {
     held: usize,
     next_check: Option<Instant>,
     accept_again: Option<Instant>,
-    /// A connection that waits for room.
-    accepted: Option<(Stream, IpAddr)>,
     lines: RateLimit,
 }
 
@@ -104,6 +90,7 @@ impl<S: Served> Peers<S> {
         let mut listener = Listener::bind(endpoint)?;
         poll.registry()
             .register(listener.source(), LISTENER, Interest::READABLE)?;
+        let places = Places::new(rules.connections);
         Ok(Self {
             poll,
             events: Events::with_capacity(1024),
@@ -111,11 +98,8 @@ impl<S: Served> Peers<S> {
             rules,
             slots: Vec::new(),
             free: Vec::new(),
-            known: 0,
-            strangers: 0,
-            strangers_of: BTreeMap::new(),
+            places,
             next_number: 0,
-            arrivals: VecDeque::new(),
             ready: VecDeque::new(),
             turns: 0,
             unsent: Vec::new(),
@@ -124,7 +108,6 @@ impl<S: Served> Peers<S> {
             held: 0,
             next_check: None,
             accept_again: None,
-            accepted: None,
             lines: RateLimit::new(LINES.0, LINES.1, now()),
         })
     }
@@ -178,7 +161,9 @@ impl<S: Served> Peers<S> {
             }
         }
         let now = now();
-        if accept || self.accept_again.is_some_and(|at| at <= now) {
+        // A pause is kept also if more connect.
+        let is_due = self.accept_again.map_or(accept, |at| at <= now);
+        if is_due {
             self.accept(now);
         }
         if self.next_check.is_some_and(|at| at <= now) {
@@ -347,8 +332,8 @@ impl<S: Served> Peers<S> {
         self.free.push(slot);
         self.held -= peer.held;
         match peer.inbound.is_ready() {
-            true => self.known -= 1,
-            false => self.forget_stranger(peer.address),
+            true => self.places.remove_known(),
+            false => self.places.remove_stranger(peer.id(slot), peer.address),
         }
     }
 }

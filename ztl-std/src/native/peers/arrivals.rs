@@ -10,7 +10,8 @@ use tracing::{debug, warn};
 use ztl_core::Instant;
 use ztl_zmtp::session::{Inbound, Outbound};
 
-use super::peer::{Peer, Served};
+use super::peer::{Peer, PeerId, Served};
+use super::places::{GRACE, Room};
 use super::{CHECK, Peers};
 use crate::log_targets::TASKS;
 use crate::native::streams::Stream;
@@ -19,29 +20,19 @@ use crate::native::streams::Stream;
 const ACCEPTED: usize = 64;
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
-/// How long a connection has for its handshake at least, also when others wait to connect.
-const GRACE: Duration = Duration::from_millis(20);
-
-/// Whether another connection can be added.
-enum Room {
-    Now,
-    /// Not before this time.
-    At(Instant),
-    /// All places are taken by those that have finished the handshake.
-    Never,
-}
-
 impl<S: Served> Peers<S> {
+    /// Accepts connections. While some are turned away, others wait in the system's queue for a moment, so that those
+    /// that come again at once do not keep the server busy.
     pub(super) fn accept(&mut self, now: Instant) {
         self.accept_again = None;
+        let mut is_crowded = false;
         for _ in 0..ACCEPTED {
-            let accepted = self
-                .accepted
-                .take()
-                .map_or_else(|| self.listener.accept(), Ok);
-            let (stream, address) = match accepted {
+            let (stream, address) = match self.listener.accept() {
                 Ok(accepted) => accepted,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    self.accept_again = is_crowded.then(|| now + GRACE);
+                    return;
+                }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 // A connection that is gone already, or no file for one.
                 Err(error) => {
@@ -50,17 +41,19 @@ impl<S: Served> Peers<S> {
                     return;
                 }
             };
-            match self.make_room(now, address) {
-                Room::Now => {}
-                Room::At(at) => {
-                    self.accepted = Some((stream, address));
-                    self.accept_again = Some(at);
-                    return;
-                }
-                Room::Never => {
+            let slots = &self.slots;
+            let has_unread = |id: PeerId| {
+                let peer = slots.get(id.slot).and_then(Option::as_ref);
+                peer.is_some_and(|peer| peer.is_ready)
+            };
+            match self.places.room(now, address, has_unread) {
+                Room::Free => {}
+                Room::InsteadOf(id) => self.close(id.slot, Some("others wait to connect")),
+                Room::None => {
+                    is_crowded = true;
                     let most = self.rules.connections;
                     if self.lines.take(now) {
-                        warn!(target: TASKS, "The limit of {most} connections is reached; the one of {address} is rejected.");
+                        warn!(target: TASKS, "The connection of {address} is rejected: of {most} places, none is free for it.");
                     }
                     continue;
                 }
@@ -70,7 +63,8 @@ impl<S: Served> Peers<S> {
             }
         }
         // The next ones after those that are connected.
-        self.accept_again = Some(now);
+        let pause = if is_crowded { GRACE } else { Duration::ZERO };
+        self.accept_again = Some(now + pause);
     }
 
     fn add(&mut self, now: Instant, mut stream: Stream, address: IpAddr) -> io::Result<()> {
@@ -84,13 +78,12 @@ impl<S: Served> Peers<S> {
             self.rules.message,
             &mut out,
         );
-        self.next_number = self.next_number.wrapping_add(1);
+        self.next_number += 1;
         let peer = Peer {
             stream,
             address,
             key: None,
             number: self.next_number,
-            began: now,
             inbound,
             out,
             held: 0,
@@ -108,67 +101,12 @@ impl<S: Served> Peers<S> {
             Some(empty) => *empty = Some(peer),
             None => self.slots.push(Some(peer)),
         }
-        self.strangers += 1;
-        *self.strangers_of.entry(address).or_default() += 1;
-        self.arrivals.push_back((slot, self.next_number));
-        if self.arrivals.len() > 2 * self.strangers + 64 {
-            self.arrivals.retain(|(slot, number)| {
-                let peer = self.slots.get(*slot).and_then(Option::as_ref);
-                peer.is_some_and(|peer| peer.is_stranger(*number))
-            });
-        }
+        let id = PeerId {
+            slot,
+            number: self.next_number,
+        };
+        self.places.add(now, id, address);
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
-    }
-
-    /// Makes room for another connection, at the cost of the one that has taken longest for its handshake: of this
-    /// address if it has half of the places, or of all. One whose bytes were not read yet, or that just came, stays: else
-    /// whoever connects fastest would lock out all others.
-    fn make_room(&mut self, now: Instant, address: IpAddr) -> Room {
-        let most = self.rules.strangers(self.known);
-        let of_address = self.strangers_of.get(&address).copied().unwrap_or(0);
-        let of = match of_address >= most / 2 {
-            true => Some(address),
-            false
-                if self.strangers < most
-                    && self.known + self.strangers < self.rules.connections =>
-            {
-                return Room::Now;
-            }
-            false => None,
-        };
-        let mut room = Room::Never;
-        for (slot, number) in &self.arrivals {
-            let peer = self.slots.get(*slot).and_then(Option::as_ref);
-            let Some(peer) = peer.filter(|peer| peer.is_stranger(*number)) else {
-                continue;
-            };
-            if of.is_some_and(|address| peer.address != address) {
-                continue;
-            }
-            if peer.is_ready {
-                room = Room::At(now);
-            } else if peer.began + GRACE > now {
-                return match room {
-                    Room::Never => Room::At(peer.began + GRACE),
-                    room => room,
-                };
-            } else {
-                let slot = *slot;
-                self.close(slot, Some("others wait to connect"));
-                return Room::Now;
-            }
-        }
-        room
-    }
-
-    pub(super) fn forget_stranger(&mut self, address: IpAddr) {
-        self.strangers -= 1;
-        if let Some(count) = self.strangers_of.get_mut(&address) {
-            *count -= 1;
-            if *count == 0 {
-                self.strangers_of.remove(&address);
-            }
-        }
     }
 }

@@ -42,8 +42,8 @@ impl Served for Pub {
 #[cfg_attr(test, derive(Default))]
 pub(crate) struct PeerId {
     pub(super) slot: usize,
-    /// Which of the connections that had this slot.
-    pub(super) number: u32,
+    /// Later connections have higher ones.
+    pub(super) number: u64,
 }
 
 /// A message.
@@ -62,9 +62,7 @@ pub(super) struct Peer<S> {
     pub(super) stream: Stream,
     pub(super) address: IpAddr,
     pub(super) key: Option<[u8; 32]>,
-    pub(super) number: u32,
-    /// When it was accepted.
-    pub(super) began: Instant,
+    pub(super) number: u64,
     pub(super) inbound: Inbound<S>,
     pub(super) out: Outbound,
     /// Bytes that its buffers take, as counted.
@@ -94,9 +92,11 @@ impl Incoming {
 }
 
 impl<S: Served> Peer<S> {
-    /// Whether it is the connection with this number, and has not finished its handshake.
-    pub(super) fn is_stranger(&self, number: u32) -> bool {
-        self.number == number && !self.inbound.is_ready()
+    pub(super) fn id(&self, slot: usize) -> PeerId {
+        PeerId {
+            slot,
+            number: self.number,
+        }
     }
 
     /// Whether it has to read answers before it is served again.
@@ -111,10 +111,7 @@ impl<S: Served> Peer<S> {
         body: Option<Box<[u8]>>,
     ) -> Incoming {
         Incoming {
-            peer: PeerId {
-                slot,
-                number: self.number,
-            },
+            peer: self.id(slot),
             envelope,
             body,
             from: self.address,

@@ -97,10 +97,11 @@ impl<S: Served> Peers<S> {
                 Err(fault) => break Some(fault),
             }
         };
+        let (id, address) = (peer.id(slot), peer.address);
         if is_known {
-            let address = peer.address;
-            self.known += 1;
-            self.forget_stranger(address);
+            self.places.admit(id, address);
+        } else if !peer.inbound.is_ready() {
+            self.places.advance(now, id, address, peer.inbound.stage());
         }
         if let Some(fault) = fault {
             return self.close(slot, Some(&self.told(fault)));
