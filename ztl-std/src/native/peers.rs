@@ -4,11 +4,12 @@
 //! - An answer is never dropped. A peer that does not read what it asked for is not read from, and is closed when it
 //!   stays so.
 //! - All buffers together have a limit. At the limit, the peer that holds the most is closed.
-//! - Peers that have not finished the handshake never displace those that have: there are places for both.
+//! - Peers that have not finished the handshake, *strangers*, never displace those that have, and are served after them.
 
 mod arrivals;
 mod peer;
 mod places;
+mod ready;
 mod turns;
 
 use std::collections::VecDeque;
@@ -24,6 +25,7 @@ use ztl_zmtp::session::Security;
 pub(crate) use self::peer::{Incoming, PeerId};
 use self::peer::{Peer, Served};
 use self::places::Places;
+use self::ready::Ready;
 use super::streams::{Endpoint, Listener};
 use crate::log_targets::TASKS;
 use crate::rate_limit::RateLimit;
@@ -67,10 +69,7 @@ pub(crate) struct Peers<S> {
     free: Vec<usize>,
     places: Places,
     next_number: u64,
-    /// Peers with something to read, in turns.
-    ready: VecDeque<usize>,
-    /// Turns until the next [`wait`](Self::wait), so that those that send only commands stop nobody.
-    turns: usize,
+    ready: Ready,
     /// Peers with something to send.
     unsent: Vec<usize>,
     piece: Box<[u8]>,
@@ -100,8 +99,7 @@ impl<S: Served> Peers<S> {
             free: Vec::new(),
             places,
             next_number: 0,
-            ready: VecDeque::new(),
-            turns: 0,
+            ready: Ready::default(),
             unsent: Vec::new(),
             piece: vec![0; PIECE].into_boxed_slice(),
             messages: VecDeque::new(),
@@ -150,7 +148,7 @@ impl<S: Served> Peers<S> {
                         peer.has_ended |= event.is_read_closed();
                         if !peer.is_ready && peer.out.waiting() < UNSENT {
                             peer.is_ready = true;
-                            self.ready.push_back(slot);
+                            self.ready.push(slot, peer.inbound.is_ready());
                         }
                     }
                     if event.is_writable() && peer.out.waiting() > 0 && !peer.is_unsent {
@@ -169,7 +167,7 @@ impl<S: Served> Peers<S> {
         if self.next_check.is_some_and(|at| at <= now) {
             self.check(now);
         }
-        self.turns = self.ready.len();
+        self.ready.begin_round();
         Ok(())
     }
 
@@ -189,8 +187,7 @@ impl<S: Served> Peers<S> {
                     _ => return Some(message),
                 }
             }
-            self.turns = self.turns.checked_sub(1)?;
-            let slot = self.ready.pop_front()?;
+            let slot = self.ready.next()?;
             self.turn(now(), slot, admit);
         }
     }
@@ -264,7 +261,7 @@ impl<S: Served> Peers<S> {
                 self.next_check.get_or_insert(now + CHECK);
             } else if (peer.readable || !peer.later.is_empty()) && !peer.is_ready {
                 peer.is_ready = true;
-                self.ready.push_back(slot);
+                self.ready.push(slot, peer.inbound.is_ready());
             }
             self.count(slot);
         }

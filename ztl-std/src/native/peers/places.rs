@@ -91,7 +91,10 @@ impl Places {
             true => *of == address,
             false => 2 * count >= largest,
         };
-        let paying = self.by_address.iter().filter(|(of, all)| pays(of, all.len()));
+        let paying = self
+            .by_address
+            .iter()
+            .filter(|(of, all)| pays(of, all.len()));
         let mut paying: Vec<_> = paying.flat_map(|(_, all)| all.values()).collect();
         paying.sort_unstable_by_key(|stranger| stranger.id.number);
         let (older, younger) = paying.split_at(paying.len() / 2);
@@ -100,7 +103,10 @@ impl Places {
         let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
         let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
         let stuck = older.iter().filter(|one| one.advanced + STEP <= now);
-        let young = younger.iter().rev().filter(|one| Some(one.stage) == crowded);
+        let young = younger
+            .iter()
+            .rev()
+            .filter(|one| Some(one.stage) == crowded);
         let young = young.filter(|one| one.came + GRACE <= now);
         let mut all = stuck.chain(young);
         let found = all.find(|one| !has_unread(one.id));

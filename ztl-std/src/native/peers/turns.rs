@@ -37,7 +37,7 @@ impl<S: Served> Peers<S> {
             peer.later_held = 0;
             if peer.readable {
                 peer.is_ready = true;
-                self.ready.push_back(slot);
+                self.ready.push(slot, peer.inbound.is_ready());
             }
             return;
         }
@@ -112,7 +112,7 @@ impl<S: Served> Peers<S> {
         peer.inbound.on_heard(now);
         if peer.readable && peer.out.waiting() < UNSENT {
             peer.is_ready = true;
-            self.ready.push_back(slot);
+            self.ready.push(slot, peer.inbound.is_ready());
         }
         if peer.out.waiting() > 0 && !peer.is_unsent {
             peer.is_unsent = true;
