@@ -8,12 +8,12 @@
 //! 1. *The addresses with the most strangers pay.* A newcomer takes a place of its own address if that has half of all
 //!    places, else of an address that has at least half as many strangers as the one that has most. So a crowd from a few
 //!    addresses never costs another address its only place.
-//! 2. *Of those that pay, the older half keep their places* as long as each step of their handshake takes less than [`STEP`].
-//!    Without this, a slow client would never finish beside a crowd that comes fast enough. With it, its chance falls only in
-//!    proportion to the crowd. Those of the older half that take longer make room first.
-//! 3. *Of the younger half, those make room that are at the stage where most are*, after [`GRACE`], the youngest first. So
-//!    strangers that send nothing displace each other, and nobody who greets; those that only greet, nobody who opened a
-//!    handshake; and those that open a handshake at once, nobody who has not come so far yet.
+//! 2. *Of those that pay, who takes longer than [`STEP`] for a step of the handshake makes room first; else the older half
+//!    stay.* Without this, a slow client would never finish beside a crowd that comes fast enough. With it, its chance falls
+//!    only in proportion to the crowd.
+//! 3. *Of the younger half, after [`GRACE`], those make room that are at the step where most are*, the youngest first, but not
+//!    the last one there. So strangers that send nothing displace each other, and nobody who greets; those that only greet,
+//!    nobody who opened a handshake; and those that open a handshake at once, nobody who has not come so far yet.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -27,7 +27,7 @@ use super::peer::PeerId;
 /// How long a stranger has at least, even if others wait. Clients nearby finish their handshake in this time.
 pub(super) const GRACE: Duration = Duration::from_millis(20);
 
-/// How long a stranger of the older half may take to its next stage. A stage takes a round trip at most.
+/// How long a stranger may take to its next stage, if others wait. A stage takes a round trip at most.
 const STEP: Duration = Duration::from_millis(200);
 
 /// The places of a server's connections.
@@ -97,17 +97,19 @@ impl Places {
             .filter(|(of, all)| pays(of, all.len()));
         let mut paying: Vec<_> = paying.flat_map(|(_, all)| all.values()).collect();
         paying.sort_unstable_by_key(|stranger| stranger.id.number);
-        let (older, younger) = paying.split_at(paying.len() / 2);
+        let (_, younger) = paying.split_at(paying.len() / 2);
         let at = |stage| younger.iter().filter(|one| one.stage == stage).count();
         // The first of them if there are several.
         let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
         let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
-        let stuck = older.iter().filter(|one| one.advanced + STEP <= now);
-        let young = younger
-            .iter()
-            .rev()
-            .filter(|one| Some(one.stage) == crowded);
-        let young = young.filter(|one| one.came + GRACE <= now);
+        let stuck = paying.iter().filter(|one| one.advanced + STEP <= now);
+        let young = younger.iter().rev().filter(|one| one.came + GRACE <= now);
+        let at = |stage| young.clone().filter(|one| one.stage == stage).count();
+        // The first of them if there are several.
+        let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
+        let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
+        let crowded = crowded.filter(|stage| at(*stage) > 1);
+        let young = young.clone().filter(|one| Some(one.stage) == crowded);
         let mut all = stuck.chain(young);
         let found = all.find(|one| !has_unread(one.id));
         found.map_or(Room::None, |one| Room::InsteadOf(one.id))
