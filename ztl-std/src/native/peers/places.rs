@@ -98,14 +98,10 @@ impl Places {
         let mut paying: Vec<_> = paying.flat_map(|(_, all)| all.values()).collect();
         paying.sort_unstable_by_key(|stranger| stranger.id.number);
         let (_, younger) = paying.split_at(paying.len() / 2);
-        let at = |stage| younger.iter().filter(|one| one.stage == stage).count();
-        // The first of them if there are several.
-        let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
-        let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
         let stuck = paying.iter().filter(|one| one.advanced + STEP <= now);
         let young = younger.iter().rev().filter(|one| one.came + GRACE <= now);
         let at = |stage| young.clone().filter(|one| one.stage == stage).count();
-        // The first of them if there are several.
+        // The earliest of those where as many are.
         let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
         let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
         let crowded = crowded.filter(|stage| at(*stage) > 1);
