@@ -11,13 +11,15 @@ use ztl_core::Instant;
 use ztl_zmtp::session::{Inbound, Outbound};
 
 use super::peer::{Peer, PeerId, Served};
-use super::places::{GRACE, Room};
+use super::places::Room;
 use super::{CHECK, Peers};
 use crate::log_targets::TASKS;
 use crate::native::streams::Stream;
 
-/// How many connections are accepted at once.
-const ACCEPTED: usize = 64;
+/// How many connections are accepted in a round, so that known clients do not wait for many.
+const ACCEPTED: usize = 8;
+/// How long no connection is accepted after one was turned away.
+const CROWDED: Duration = Duration::from_micros(2500);
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
 impl<S: Served> Peers<S> {
@@ -30,7 +32,7 @@ impl<S: Served> Peers<S> {
             let (stream, address) = match self.listener.accept() {
                 Ok(accepted) => accepted,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    self.accept_again = is_crowded.then(|| now + GRACE);
+                    self.accept_again = is_crowded.then(|| now + CROWDED);
                     return;
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
@@ -63,7 +65,7 @@ impl<S: Served> Peers<S> {
             }
         }
         // The next ones after those that are connected.
-        let pause = if is_crowded { GRACE } else { Duration::ZERO };
+        let pause = if is_crowded { CROWDED } else { Duration::ZERO };
         self.accept_again = Some(now + pause);
     }
 

@@ -25,7 +25,7 @@ use ztl_zmtp::session::Stage;
 use super::peer::PeerId;
 
 /// How long a stranger has at least, even if others wait. Clients nearby finish their handshake in this time.
-pub(super) const GRACE: Duration = Duration::from_millis(20);
+const GRACE: Duration = Duration::from_millis(20);
 
 /// How long a stranger may take to its next stage, if others wait. A stage takes a round trip at most.
 const STEP: Duration = Duration::from_millis(200);
@@ -91,23 +91,26 @@ impl Places {
             true => *of == address,
             false => 2 * count >= largest,
         };
-        let paying = self
-            .by_address
-            .iter()
-            .filter(|(of, all)| pays(of, all.len()));
-        let mut paying: Vec<_> = paying.flat_map(|(_, all)| all.values()).collect();
-        paying.sort_unstable_by_key(|stranger| stranger.id.number);
+        let paying = self.by_address.iter();
+        let paying = paying.filter(|(of, all)| pays(of, all.len()));
+        let paying = paying.map(|(_, all)| all.values());
+        // Each address has its oldest first, so that a large crowd costs little time.
+        let is_stuck = |one: &&Stranger| one.advanced + STEP <= now && !has_unread(one.id);
+        let stuck = paying.clone().filter_map(|mut all| all.find(is_stuck));
+        if let Some(oldest) = stuck.min_by_key(|one| one.id.number) {
+            return Room::InsteadOf(oldest.id);
+        }
+        let mut paying: Vec<_> = paying.flatten().collect();
+        paying.sort_unstable_by_key(|one| one.id.number);
         let (_, younger) = paying.split_at(paying.len() / 2);
-        let stuck = paying.iter().filter(|one| one.advanced + STEP <= now);
         let young = younger.iter().rev().filter(|one| one.came + GRACE <= now);
         let at = |stage| young.clone().filter(|one| one.stage == stage).count();
         // The earliest of those where as many are.
         let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
         let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
         let crowded = crowded.filter(|stage| at(*stage) > 1);
-        let young = young.clone().filter(|one| Some(one.stage) == crowded);
-        let mut all = stuck.chain(young);
-        let found = all.find(|one| !has_unread(one.id));
+        let mut young = young.clone().filter(|one| Some(one.stage) == crowded);
+        let found = young.find(|one| !has_unread(one.id));
         found.map_or(Room::None, |one| Room::InsteadOf(one.id))
     }
 
