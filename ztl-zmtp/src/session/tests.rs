@@ -4,6 +4,8 @@ use std::vec::Vec;
 
 use ztl_core::Instant;
 
+#[cfg(feature = "curve")]
+use super::Stage;
 use super::{BEFORE, ENVELOPES, Inbound, Outbound, Security, Step};
 use crate::{Dealer, Fault, Pub, Router, Socket};
 
@@ -130,6 +132,27 @@ fn a_peer_that_is_not_accepted_is_told_nothing() {
         assert!(!client.inbound.is_ready() && !server.inbound.is_ready());
         assert!(!server.out.transmit_buf().starts_with(b"\x04"));
     }
+}
+
+#[cfg(feature = "curve")]
+#[test]
+fn a_server_knows_how_far_a_handshake_is() {
+    let [security, other] = curve();
+    let mut server = End::<Router>::new(security);
+    let mut client = End::<Dealer>::new(other);
+    assert_eq!(server.inbound.stage(), Stage::Silent);
+    server.accepts = false;
+    let pass = |from: &mut Outbound| {
+        let bytes = from.transmit_buf().to_vec();
+        from.consume(bytes.len());
+        bytes
+    };
+    let seen = [(); 3].map(|()| {
+        server.take(&pass(&mut client.out));
+        client.take(&pass(&mut server.out));
+        server.inbound.stage()
+    });
+    assert_eq!(seen, [Stage::Greeted, Stage::Opened, Stage::Opened]);
 }
 
 /// A connection whose handshake is done, without encryption.
