@@ -169,6 +169,11 @@ impl Handshake {
         Ok(answer)
     }
 
+    /// Whether the peer's first command was opened.
+    pub(crate) fn has_begun(&self) -> bool {
+        self.state != State::First
+    }
+
     /// Whether the peer and its properties are known.
     pub(crate) fn is_known(&self) -> bool {
         self.state == State::Known

@@ -15,7 +15,7 @@ mod security;
 pub use frames::Message;
 #[cfg(feature = "curve")]
 pub(crate) use frames::put_header;
-pub use inbound::{Inbound, Step};
+pub use inbound::{Inbound, Stage, Step};
 pub use obstacle::Obstacle;
 pub use outbound::Outbound;
 pub use security::Security;

@@ -6,6 +6,7 @@ mod connections;
 mod crowd;
 mod curve;
 mod endpoints;
+mod slow_network;
 
 use std::process::Command;
 

@@ -36,6 +36,17 @@ enum Phase {
     Traffic,
 }
 
+/// How far a peer is in the handshake that it has not finished.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// It has not sent signature and version.
+    Silent,
+    /// It has.
+    Greeted,
+    /// It has sent a `HELLO` that was made for this server.
+    Opened,
+}
+
 /// What [`Inbound::next`] found.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Step<'a> {
@@ -113,6 +124,19 @@ impl<S: Socket> Inbound<S> {
     #[must_use]
     pub const fn is_ready(&self) -> bool {
         matches!(self.phase, Phase::Traffic | Phase::OldTraffic)
+    }
+
+    /// How far the handshake is, until it is complete.
+    #[must_use]
+    pub fn stage(&self) -> Stage {
+        #[cfg(feature = "curve")]
+        if self.handshake.as_ref().is_some_and(|one| one.has_begun()) {
+            return Stage::Opened;
+        }
+        match self.phase {
+            Phase::Signature => Stage::Silent,
+            _ => Stage::Greeted,
+        }
     }
 
     /// Until when the peer has to be heard; [`Instant::NEVER`] if it may be silent.

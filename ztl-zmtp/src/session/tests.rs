@@ -4,8 +4,10 @@ use std::vec::Vec;
 
 use ztl_core::Instant;
 
+#[cfg(feature = "curve")]
+use super::Stage;
 use super::{BEFORE, ENVELOPES, Inbound, Obstacle, Outbound, Security, Step};
-use crate::{Dealer, Fault, Pub, Router, Socket};
+use crate::{Dealer, Fault, Pub, Router, Socket, Sub};
 
 const MOST: usize = 1000;
 
@@ -130,6 +132,27 @@ fn a_peer_that_is_not_accepted_is_told_nothing() {
         assert!(!client.inbound.is_ready() && !server.inbound.is_ready());
         assert!(!server.out.transmit_buf().starts_with(b"\x04"));
     }
+}
+
+#[cfg(feature = "curve")]
+#[test]
+fn a_server_knows_how_far_a_handshake_is() {
+    let [security, other] = curve();
+    let mut server = End::<Router>::new(security);
+    let mut client = End::<Dealer>::new(other);
+    assert_eq!(server.inbound.stage(), Stage::Silent);
+    server.accepts = false;
+    let pass = |from: &mut Outbound| {
+        let bytes = from.transmit_buf().to_vec();
+        from.consume(bytes.len());
+        bytes
+    };
+    let seen = [(); 3].map(|()| {
+        server.take(&pass(&mut client.out));
+        client.take(&pass(&mut server.out));
+        server.inbound.stage()
+    });
+    assert_eq!(seen, [Stage::Greeted, Stage::Opened, Stage::Opened]);
 }
 
 /// A connection whose handshake is done, without encryption.
@@ -321,6 +344,28 @@ fn a_client_accepts_only_the_server_whose_key_it_has() {
     assert_eq!(server.fault, Some(Fault::Mechanism));
 }
 
+#[test]
+fn a_shared_message_arrives_encrypted_or_not() {
+    for [server, client] in securities() {
+        let mut server = End::<Pub>::new(server);
+        let mut client = End::<Sub>::new(client);
+        talk(&mut server, &mut client, 1000, &mut |_| ());
+        client.out.message(b"", b"\x01lab");
+        talk(&mut server, &mut client, 1000, &mut |_| ());
+        assert_eq!(server.heard, [[b"\x01lab".to_vec()]]);
+        let wire = [&b"\x01\x04lab/\x00\x05value"[..], b"\x00\x00"];
+        for wire in wire {
+            server.out.shared(&std::sync::Arc::new(wire.to_vec()));
+        }
+        talk(&mut server, &mut client, 1000, &mut |_| ());
+        let expected = [
+            std::vec![b"lab/".to_vec(), b"value".to_vec()],
+            std::vec![b"".to_vec()],
+        ];
+        assert_eq!(client.heard, expected);
+    }
+}
+
 #[cfg(feature = "curve")]
 #[test]
 fn a_client_learns_what_keeps_it_from_its_server() {
@@ -397,6 +442,7 @@ fn the_lengths_in_each_error_command_are_right() {
         crate::Rep::ERROR,
         crate::Req::ERROR,
         Dealer::ERROR,
+        Sub::ERROR,
     ] {
         let (header, body) = error.split_at(2);
         assert_eq!(header, [4, u8::try_from(body.len()).unwrap()], "{error:?}");

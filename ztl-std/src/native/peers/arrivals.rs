@@ -1,0 +1,114 @@
+//! Accepts connections, and makes room for them.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::IpAddr;
+use std::time::Duration;
+
+use mio::Token;
+use tracing::{debug, warn};
+use ztl_core::Instant;
+use ztl_zmtp::session::{Inbound, Outbound};
+
+use super::peer::{Peer, PeerId, Served};
+use super::places::Room;
+use super::{CHECK, Peers};
+use crate::log_targets::TASKS;
+use crate::native::streams::Stream;
+
+/// How many connections are accepted in a round, so that known clients do not wait for many.
+const ACCEPTED: usize = 8;
+/// How long no connection is accepted after one was turned away.
+const CROWDED: Duration = Duration::from_micros(2500);
+/// How long no connection is accepted after the system had no file for one.
+const PAUSE: Duration = Duration::from_millis(100);
+impl<S: Served> Peers<S> {
+    /// Accepts connections. While some are turned away, others wait in the system's queue for a moment, so that those
+    /// that come again at once do not keep the server busy.
+    pub(super) fn accept(&mut self, now: Instant) {
+        self.accept_again = None;
+        let mut is_crowded = false;
+        for _ in 0..ACCEPTED {
+            let (stream, address) = match self.listener.accept() {
+                Ok(accepted) => accepted,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    self.accept_again = is_crowded.then(|| now + CROWDED);
+                    return;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                // A connection that is gone already, or no file for one.
+                Err(error) => {
+                    debug!(target: TASKS, "a connection was not accepted: {error}");
+                    self.accept_again = Some(now + PAUSE);
+                    return;
+                }
+            };
+            let slots = &self.slots;
+            let has_unread = |id: PeerId| {
+                let peer = slots.get(id.slot).and_then(Option::as_ref);
+                peer.is_some_and(|peer| peer.is_ready)
+            };
+            match self.places.room(now, address, has_unread) {
+                Room::Free => {}
+                Room::InsteadOf(id) => self.close(id.slot, Some("others wait to connect")),
+                Room::None => {
+                    is_crowded = true;
+                    let most = self.rules.connections;
+                    if self.lines.take(now) {
+                        warn!(target: TASKS, "The connection of {address} is rejected: of {most} places, none is free for it.");
+                    }
+                    continue;
+                }
+            }
+            if let Err(error) = self.add(now, stream, address) {
+                debug!(target: TASKS, "a connection was not accepted: {error}");
+            }
+        }
+        // The next ones after those that are connected.
+        let pause = if is_crowded { CROWDED } else { Duration::ZERO };
+        self.accept_again = Some(now + pause);
+    }
+
+    fn add(&mut self, now: Instant, mut stream: Stream, address: IpAddr) -> io::Result<()> {
+        let slot = self.free.last().copied().unwrap_or(self.slots.len());
+        stream.register(self.poll.registry(), Token(slot))?;
+        self.free.pop();
+        let mut out = Outbound::default();
+        let inbound = Inbound::open(
+            now + self.rules.handshake,
+            self.rules.security.clone(),
+            self.rules.message,
+            &mut out,
+        );
+        self.next_number += 1;
+        let peer = Peer {
+            stream,
+            address,
+            key: None,
+            number: self.next_number,
+            inbound,
+            out,
+            held: 0,
+            is_ready: false,
+            is_unsent: true,
+            readable: false,
+            has_ended: false,
+            is_leaving: false,
+            later: VecDeque::new(),
+            later_held: 0,
+            took: now,
+        };
+        self.unsent.push(slot);
+        match self.slots.get_mut(slot) {
+            Some(empty) => *empty = Some(peer),
+            None => self.slots.push(Some(peer)),
+        }
+        let id = PeerId {
+            slot,
+            number: self.next_number,
+        };
+        self.places.add(now, id, address);
+        self.next_check.get_or_insert(now + CHECK);
+        Ok(())
+    }
+}

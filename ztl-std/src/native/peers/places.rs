@@ -1,0 +1,172 @@
+//! Who has a place: a policy without I/O.
+//!
+//! Clients that have finished the handshake keep their place. The others, *strangers*, share what is left, and a small part
+//! in any case. When it is full, a newcomer takes the place of another stranger, or is turned away. A crowd of strangers may
+//! come from the address of an honest client, and may send what an honest client sends, but nobody can finish the handshake
+//! faster than the network allows. So:
+//!
+//! 1. *The addresses with the most strangers pay.* A newcomer takes a place of its own address if that has half of all
+//!    places, else of an address that has at least half as many strangers as the one that has most. So a crowd from a few
+//!    addresses never costs another address its only place.
+//! 2. *Of those that pay, who takes longer than [`STEP`] for a step of the handshake makes room first; else the older half
+//!    stay.* Without this, a slow client would never finish beside a crowd that comes fast enough. With it, its chance falls
+//!    only in proportion to the crowd.
+//! 3. *Of the younger half, after [`GRACE`], those make room that are at the step where most are*, the youngest first, but not
+//!    the last one there. So strangers that send nothing displace each other, and nobody who greets; those that only greet,
+//!    nobody who opened a handshake; and those that open a handshake at once, nobody who has not come so far yet.
+
+use std::collections::BTreeMap;
+use std::net::IpAddr;
+use std::time::Duration;
+
+use ztl_core::Instant;
+use ztl_zmtp::session::Stage;
+
+use super::peer::PeerId;
+
+/// How long a stranger has at least, even if others wait. Clients nearby finish their handshake in this time.
+const GRACE: Duration = Duration::from_millis(20);
+
+/// How long a stranger may take to its next stage, if others wait. A stage takes a round trip at most.
+const STEP: Duration = Duration::from_millis(200);
+
+/// The places of a server's connections.
+#[derive(Debug)]
+pub(super) struct Places {
+    connections: usize,
+    /// How many have finished the handshake.
+    known: usize,
+    /// How many have not.
+    strangers: usize,
+    /// The same by address, the oldest first.
+    by_address: BTreeMap<IpAddr, BTreeMap<u64, Stranger>>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Stranger {
+    id: PeerId,
+    stage: Stage,
+    came: Instant,
+    /// When it reached its stage.
+    advanced: Instant,
+}
+
+/// Whether a newcomer gets a place.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Room {
+    Free,
+    /// If this one is closed.
+    InsteadOf(PeerId),
+    None,
+}
+
+impl Places {
+    /// So many places.
+    pub(super) fn new(connections: usize) -> Self {
+        Self {
+            connections,
+            known: 0,
+            strangers: 0,
+            by_address: BTreeMap::new(),
+        }
+    }
+
+    /// Whether a newcomer of this address gets a place. Who `has_unread` bytes stays: it may be further than its stage says.
+    pub(super) fn room(
+        &self,
+        now: Instant,
+        address: IpAddr,
+        has_unread: impl Fn(PeerId) -> bool,
+    ) -> Room {
+        let most = self.most_strangers();
+        let own = self.by_address.get(&address).map_or(0, BTreeMap::len);
+        let has_share = own >= most / 2;
+        let is_full = self.strangers >= most || self.known + self.strangers >= self.connections;
+        if !has_share && !is_full {
+            return Room::Free;
+        }
+        let counts = self.by_address.values().map(BTreeMap::len);
+        let largest = counts.max().unwrap_or(0);
+        let pays = |of: &IpAddr, count| match has_share {
+            true => *of == address,
+            false => 2 * count >= largest,
+        };
+        let paying = self.by_address.iter();
+        let paying = paying.filter(|(of, all)| pays(of, all.len()));
+        let paying = paying.map(|(_, all)| all.values());
+        // Each address has its oldest first, so that a large crowd costs little time.
+        let is_stuck = |one: &&Stranger| one.advanced + STEP <= now && !has_unread(one.id);
+        let stuck = paying.clone().filter_map(|mut all| all.find(is_stuck));
+        if let Some(oldest) = stuck.min_by_key(|one| one.id.number) {
+            return Room::InsteadOf(oldest.id);
+        }
+        let mut paying: Vec<_> = paying.flatten().collect();
+        paying.sort_unstable_by_key(|one| one.id.number);
+        let (_, younger) = paying.split_at(paying.len() / 2);
+        let young = younger.iter().rev().filter(|one| one.came + GRACE <= now);
+        let at = |stage| young.clone().filter(|one| one.stage == stage).count();
+        // The earliest of those where as many are.
+        let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
+        let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
+        let crowded = crowded.filter(|stage| at(*stage) > 1);
+        let mut young = young.clone().filter(|one| Some(one.stage) == crowded);
+        let found = young.find(|one| !has_unread(one.id));
+        found.map_or(Room::None, |one| Room::InsteadOf(one.id))
+    }
+
+    /// A stranger has come.
+    pub(super) fn add(&mut self, now: Instant, id: PeerId, address: IpAddr) {
+        let stranger = Stranger {
+            id,
+            stage: Stage::Silent,
+            came: now,
+            advanced: now,
+        };
+        self.strangers += 1;
+        let all = self.by_address.entry(address).or_default();
+        all.insert(id.number, stranger);
+    }
+
+    /// A stranger is at this stage of its handshake.
+    pub(super) fn advance(&mut self, now: Instant, id: PeerId, address: IpAddr, stage: Stage) {
+        let all = self.by_address.get_mut(&address);
+        let stranger = all.and_then(|all| all.get_mut(&id.number));
+        if let Some(stranger) = stranger.filter(|stranger| stranger.stage != stage) {
+            stranger.stage = stage;
+            stranger.advanced = now;
+        }
+    }
+
+    /// A stranger has finished its handshake.
+    pub(super) fn admit(&mut self, id: PeerId, address: IpAddr) {
+        self.remove_stranger(id, address);
+        self.known += 1;
+    }
+
+    /// A stranger is gone.
+    pub(super) fn remove_stranger(&mut self, id: PeerId, address: IpAddr) {
+        let Some(all) = self.by_address.get_mut(&address) else {
+            return;
+        };
+        if all.remove(&id.number).is_some() {
+            self.strangers -= 1;
+        }
+        if all.is_empty() {
+            self.by_address.remove(&address);
+        }
+    }
+
+    /// One that had finished its handshake is gone.
+    pub(super) fn remove_known(&mut self) {
+        self.known -= 1;
+    }
+
+    /// How many strangers there may be.
+    fn most_strangers(&self) -> usize {
+        let free = self.connections.saturating_sub(self.known);
+        free.max(self.connections / 5).max(4)
+    }
+}
+
+#[cfg(test)]
+mod tests;
