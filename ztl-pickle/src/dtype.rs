@@ -126,7 +126,11 @@ impl DType {
     }
 
     const fn has_order(self) -> bool {
-        self.size > 1 && !matches!(self.kind, Bytes)
+        match self.kind {
+            Bytes => false,
+            Text => true,
+            _ => self.size > 1,
+        }
     }
 
     /// numpy's letter of the byte order.
@@ -138,8 +142,14 @@ impl DType {
         }
     }
 
+    /// numpy's code with the byte order, such as `<f8`, `>i2` or `|S5`.
+    #[must_use]
+    pub fn code(self) -> String {
+        format!("{}{}", self.order(), self.short_code())
+    }
+
     /// numpy's code without the order, such as `f8`.
-    pub(crate) fn code(self) -> String {
+    pub(crate) fn short_code(self) -> String {
         let letter = LETTERS.into_iter().find(|(_, kind)| *kind == self.kind);
         let letter = letter.map_or('?', |(letter, _)| letter.into());
         let size = if self.kind == Text {
@@ -215,7 +225,7 @@ impl Display for DType {
             Bytes | Text => "",
         };
         match name {
-            "" => write!(f, "{}{}", self.order(), self.code()),
+            "" => f.write_str(&self.code()),
             name => write!(f, "{name}{}", self.size * 8),
         }
     }

@@ -8,7 +8,7 @@ use ztl_core::sink::Sink;
 use crate::dtype::Element;
 use crate::integer::is_printable;
 use crate::repr;
-use crate::time::{Date, Time};
+use crate::time::{Date, Time, TimeDelta};
 use crate::value::{Kind, Value};
 use crate::walk::{Limited, Visitor, walk};
 
@@ -88,11 +88,8 @@ impl<W: Write> Visitor for Json<'_, W> {
                 put_time(moment.time, out)?;
                 out.write_char('"')
             }
-            Kind::TimeDelta(delta) => {
-                let seconds = i64::from(delta.days) * 86400 + i64::from(delta.seconds);
-                put_float(seconds as f64 + f64::from(delta.micros) / 1e6, out)
-            }
-            Kind::TimeZone(zone) => put_float(zone.offset.total_micros() as f64 / 1e6, out),
+            Kind::TimeDelta(delta) => put_seconds(delta, out),
+            Kind::TimeZone(zone) => put_seconds(zone.offset, out),
             _ => out.write_str("null"),
         }
     }
@@ -211,6 +208,18 @@ fn put_element<W: Write>(element: &Element<'_>, out: &mut W) -> fmt::Result {
         Element::Bytes(bytes) => put_bytes(bytes, out),
         Element::Text(text) => put_text(text.as_bytes(), out),
     }
+}
+
+/// The seconds with all their digits.
+fn put_seconds(delta: TimeDelta, out: &mut impl Write) -> fmt::Result {
+    let seconds = i128::from(delta.days) * 86400 + i128::from(delta.seconds);
+    let micros = seconds * 1_000_000 + i128::from(delta.micros);
+    let sign = if micros < 0 { "-" } else { "" };
+    let (seconds, rest) = (
+        micros.unsigned_abs() / 1_000_000,
+        micros.unsigned_abs() % 1_000_000,
+    );
+    write!(out, "{sign}{seconds}.{rest:06}")
 }
 
 fn put_date(Date { year, month, day }: Date, out: &mut impl Write) -> fmt::Result {

@@ -295,16 +295,19 @@ fn put_bytes(bytes: &[u8], out: &mut impl Write) -> fmt::Result {
 
 fn dtype_name(dtype: DType) -> String {
     match dtype.kind() {
-        ElementKind::Bytes => dtype.code(),
+        ElementKind::Bytes => dtype.short_code(),
         _ => dtype.to_string(),
     }
 }
 
 fn put_array(array: Array<'_>, out: &mut impl Write) -> fmt::Result {
     out.write_str("array(")?;
-    let size = array.dtype().size();
-    put_nested(array, out, |element, out| put_element(element, size, out))?;
-    let shape = array.shape();
+    let (shape, size) = (array.shape(), array.dtype().size());
+    if shape.contains(&0) {
+        out.write_str("[]")?;
+    } else {
+        put_nested(array, out, |element, out| put_element(element, size, out))?;
+    }
     if shape.contains(&0) && shape.len() > 1 {
         let lengths: Vec<String> = shape.iter().map(usize::to_string).collect();
         write!(out, ", shape=({})", lengths.join(", "))?;
@@ -322,30 +325,42 @@ pub(crate) fn put_nested<W: Write>(
     out: &mut W,
     put: impl Fn(&Element<'_>, &mut W) -> fmt::Result,
 ) -> fmt::Result {
-    let shape = array.shape();
-    if shape.contains(&0) {
-        return out.write_str("[]");
+    let mut shape = array.shape();
+    if let Some(empty) = shape.iter().position(|length| *length == 0) {
+        shape.truncate(empty);
+        let count = shape.iter().product();
+        return put_in_brackets(shape, (0..count).map(|_| "[]"), out, |item, out| {
+            out.write_str(item)
+        });
     }
-    // After how many elements each bracket closes, from the outermost.
+    put_in_brackets(shape, array.elements(), out, put)
+}
+
+fn put_in_brackets<T, W: Write>(
+    shape: Vec<usize>,
+    items: impl Iterator<Item = T>,
+    out: &mut W,
+    put: impl Fn(&T, &mut W) -> fmt::Result,
+) -> fmt::Result {
+    // After how many items each bracket closes, from the outermost.
     let mut sizes = shape;
     let mut size = 1;
     for length in sizes.iter_mut().rev() {
         size *= *length;
         *length = size;
     }
-    for (index, element) in array.elements().enumerate() {
-        let opened = sizes
-            .iter()
-            .filter(|size| index.is_multiple_of(**size))
-            .count();
+    for (index, item) in items.enumerate() {
+        let is_first = |size: &&usize| index.is_multiple_of(**size);
+        let is_last = |size: &&usize| (index + 1).is_multiple_of(**size);
+        let (opened, closed) = (sizes.iter().filter(is_first), sizes.iter().filter(is_last));
         out.write_str(if index > 0 { ", " } else { "" })?;
-        (0..opened).try_for_each(|_| out.write_char('['))?;
-        put(&element, out)?;
-        let closed = sizes
-            .iter()
-            .filter(|size| (index + 1).is_multiple_of(**size))
-            .count();
-        (0..closed).try_for_each(|_| out.write_char(']'))?;
+        opened
+            .map(|_| '[')
+            .try_for_each(|bracket| out.write_char(bracket))?;
+        put(&item, out)?;
+        closed
+            .map(|_| ']')
+            .try_for_each(|bracket| out.write_char(bracket))?;
     }
     Ok(())
 }

@@ -149,6 +149,13 @@ impl<'a> Value<'a> {
         }
     }
 
+    /// A number that only the same object has: two lists of this pickle with one id are one list. Small values that
+    /// cannot change have none.
+    #[must_use]
+    pub const fn id(self) -> Option<u32> {
+        self.node.index()
+    }
+
     /// Its text, if it is a `str`.
     #[must_use]
     pub fn as_str(self) -> Option<&'a str> {

@@ -5,8 +5,7 @@ mod leaf;
 use std::collections::HashMap;
 
 use crate::globals::Global;
-use crate::graph::{Chain, Graph, Node, Ref, Rest, Span};
-use crate::integer;
+use crate::graph::{Chain, Graph, Node, Ref, Rest};
 
 /// Entries of a list or dict that are written at once, as by Python: a reader's stack stays small.
 const BATCH: u32 = 1000;

@@ -25,7 +25,7 @@ impl Writer<'_> {
             }
             Node::DType(dtype) => {
                 self.global(Global::DType);
-                self.text(dtype.code().as_bytes());
+                self.text(dtype.short_code().as_bytes());
                 // Not aligned, but a copy; then version and byte order.
                 self.out.extend([0x89, 0x88, 0x87, b'R', b'(', b'K', 3]);
                 self.text(dtype.order().to_string().as_bytes());
