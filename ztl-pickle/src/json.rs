@@ -240,11 +240,17 @@ fn put_time(time: Time<'_>, out: &mut impl Write) -> fmt::Result {
     };
     let micros = zone.offset.total_micros();
     let sign = if micros < 0 { '-' } else { '+' };
-    let seconds = micros.unsigned_abs() / 1_000_000;
+    let (seconds, micros) = (
+        micros.unsigned_abs() / 1_000_000,
+        micros.unsigned_abs() % 1_000_000,
+    );
     write!(out, "{sign}{:02}:{:02}", seconds / 3600, seconds / 60 % 60)?;
-    match seconds % 60 {
-        0 => Ok(()),
-        // Python's, beyond RFC 3339.
-        rest => write!(out, ":{rest:02}"),
+    // As Python, beyond RFC 3339.
+    if seconds % 60 != 0 || micros != 0 {
+        write!(out, ":{:02}", seconds % 60)?;
     }
+    if micros != 0 {
+        write!(out, ".{micros:06}")?;
+    }
+    Ok(())
 }

@@ -5,11 +5,11 @@ use crate::Error;
 /// What a pickle may take for each of its bytes, besides [`BASE`].
 const EXPANSION: usize = 16;
 /// What any pickle may take.
-const BASE: usize = 64 << 10;
+const BASE: usize = 1 << 20;
 
 /// Bounds on what [`Pickle::read_with`](crate::Pickle::read_with) accepts.
 ///
-/// In addition, a pickle may take 16 times its length and 64 KiB of memory. What Python writes takes less; a bomb
+/// In addition, a pickle may take 16 times its length and 1 MiB of memory. What Python writes takes less; a bomb
 /// takes more, and is an error.
 ///
 /// ```

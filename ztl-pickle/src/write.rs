@@ -31,7 +31,7 @@ struct Frame {
 struct Writer<'a> {
     graph: &'a Graph,
     out: Vec<u8>,
-    /// For each node, whether it is referred to more than once.
+    /// For each node, whether it is remembered.
     shared: Vec<bool>,
     memo: HashMap<Known, u32>,
     frames: Vec<Frame>,
@@ -66,28 +66,37 @@ pub(crate) fn write(graph: &Graph, root: Ref) -> Vec<u8> {
     writer.out
 }
 
-/// For each node, whether it is referred to more than once.
+/// For each node, whether it is remembered: it is referred to more than once.
+///
+/// A tuple is not known before it is complete, so a list on the way from a tuple to itself must be.
 fn shared(graph: &Graph, root: Ref) -> Vec<bool> {
-    let mut seen = vec![false; graph.len()];
-    let mut shared = seen.clone();
+    let mut counts = vec![0_u8; graph.len()];
+    let mut lists = Vec::new();
+    let mut has_tuple = false;
     let mut next = vec![root];
     while let Some(value) = next.pop() {
-        let Some(index) = value.index().map(|index| index as usize) else {
+        let index = value.index().map(|index| index as usize);
+        let Some(count) = index.and_then(|index| counts.get_mut(index)) else {
             continue;
         };
-        match (seen.get_mut(index), shared.get_mut(index)) {
-            (Some(seen), _) if !*seen => *seen = true,
-            (_, Some(shared)) => {
-                *shared = true;
-                continue;
-            }
-            _ => continue,
-        }
+        *count = count.saturating_add(1);
         let node = graph.node(value);
+        if *count > 1 {
+            has_tuple |= matches!(node, Node::Tuple(_));
+            continue;
+        }
+        if matches!(node, Node::List(_)) || node.is_mapping() {
+            lists.extend(index);
+        }
         next.extend(node.parts());
         next.extend(graph.iter(node.chain().unwrap_or(Chain::EMPTY)));
     }
-    shared
+    for list in lists.into_iter().filter(|_| has_tuple) {
+        if let Some(count) = counts.get_mut(list) {
+            *count = 2;
+        }
+    }
+    counts.into_iter().map(|count| count > 1).collect()
 }
 
 impl Writer<'_> {
@@ -187,7 +196,7 @@ impl Writer<'_> {
         self.keep(value);
     }
 
-    /// Remembers what was written, if it is mentioned again.
+    /// Remembers what was written, if it may be mentioned again.
     fn keep(&mut self, value: Ref) {
         let shared = value
             .index()

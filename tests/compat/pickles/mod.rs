@@ -207,6 +207,24 @@ fn zone(value: TimeZone<'_>) -> String {
     format!("z({}{})", delta(value.offset), name.unwrap_or_default())
 }
 
+/// Shows where two texts differ: they may be long.
+#[track_caller]
+fn assert_same(ours: &str, theirs: &str, about: impl FnOnce() -> String) {
+    let equal = ours
+        .chars()
+        .zip(theirs.chars())
+        .take_while(|(one, other)| one == other);
+    let start = equal.count().saturating_sub(60);
+    let part = |text: &str| text.chars().skip(start).take(200).collect::<String>();
+    assert!(
+        ours == theirs,
+        "{}\n  ours: ...{}\ntheirs: ...{}",
+        about(),
+        part(ours),
+        part(theirs)
+    );
+}
+
 /// A value, as we have read it.
 struct Case {
     canon: String,
@@ -229,18 +247,20 @@ fn read_all(python: &mut Command, seed: u64, cases: usize) -> Vec<Case> {
                 Err(error) => panic!("{}: {error}\n{}\n{expected}", about(), bytes.escape_ascii()),
             };
             let found = canon(pickle.value(), Place::Made);
-            assert_eq!(found, expected, "{}\n{}", about(), bytes.escape_ascii());
+            assert_same(&found, expected, || {
+                format!("{}\n{}", about(), bytes.escape_ascii())
+            });
             // What is written means the same to us, too.
             let again = Pickle::read(&pickle.to_bytes()).expect("our own pickle");
             assert_eq!(again, pickle, "{}", about());
-            assert_eq!(canon(again.value(), Place::Made), expected, "{}", about());
+            assert_same(&canon(again.value(), Place::Made), expected, about);
             last = Some(pickle);
         }
         let pickle = last.expect("a pickle");
         if !repr.is_empty() {
             let ours = pickle.value().repr().most(usize::MAX).to_string();
             let repr = String::from_utf8(unhex(repr)).expect("UTF-8");
-            assert_eq!(ours, repr, "{}", about());
+            assert_same(&ours, &repr, about);
             shown += 1;
         }
         let canon = expected.to_owned();
@@ -273,10 +293,19 @@ fn write_all<'a>(
     let loaded = run(python, &["load"], &input);
     assert_eq!(loaded.len(), cases.clone().count());
     for (index, (case, loaded)) in cases.zip(loaded).enumerate() {
-        let bytes = case.pickle.to_bytes();
-        let about = format!("ZTL_SEED={seed}, value {index}\n{}", bytes.escape_ascii());
-        assert_eq!(loaded, canon(case.pickle.value(), place), "{about}");
+        let ours = canon(case.pickle.value(), place);
+        assert_same(&ours, &loaded, || {
+            format!("ZTL_SEED={seed}, value {index}, loaded")
+        });
     }
+}
+
+/// Python 2 knows no time zones, no fold, and no text with surrogates in pairs. Several keys that are `nan` come in any
+/// order.
+fn is_known_to_python2(case: &&Case) -> bool {
+    let new = ["z(", "/1", "eda0bd", "edb080", "eda080"];
+    let is_known = !new.iter().any(|part| case.canon.contains(part));
+    is_known && case.canon.matches("fnan").count() < 2
 }
 
 #[test]
@@ -288,15 +317,10 @@ fn values_of_python_3_are_read_printed_and_written_as_by_python() {
         eprintln!("left out: Python 2.7, which this machine has not");
         return;
     };
-    // It knows no time zones, no fold, and no text with surrogates in pairs.
-    let is_known = |case: &&Case| {
-        let new = ["z(", "/1", "eda0bd", "edb080", "eda080"];
-        !new.iter().any(|part| case.canon.contains(part))
-    };
     write_all(
         &mut python2,
         seed,
-        cases.iter().filter(is_known),
+        cases.iter().filter(is_known_to_python2),
         Place::LoadedByPython2,
     );
 }
@@ -310,5 +334,6 @@ fn values_of_python_2_are_read_and_written_for_both() {
     };
     let cases = read_all(&mut maker, seed, CASES / 2);
     write_all(&mut python3(), seed, cases.iter(), Place::Loaded);
-    write_all(&mut python, seed, cases.iter(), Place::LoadedByPython2);
+    let known = cases.iter().filter(is_known_to_python2);
+    write_all(&mut python, seed, known, Place::LoadedByPython2);
 }

@@ -262,7 +262,8 @@ def a_key(r, depth):
         return tuple(a_key(r, depth - 1) for _ in range(r.randrange(3))) if depth > 0 else ()
     if kind == 7:
         return frozenset(a_key(r, depth - 1) for _ in range(r.randrange(4))) if depth > 0 else frozenset()
-    makers = [lambda: None, lambda: some_bytes(r)[:300], lambda: an_int(r), lambda: a_float(r), lambda: a_time(r)]
+    # To Python 2, ASCII bytes and text are equal.
+    makers = [lambda: None, lambda: b"\xff" + some_bytes(r)[:300], lambda: an_int(r), lambda: a_float(r), lambda: a_time(r)]
     return r.choice(makers)()
 
 
