@@ -184,6 +184,9 @@ const WRONG: Error = malformed("unexpected arguments of a call");
 
 /// The state of an array or its type, which Python sets after the call.
 pub(crate) fn build(graph: &mut Graph, object: Ref, state: Ref) -> Result<(), Error> {
+    if !matches!(graph.node(object), Node::Array { .. } | Node::DType(_)) {
+        return Err(Error::refused(b"", b"the state of an object"));
+    }
     let parts = arguments(graph, state)?;
     let node = match (graph.node(object), parts.as_slice()) {
         (Node::Array { .. }, [version, shape, dtype, fortran, data]) => {
@@ -207,8 +210,7 @@ pub(crate) fn build(graph: &mut Graph, object: Ref, state: Ref) -> Result<(), Er
             };
             Node::DType(order.ok_or(STATE)?)
         }
-        (Node::DType(_) | Node::Array { .. }, _) => return Err(STATE),
-        _ => return Err(Error::refused(b"", b"the state of an object")),
+        _ => return Err(STATE),
     };
     graph.set(object, node);
     Ok(())

@@ -17,8 +17,8 @@
 //! `docs/streams.md` lists what is read, refused and written.
 //!
 //! Our own, since the crate `serde-pickle` 1.2 does not fit: 40 KB of nested lists overflow its stack and abort the
-//! process; it refuses recursive values, and tuples that are shared, which Python writes all the time; it has no bound
-//! on memory, and knows neither numpy nor dates.
+//! process; it refuses values that contain themselves, and takes some that share nested tuples for such. Here, values
+//! are nodes of a graph: nothing recurses, and the memory that a pickle takes is counted.
 
 mod array;
 mod chunks;

@@ -190,7 +190,7 @@ fn json_tells_every_value() {
         (b"(G\x3f\xb9\x99\x99\x99\x99\x99\x9aG\x7f\xf0\0\0\0\0\0\0G\xff\xf0\0\0\0\0\0\0G\x7f\xf8\0\0\0\0\0\0t.", "[0.1, \"Infinity\", \"-Infinity\", \"NaN\"]"),
         (b"X\x08\0\0\0a\"\\\n\0\xed\xa0\x80.", "\"a\\\"\\\\\\n\\u0000\\ud800\""),
         (b"C\x02hi.", "{\"base64\": \"aGk=\"}"),
-        (b"}(K\x01NX\x01\0\0\01\x88X\x01\0\0\0'\x85\x89u.", "{\"1\": null, \"1\": true, \"(\\\"'\\\",)\": false}"),
+        (b"}(K\x01NX\x01\0\0\0\x31\x88X\x01\0\0\0'\x85\x89u.", "{\"1\": null, \"1\": true, \"(\\\"'\\\",)\": false}"),
         (b"cdatetime\ndatetime\nC\x0a\x07\xe8\x02\x03\x04\x05\x06\0\0\x07cdatetime\ntimezone\ncdatetime\ntimedelta\nJ\xff\xff\xff\xffM\x10\x0eK\0\x87R\x85R\x86R.", "\"2024-02-03T04:05:06.000007-23:00\""),
         (b"cdatetime\ntimedelta\nK\x01K\x02K\x03\x87R.", "86402.000003"),
     ] {

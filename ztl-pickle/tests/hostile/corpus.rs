@@ -1,10 +1,10 @@
 //! Hostile pickles, each with what is said about it.
 
 /// A pickle, and a part of its error; nothing if it may be read.
-pub struct Case {
-    pub name: String,
-    pub bytes: Vec<u8>,
-    pub error: Option<String>,
+pub(crate) struct Case {
+    pub(crate) name: String,
+    pub(crate) bytes: Vec<u8>,
+    pub(crate) error: Option<String>,
 }
 
 /// What attackers name, as module and name.
@@ -208,7 +208,7 @@ const BROKEN: [(&[u8], &str); 46] = [
 ];
 
 /// Pickles that grow, with `count` repetitions.
-pub fn bombs(count: usize) -> Vec<Case> {
+pub(crate) fn bombs(count: usize) -> Vec<Case> {
     let bomb = |name: &str, parts: &[(&[u8], usize)]| Case {
         name: format!("bomb: {name}"),
         bytes: parts
@@ -341,7 +341,7 @@ pub fn bombs(count: usize) -> Vec<Case> {
 }
 
 /// All but the bombs.
-pub fn cases() -> Vec<Case> {
+pub(crate) fn cases() -> Vec<Case> {
     let short = |text: &str| [&[0x8c, text.len() as u8], text.as_bytes()].concat();
     let case = |name: String, bytes: Vec<u8>, error: String| Case {
         name,

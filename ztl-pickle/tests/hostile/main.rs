@@ -53,7 +53,10 @@ fn check(case: &Case) {
     let Case { name, bytes, error } = case;
     let result = read(name, bytes, Limits::default());
     if let Some(error) = error {
-        let found = result.expect_err(name).to_string();
+        let found = match result {
+            Ok(pickle) => panic!("{name}: {pickle:?}"),
+            Err(found) => found.to_string(),
+        };
         assert!(found.contains(error.as_str()), "{name}: {found}");
         assert!(
             found.bytes().all(|byte| (b' '..=b'~').contains(&byte)),
@@ -86,7 +89,7 @@ fn no_hostile_pickle_is_run_or_takes_much() {
         depth: usize::MAX,
         ..Limits::default()
     };
-    for count in [10, 300, 40_000, 300_000] {
+    for count in [10, 300, 40_000, 100_000] {
         for bomb in bombs(count) {
             check(&bomb);
             let _ = read(&bomb.name, &bomb.bytes, deep);
