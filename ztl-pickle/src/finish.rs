@@ -31,10 +31,7 @@ pub(crate) fn finish(
     // How many collections are nested in each; 0 before the visit.
     let mut heights = vec![0; graph.len()];
     let mut frames: Chunks<Frame> = Chunks::new();
-    let mut keys = Keys {
-        sets: HashMap::new(),
-        work: input.saturating_mul(8).saturating_add(1 << 20),
-    };
+    let mut keys = Keys::new(input);
     // Whether the nesting is too deep, with so many below.
     let check = |frames: &Chunks<Frame>, below: u32| {
         let (limit, most) = ("depth", limits.depth);

@@ -20,9 +20,10 @@ const UNIT: usize = 64;
 /// Equal fingerprints mean equal keys: they are hashes of 128 bits.
 pub(crate) struct Keys {
     /// The fingerprints of the frozensets that were visited.
-    pub(crate) sets: HashMap<u32, u128>,
-    /// How much may still be hashed: a tuple may contain one tuple twice, which contains one twice, and so on.
-    pub(crate) work: usize,
+    sets: HashMap<u32, u128>,
+    /// How much may be hashed: a tuple may contain one tuple twice, which contains one twice, and so on.
+    most: usize,
+    work: usize,
 }
 
 struct Hash([DefaultHasher; 2]);
@@ -47,6 +48,16 @@ impl Hash {
 }
 
 impl Keys {
+    /// For a pickle of so many bytes.
+    pub(crate) fn new(input: usize) -> Self {
+        let most = input.saturating_mul(8).saturating_add(1 << 20);
+        Self {
+            sets: HashMap::new(),
+            most,
+            work: 0,
+        }
+    }
+
     /// The fingerprint of a frozenset with this sum of the fingerprints of its elements.
     pub(crate) fn put_set(
         &mut self,
@@ -156,11 +167,11 @@ impl Keys {
     }
 
     fn work(&mut self, units: usize) -> Result<(), Error> {
-        let too_large = Error::TooLarge {
-            limit: "keys",
-            most: UNIT,
-        };
-        self.work = self.work.checked_sub(units).ok_or(too_large)?;
+        self.work = self.work.saturating_add(units);
+        if self.work > self.most {
+            let (limit, most) = ("parts of keys", self.most);
+            return Err(Error::TooLarge { limit, most });
+        }
         Ok(())
     }
 }

@@ -86,7 +86,8 @@ impl Pickle {
         Value { graph, node }
     }
 
-    /// Writes it in protocol 2, which Python 2.7 and 3 read. Equal pickles that were made in the same way give the same bytes.
+    /// Writes it in protocol 2, which Python 2.7 and 3 read. Equal pickles that were made in the same way give the same
+    /// bytes.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         write::write(&self.graph, self.root)

@@ -1,5 +1,7 @@
 //! The machine that a pickle's operations drive: a stack, marks, and a memo.
 
+mod refused;
+
 use crate::chunks::Chunks;
 use crate::finish::finish;
 use crate::globals::{self, Global};
@@ -190,35 +192,6 @@ impl Reader<'_> {
                 _ => return Err(self.refused(operation)),
             }
         }
-    }
-
-    /// Operations that only make objects.
-    fn refused(&mut self, operation: u8) -> Error {
-        let what = match operation {
-            b'o' | 0x81 | 0x92 => {
-                let depth = match operation {
-                    b'o' => self.marks.last().map(|height| height as usize),
-                    0x81 => self.stack.len().checked_sub(2),
-                    _ => self.stack.len().checked_sub(3),
-                };
-                let class = depth.and_then(|depth| self.stack.get(depth));
-                match class.map(|class| self.graph.node(class)) {
-                    Some(Node::Global(global)) => return global.refused(),
-                    _ => "an object",
-                }
-            }
-            b'P' => {
-                return match self.input.line() {
-                    Ok(id) => Error::refused(b"", &[b"persistent id ", id].concat()),
-                    Err(error) => error,
-                };
-            }
-            b'Q' => "persistent id",
-            0x82..=0x84 => "extension code",
-            0x97 | 0x98 => "out-of-band buffer",
-            _ => return malformed("an unknown operation"),
-        };
-        Error::refused(b"", what.as_bytes())
     }
 
     /// The height of the stack that operations may not go below.

@@ -40,8 +40,8 @@ impl<'a> Repr<'a> {
         Self { value, most: MOST }
     }
 
-    /// Cuts the text after this many bytes, and writes `...` there. Default 1 MiB: a small pickle may have a long text, since
-    /// a list may contain another one twice, which contains one twice, and so on.
+    /// Cuts the text after this many bytes, and writes `...` there. Default 1 MiB: a small pickle may have a long text,
+    /// since a list may contain another one twice, which contains one twice, and so on.
     #[must_use]
     pub const fn most(mut self, bytes: usize) -> Self {
         self.most = bytes;

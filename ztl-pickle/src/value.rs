@@ -20,7 +20,7 @@ pub struct Value<'a> {
 
 /// What a value is.
 ///
-/// Whoever follows the items of collections recursively should know that a list or dict may contain itself.
+/// A list or dict may contain itself: whoever follows the items of collections must notice that, by [`Value::id`].
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub enum Kind<'a> {
