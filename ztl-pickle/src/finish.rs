@@ -141,12 +141,13 @@ fn unite(
         graph.set_chain(value, chain);
         account.release(count * 32);
     }
-    if let (Node::FrozenSet(_), Some(index)) = (node, value.index()) {
+    if let Node::FrozenSet(mut chain) = graph.node(value) {
         entries.dedup_by(|one, other| same(one, other));
         let sum = entries
             .iter()
             .fold(0_u128, |sum, entry| sum.wrapping_add(entry & !CELL));
-        keys.put_set(index, sum, entries.len(), account)?;
+        chain.last = keys.put_set(sum, entries.len(), account)?;
+        graph.set_chain(value, chain);
     }
     drop(entries);
     account.release(charged);

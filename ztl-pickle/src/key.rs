@@ -1,6 +1,5 @@
 //! Which keys of dicts and sets are equal to Python: `1`, `1.0` and `True`, for example.
 
-use std::collections::HashMap;
 use std::hash::{BuildHasher, DefaultHasher, Hasher, RandomState};
 use std::sync::LazyLock;
 
@@ -19,8 +18,9 @@ const UNIT: usize = 64;
 
 /// Equal fingerprints mean equal keys: they are hashes of 128 bits.
 pub(crate) struct Keys {
-    /// The fingerprints of the frozensets that were visited.
-    sets: HashMap<u32, u128>,
+    /// The fingerprints of the frozensets that were visited. Each has its number in place of its last cell, which nobody
+    /// needs any more: a frozenset does not grow.
+    sets: Chunks<u128>,
     /// How much may be hashed: a tuple may contain one tuple twice, which contains one twice, and so on.
     most: usize,
     work: usize,
@@ -52,27 +52,25 @@ impl Keys {
     pub(crate) fn new(input: usize) -> Self {
         let most = input.saturating_mul(8).saturating_add(1 << 20);
         Self {
-            sets: HashMap::new(),
+            sets: Chunks::new(),
             most,
             work: 0,
         }
     }
 
-    /// The fingerprint of a frozenset with this sum of the fingerprints of its elements.
+    /// Keeps the fingerprint of a frozenset with this sum of the fingerprints of its elements; returns its number.
     pub(crate) fn put_set(
         &mut self,
-        index: u32,
         sum: u128,
         len: usize,
         account: &mut Account,
-    ) -> Result<(), Error> {
-        // An entry of a map that is half full, and its copy when it grows.
-        account.charge(96)?;
+    ) -> Result<u32, Error> {
         let mut hash = Hash::new();
         hash.put(0, &sum.to_le_bytes());
         hash.put(0, &len.to_le_bytes());
-        self.sets.insert(index, hash.finish());
-        Ok(())
+        let number = self.sets.len() as u32;
+        self.sets.push(hash.finish(), account)?;
+        Ok(number)
     }
 
     /// The fingerprint of a key.
@@ -119,9 +117,8 @@ impl Keys {
                 hash.put(5, &chain.len.to_le_bytes());
                 return Ok(Some(graph.items(chain)));
             }
-            Node::FrozenSet(_) => {
-                let index = value.index();
-                let known = index.and_then(|index| self.sets.get(&index));
+            Node::FrozenSet(chain) => {
+                let known = self.sets.get(chain.last as usize);
                 let known = known.ok_or(Error::Unhashable("frozenset"))?;
                 hash.put(6, &known.to_le_bytes());
             }

@@ -337,3 +337,14 @@ fn values_of_python_2_are_read_and_written_for_both() {
     let known = cases.iter().filter(is_known_to_python2);
     write_all(&mut python, seed, known, Place::LoadedByPython2);
 }
+
+#[test]
+fn large_values_of_python_take_no_more_memory_than_they_may() {
+    for (place, line) in run(&mut python3(), &["large"], "").iter().enumerate() {
+        for (protocol, bytes) in line.split('\t').map(unhex).enumerate() {
+            if let Err(error) = Pickle::read(&bytes) {
+                panic!("value {place} of `large`, protocol {protocol}: {error}");
+            }
+        }
+    }
+}

@@ -2,6 +2,7 @@
 
 `make SEED COUNT`: a line for each value: its canonical text, its repr in hexadecimal (empty if ours differs), and its
 pickles in hexadecimal.
+`large`: a line for each of some large values, with its pickles in hexadecimal.
 `load`: for each line on stdin, a pickle and its JSON (which may be missing), the canonical text of the value.
 """
 
@@ -344,6 +345,38 @@ def make(seed, count):
         print("\t".join([canon(value, True), shown] + [hexed(data) for data in found]))
 
 
+def large():
+    """Values that take much memory for their length, in every protocol."""
+    n = 40000
+    values = [
+        list(range(n)),
+        [[] for _ in range(n)],
+        [[1] for _ in range(n)],
+        [(1,) for _ in range(n)],
+        [{} for _ in range(n)],
+        [(i, i) for i in range(n)],
+        {i: None for i in range(n)},
+        {i: i for i in range(n)},
+        {str(i): 1.5 for i in range(n)},
+        {(i, i + 1): i for i in range(n)},
+        {(str(i),): [] for i in range(n)},
+        set(range(n)),
+        set(range(200)) | {str(i) for i in range(n)},
+        [{"x": 1, "y": 2} for _ in range(n)],
+        ["" for _ in range(n)] + [str(i) for i in range(n)],
+        [True, None] * n,
+        [numpy.float64(i) for i in range(n // 10)],
+        [frozenset([i]) for i in range(n)],
+        {frozenset([i]): i for i in range(n)},
+        collections.OrderedDict((i, i) for i in range(n)),
+        [bytes([i % 256]) for i in range(n)],
+        [datetime.date.fromordinal(i + 1) for i in range(n)],
+        numpy.zeros(n),
+    ]
+    for value in values:
+        print("\t".join(hexed(pickle.dumps(value, protocol)) for protocol in range(6)))
+
+
 def load():
     for line in sys.stdin.read().splitlines():
         data, found = [unhexlify(part) for part in line.split("\t")]
@@ -369,5 +402,7 @@ def same(one, other):
 getattr(sys, "set_int_max_str_digits", lambda digits: None)(0)
 if sys.argv[1] == "make":
     make(int(sys.argv[2]), int(sys.argv[3]))
+elif sys.argv[1] == "large":
+    large()
 else:
     load()
