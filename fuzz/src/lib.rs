@@ -12,6 +12,7 @@ pub mod goal;
 pub mod link;
 pub mod link_ends;
 pub mod message;
+pub mod pickle;
 mod script;
 pub mod spec;
 pub mod zmtp;

@@ -7,6 +7,7 @@ mod original_client_gateway;
 mod original_server;
 mod original_suite;
 mod peers;
+mod pickles;
 mod simple_tools;
 mod task_client;
 

@@ -203,7 +203,12 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     let python = venv.join("bin/python");
     let suite = venv.join("original");
     // Also runs it: an environment breaks when its base Python is removed.
-    let works = || succeeds(cmd!(sh, "{python} -c 'import ztl, zmq, oyaml, pytest'"));
+    let works = || {
+        succeeds(cmd!(
+            sh,
+            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy'"
+        ))
+    };
     let stamp = venv.join("requirements.stamp");
     make_once(sh, &stamp, &content, works, || {
         let archive = suite.join("ztl-0.3.3.tar.gz");
