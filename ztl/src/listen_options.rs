@@ -108,6 +108,11 @@ impl ListenOptions {
         access.client_key.extend(file.client_keys);
         access.key = access.key.or(file.key);
         if access.key.is_none()
+            && let Some(mistake) = file.keyless
+        {
+            return Err(ConfigError::File(mistake.into()));
+        }
+        if access.key.is_none()
             && let Some(client) = access.client_key.first()
         {
             let mistake = format!(
