@@ -302,7 +302,7 @@ fn a_clients_key_needs_a_key_of_the_server_in_an_option_or_in_the_file() {
         assert_eq!(ended.stderr, "", "{ended:?}");
     }
     // The clients in the file, the key in an option.
-    let clients = format!("port: 0\nclient-keys: anna.key\n");
+    let clients = "port: 0\nclient-keys: anna.key\n";
     let gateway = format!("{clients}scope: {SCOPE}\ndevices: {{g: 'sim:gripper'}}\n");
     let serve = format!("{clients}scopes: {{{SCOPE}: {{h: {{c: echo}}}}}}\n");
     for (tool, text) in [("gateway", gateway), ("serve", serve)] {
