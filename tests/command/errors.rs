@@ -83,6 +83,18 @@ fn a_gateway_that_cannot_serve_says_why() {
     refuses(&twice, &["two devices are named 'gripper'"]);
     let elsewhere = format!("{sim} -p 0 -s /lab --bind 192.0.2.1");
     refuses(&elsewhere, &["cannot listen", "192.0.2.1", "127.0.0.1"]);
+    for (group, kind) in [
+        ("224.0.0.1", "multicast"),
+        ("[ff02::1]", "multicast"),
+        ("::ffff:239.1.2.3", "multicast"),
+        ("255.255.255.255", "broadcast"),
+    ] {
+        let told = format!("is a {kind} address, where no client can connect; use 127.0.0.1");
+        for transport in ["native", "libzmq"] {
+            let options = format!("--bind {group} --transport {transport}");
+            refuses(&format!("{sim} -p 0 -s /lab {options}"), &[&told]);
+        }
+    }
     let nonsense = format!("{sim} -p 0 -s /lab --bind nonsense");
     refuses(
         &nonsense,

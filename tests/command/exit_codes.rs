@@ -229,3 +229,21 @@ fn sigterm_ends_every_server_with_143_and_ctrl_c_as_before() {
         }
     }
 }
+
+#[test]
+fn a_demo_that_is_stopped_during_its_scene_fails_only_with_once() {
+    for (options, signal, code) in [
+        (&[][..], "INT", 0),
+        (&[], "TERM", 143),
+        (&["--once"], "INT", 130),
+        (&["--once"], "TERM", 143),
+    ] {
+        let mut command = ztl();
+        let process = Process::start(command.args(["demo", "-p", "0"]).args(options));
+        process.wait_for("open the gripper");
+        process.signal(signal);
+        let ended = process.end(PATIENCE);
+        assert!(!ended.stdout.contains("look straight"), "{ended:?}");
+        assert_eq!(ended.code, Some(code), "{options:?} {signal}: {ended:?}");
+    }
+}

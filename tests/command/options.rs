@@ -81,9 +81,59 @@ fn under_the_originals_name_unknown_arguments_are_ignored_with_a_warning() {
     }
 }
 
+#[test]
+fn under_the_originals_name_nothing_is_ignored_beside_an_option_of_ours() {
+    let names = Scratch::new();
+    for (tool, line, unknown, ours) in [
+        (
+            "ztl_run_script",
+            "-s SCRIPT -c CONFIG --yes --simualte",
+            "--simualte",
+            "--yes",
+        ),
+        (
+            "run_script.py",
+            "--dryrun -s SCRIPT -c CONFIG --ye",
+            "--dryrun",
+            "--yes",
+        ),
+        (
+            "ztl_run_script",
+            "-s SCRIPT -c CONFIG --scene=scene surplus",
+            "surplus",
+            "--scene",
+        ),
+        (
+            "ztl_task_client",
+            "-r localhost -p ROBOT -s /test --json --exit-staus a:b:c",
+            "--exit-staus",
+            "--json",
+        ),
+        (
+            "ztl_remote_task",
+            "-c CONFIG --timout 3 --exit-status robot a:b:c",
+            "--timout",
+            "--exit-status",
+        ),
+    ] {
+        let ended = sends_nothing_as(ours_named(&names, tool), line);
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+        assert_eq!(ended.stdout, "", "{line}");
+        let error = format!(
+            "{tool}: error: unexpected argument '{unknown}'; beside {ours}, which the original does not have, nothing is ignored"
+        );
+        assert!(ended.stderr.contains(&error), "{line}: {ended:?}");
+    }
+}
+
 /// Runs `ztl` with these arguments; `ROBOT` is replaced by a port that notices every connection.
 #[track_caller]
 fn sends_nothing(line: &str) -> Ended {
+    sends_nothing_as(ztl(), line)
+}
+
+#[track_caller]
+fn sends_nothing_as(mut command: Command, line: &str) -> Ended {
     let robot = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     robot.set_nonblocking(true).expect("to ask it");
     let port = robot.local_addr().expect("its address").port().to_string();
@@ -98,7 +148,7 @@ fn sends_nothing(line: &str) -> Ended {
         "CONFIG" => config.display().to_string(),
         word => word.to_owned(),
     });
-    let ended = Process::run(ztl().args(words));
+    let ended = Process::run(command.args(words));
     let connected = robot.accept().map(|(_, who)| who);
     assert!(connected.is_err(), "{line}: {connected:?} {ended:?}");
     ended

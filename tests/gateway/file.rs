@@ -55,6 +55,11 @@ fn the_check_finds_errors_that_would_fail_the_start() {
             "'no-such-interface' is not an address",
         ),
         (
+            "port: 0\nbind: 224.0.0.1\njournal: off\n",
+            1,
+            "224.0.0.1 is a multicast address, where no client can connect",
+        ),
+        (
             "port: 0\njournal: file/journal\n",
             1,
             "the journal cannot lie at ",

@@ -141,7 +141,7 @@ fn under_the_originals_name_run_script_behaves_like_the_original() {
     for name in ["ztl_run_script", "run_script.py"] {
         for options in [
             "--sc show.yaml --conf remotes.yaml",
-            "--s=show.yaml -c remotes.yaml --unknown",
+            "--s=show.yaml -c remotes.yaml",
         ] {
             let mut command = ours_named(&directory.files, name);
             command
@@ -154,6 +154,16 @@ fn under_the_originals_name_run_script_behaves_like_the_original() {
                 ended.stdout.contains("robot:say:hi"),
                 "{options}: {ended:?}"
             );
+        }
+        // --dry-run is ours, and beside it nothing is ignored. Without a terminal nothing is played.
+        let mut command = ours_named(&directory.files, name);
+        command
+            .args(["-s", "show.yaml", "-c", "remotes.yaml", "--unknown"])
+            .current_dir(directory.files.path(""));
+        let ended = Process::run(command.stdin(std::process::Stdio::null()));
+        let warning = format!("{name}: warning: ignored --unknown\n");
+        for part in [&warning, "Inappropriate ioctl for device"] {
+            assert!(ended.stderr.contains(part), "{part}: {ended:?}");
         }
         let ended = Process::run(&mut ours_named(&directory.files, name));
         assert_eq!(ended.code, Some(2), "{ended:?}");

@@ -301,6 +301,27 @@ fn a_clients_key_needs_a_key_of_the_server_in_an_option_or_in_the_file() {
         assert_eq!(ended.code, Some(0), "{ended:?}");
         assert_eq!(ended.stderr, "", "{ended:?}");
     }
+    // The clients in the file, the key in an option.
+    let clients = "port: 0\nclient-keys: anna.key\n";
+    let gateway = format!("{clients}scope: {SCOPE}\ndevices: {{g: 'sim:gripper'}}\n");
+    let serve = format!("{clients}scopes: {{{SCOPE}: {{h: {{c: echo}}}}}}\n");
+    for (tool, text) in [("gateway", gateway), ("serve", serve)] {
+        let file = keys.path(&format!("{tool}.yaml"));
+        std::fs::write(&file, text).expect("to write");
+        let check = |options: &[&str]| {
+            let words = [tool, &file, "--check"];
+            Process::run(ztl().args(words).args(options))
+        };
+        let refused = check(&[]);
+        assert_eq!(refused.code, Some(2), "{refused:?}");
+        let told = format!(
+            "{file}:2:14: clients can have keys only if the server has one; write key: robot.key_secret, or give --key"
+        );
+        assert!(refused.stderr.starts_with(&told), "{refused:?}");
+        let ended = check(&["--key", &own]);
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert_eq!(ended.stderr, "", "{ended:?}");
+    }
 }
 
 /// As with libzmq, the overhead of encryption is part of a message.

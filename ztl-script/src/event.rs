@@ -268,6 +268,17 @@ pub enum RunEvent {
     Stopping {
         /// The tasks.
         tasks: Vec<TaskNumber>,
+        /// Servers that are asked for the tasks that others started.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        remotes: Vec<String>,
+    },
+    /// While everything is being stopped, a server was asked for the tasks that others started. The found
+    /// ones are told before.
+    TasksListed {
+        /// Name of the server.
+        remote: String,
+        /// Why other tasks may still run there. Empty if the list is complete.
+        gaps: Vec<String>,
     },
     /// The result of stopping one task.
     StopAnswered {

@@ -10,6 +10,7 @@ mod page;
 mod run;
 mod svg;
 mod tables;
+mod trouble;
 mod words;
 
 use crate::record::{Damage, Record};

@@ -113,3 +113,77 @@ fn scenes_or_steps_that_differ_only_in_parameters_are_doubtful() {
         assert!(doubt.starts_with(start), "{doubt}");
     }
 }
+
+/// What is said about a step with this parameter.
+#[track_caller]
+fn said_of(parameter: &str) -> Vec<String> {
+    let file = format!("s: {{a ({parameter}): {{h: {{c: 1}}}}}}");
+    let (_, findings) = Script::examine("f", file.as_bytes(), Defaults::default());
+    let mistaken = findings.iter().any(|finding| !finding.is_doubt());
+    let played = Script::read("f", file.as_bytes(), Defaults::default()).is_ok();
+    assert_eq!(played, !mistaken, "{parameter}: {findings:?}");
+    findings.iter().map(ToString::to_string).collect()
+}
+
+#[test]
+fn a_retry_count_is_a_whole_number_from_1_to_100() {
+    for count in ["1", "2", "007", "100"] {
+        let said = said_of(&format!("on_failure=retry {count}"));
+        assert_eq!(said, [""; 0], "{count}");
+    }
+    for count in [
+        "-5",
+        "-1",
+        "- 1",
+        "0",
+        "101",
+        "4294967297",
+        "1.5",
+        "+2",
+        "two",
+        "2 3",
+        "_2",
+        "٣",
+    ] {
+        let said = said_of(&format!("on_failure=retry {count}"));
+        let rule = "a number of retries is a whole number from 1 to 100; write retry 2";
+        let wrong = format!("f:1:19: '{count}': {rule}");
+        assert!(
+            matches!(&said[..], [said] if said.starts_with(&wrong)),
+            "{said:?}"
+        );
+    }
+    for other in ["retry-5", "retry_5", "-retry 5", "go--on", "-ask"] {
+        let said = said_of(&format!("on_failure={other}"));
+        let wrong = format!("f:1:19: '{other}' is not known here");
+        assert!(
+            matches!(&said[..], [said] if said.starts_with(&wrong)),
+            "{said:?}"
+        );
+    }
+    for known in ["retry", "go on", "go-on", "Go_On", "ask", "stop"] {
+        assert_eq!(said_of(&format!("on_failure={known}")), [""; 0], "{known}");
+    }
+}
+
+#[test]
+fn a_time_that_is_rounded_to_nothing_is_found() {
+    for time in ["1e-9", "1e-10", "1e-300", "0.0009"] {
+        let said = said_of(&format!("timeout={time}"));
+        let wrong = format!("f:1:16: '{time}' seconds are less than a millisecond");
+        assert!(
+            matches!(&said[..], [said] if said.starts_with(&wrong)),
+            "{said:?}"
+        );
+        // The original plays it without a delay.
+        let said = said_of(&format!("delay={time}"));
+        let doubt = "f:1:8: this waits less than a millisecond";
+        assert!(
+            matches!(&said[..], [said] if said.starts_with(doubt)),
+            "{said:?}"
+        );
+    }
+    for time in ["timeout=0.001", "delay=0.001", "delay=0", "timeout=none"] {
+        assert_eq!(said_of(time), [""; 0], "{time}");
+    }
+}

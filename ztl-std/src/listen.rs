@@ -7,7 +7,7 @@ use ipnet::IpNet;
 
 use crate::files::is_stream;
 use crate::server::{LIMITS, Limits};
-use ztl_yaml::{Fields, Node, NodeValue, Reading};
+use ztl_yaml::{Diagnostic, Fields, Node, NodeValue, Reading};
 
 /// These settings. Each can be left out of the file and be given elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -23,6 +23,8 @@ pub struct Listen {
     pub key: Option<PathBuf>,
     /// Allowed clients, like `--client-key`: `[SCOPE=]FILE` or a directory.
     pub client_keys: Vec<String>,
+    /// The mistake that `client_keys` stand without a `key`, unless a key is given elsewhere.
+    pub keyless: Option<Diagnostic>,
     /// The server's limits.
     pub limits: Limits,
     /// The log level.
@@ -85,7 +87,8 @@ impl Listen {
                 listen.allow.extend(network);
             }
         }
-        if let Some(node) = fields.present("key") {
+        let key = fields.present("key");
+        if let Some(node) = key {
             let what = "the file of the server's secret key";
             listen.key = reading.parsed(node, what, |text| file(base, text));
         }
@@ -102,11 +105,9 @@ impl Listen {
                         file(base, path).map(|path| format!("{scope}{}", path.display()))
                     }));
             }
-            if listen.key.is_none() {
-                reading.wrong(
-                    node,
-                    "clients can have keys only if the server has one; write key: robot.key_secret",
-                );
+            if key.is_none() {
+                let message = "clients can have keys only if the server has one; write key: robot.key_secret, or give --key";
+                listen.keyless = Some(reading.mistake(node, message));
             }
         }
         if let Some(node) = fields.optional("limits") {

@@ -41,10 +41,14 @@ impl<'d> Reading<'d> {
         }
     }
 
+    /// A mistake in `node`, which is not reported yet.
+    pub fn mistake(&self, node: &Node, message: impl Into<String>) -> Diagnostic {
+        self.document.mistake(node.span, message)
+    }
+
     /// Reports a mistake in `node`.
     pub fn wrong(&mut self, node: &Node, message: impl Into<String>) {
-        self.mistakes
-            .push(self.document.mistake(node.span, message));
+        self.mistakes.push(self.mistake(node, message));
     }
 
     /// Reports a mistake in `node`, with its remedy.

@@ -90,10 +90,15 @@ impl Demo {
         let mut all = true;
         for (title, step) in SCENE {
             line(format_args!("\n{title}"));
-            all &= play(&mut remote, start, step);
+            let completed = play(&mut remote, start, step);
             if let Some(code) = signals::exit_code() {
-                return Ok(code);
+                // With --once, success would claim that the scene was played.
+                return Ok(match self.once {
+                    true => code,
+                    false => signals::exit_code_or(outcome(all)),
+                });
             }
+            all &= completed;
         }
         line("");
         if self.once {
@@ -108,11 +113,14 @@ impl Demo {
         }
         drop(server);
         drop(devices);
-        Ok(signals::exit_code_or(if all {
-            ExitCode::SUCCESS
-        } else {
-            ExitCode::FAILURE
-        }))
+        Ok(signals::exit_code_or(outcome(all)))
+    }
+}
+
+const fn outcome(all_completed: bool) -> ExitCode {
+    match all_completed {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
     }
 }
 

@@ -108,6 +108,11 @@ impl ListenOptions {
         access.client_key.extend(file.client_keys);
         access.key = access.key.or(file.key);
         if access.key.is_none()
+            && let Some(mistake) = file.keyless
+        {
+            return Err(ConfigError::File(mistake.into()));
+        }
+        if access.key.is_none()
             && let Some(client) = access.client_key.first()
         {
             let mistake = format!(
@@ -324,11 +329,49 @@ impl AccessOptions {
 
 /// Who can reach a server that listens at this address.
 fn reachable(bind: &str, access: &Access) -> String {
-    access.describe(match bind {
-        "*" | "0.0.0.0" | "[::]" => "everybody in its networks",
-        bind if bind.starts_with("127.") || bind == "localhost" || bind == "[::1]" => {
-            "only this machine"
-        }
+    let address = bind.trim_start_matches('[').trim_end_matches(']');
+    let address = address
+        .parse()
+        .map(|address: IpAddr| address.to_canonical());
+    access.describe(match (bind, address) {
+        ("*", _) => "everybody in its networks",
+        (_, Ok(address)) if address.is_unspecified() => "everybody in its networks",
+        ("localhost", _) => "only this machine",
+        (_, Ok(address)) if address.is_loopback() => "only this machine",
         _ => "everybody in that network",
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_can_reach_a_server_follows_from_its_address() {
+        for (who, binds) in [
+            (
+                "only this machine",
+                &[
+                    "127.0.0.1",
+                    "127.8.0.1",
+                    "localhost",
+                    "::1",
+                    "[::1]",
+                    "::ffff:127.0.0.1",
+                ][..],
+            ),
+            (
+                "everybody in its networks",
+                &["*", "0.0.0.0", "::", "[::]", "0:0:0:0:0:0:0:0"],
+            ),
+            (
+                "everybody in that network",
+                &["192.168.1.7", "[fe80::1]", "127.example.org", "eth0"],
+            ),
+        ] {
+            for bind in binds {
+                assert_eq!(reachable(bind, &Access::everybody()), who, "{bind}");
+            }
+        }
+    }
 }

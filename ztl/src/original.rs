@@ -2,7 +2,8 @@
 //! options (wire specification 7).
 //!
 //! Python's argparse, as the original uses it, ignores what it does not know; ours says on stderr what
-//! was ignored. The simple tools have no options. Called as `ztl`, none of this applies.
+//! was ignored. Beside an option of ours nothing is ignored, since `--yes --dryrun` must not move a robot.
+//! The simple tools have no options. Called as `ztl`, none of this applies.
 
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
@@ -63,6 +64,23 @@ fn parse(
     let mut built = subcommand.clone();
     built.build();
     let sorted = Sorted::new(&built, options, words);
+    // In argparse's order: usage, then the error.
+    let refuse = |wrong: &str| {
+        let usage = subcommand
+            .clone()
+            .bin_name(called.to_string())
+            .render_usage();
+        let usage = usage.to_string().replacen("Usage:", "usage:", 1);
+        error_line(format_args!("{usage}\n{called}: error: {wrong}"));
+        // The original's simple tools fail with a traceback.
+        ExitCode::from(if options.is_empty() { 1 } else { 2 })
+    };
+    if let (Some(ours), Some(unknown)) = (sorted.ours, sorted.ignored.first()) {
+        let unknown = unknown.to_string_lossy();
+        return Err(refuse(&format!(
+            "unexpected argument '{unknown}'; beside --{ours}, which the original does not have, nothing is ignored"
+        )));
+    }
     for ignored in &sorted.ignored {
         let ignored = ignored.to_string_lossy();
         error_line(format_args!("{called}: warning: ignored {ignored}"));
@@ -81,24 +99,13 @@ fn parse(
         return Err(ExitCode::SUCCESS);
     }
     let text = error.render().to_string();
-    // In argparse's order: usage, then the error.
-    let usage = subcommand
-        .clone()
-        .bin_name(called.to_string())
-        .render_usage();
-    let usage = usage.to_string().replacen("Usage:", "usage:", 1);
     let wrong: Vec<&str> = text
         .lines()
         .take_while(|line| !line.starts_with("Usage: ") && !line.starts_with("For more"))
         .map(|line| line.trim_start_matches("error: ").trim())
         .filter(|line| !line.is_empty())
         .collect();
-    error_line(format_args!(
-        "{usage}\n{called}: error: {}",
-        wrong.join(" ")
-    ));
-    // The original's simple tools fail with a traceback.
-    Err(ExitCode::from(if options.is_empty() { 1 } else { 2 }))
+    Err(refuse(&wrong.join(" ")))
 }
 
 /// What argparse makes of a command line.
@@ -108,6 +115,8 @@ struct Sorted {
     options: Vec<OsString>,
     positionals: Vec<OsString>,
     ignored: Vec<OsString>,
+    /// The first option that the original does not have.
+    ours: Option<String>,
 }
 
 /// How argparse reads a word.
@@ -142,7 +151,11 @@ impl Sorted {
                 Word::Ambiguous => sorted.options.push(word.clone()),
                 Word::Unknown => sorted.ignored.push(word.clone()),
                 Word::Option(option, value) => {
-                    let mut name = format!("--{}", option.get_long().unwrap_or_default());
+                    let long = option.get_long().unwrap_or_default();
+                    if !options.contains(&long) {
+                        sorted.ours.get_or_insert_with(|| long.to_owned());
+                    }
+                    let mut name = format!("--{long}");
                     if let Some(value) = value {
                         name.push('=');
                         name.push_str(&value);
@@ -264,12 +277,15 @@ mod tests {
             options: all(options),
             positionals: all(positionals),
             ignored: all(ignored),
+            ours: None,
         };
-        assert_eq!(
-            Sorted::new(subcommand, originals, &words),
-            expected,
-            "{line:?}"
-        );
+        let sorted = Sorted::new(subcommand, originals, &words);
+        // The tests of the command show what it is for.
+        let sorted = Sorted {
+            ours: None,
+            ..sorted
+        };
+        assert_eq!(sorted, expected, "{line:?}");
     }
 
     #[test]

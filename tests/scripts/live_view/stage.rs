@@ -4,7 +4,7 @@ use std::fs;
 use std::process::Command;
 
 use serde_json::Value;
-use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, Terminal, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, Terminal, until, ztl};
 
 /// The simulated gripper takes 1.6 s from 0 to 80 percent.
 pub const SCRIPT: &str = "\
@@ -82,6 +82,16 @@ impl Stage {
         text.lines()
             .map(|line| serde_json::from_str(line).expect(line))
             .collect()
+    }
+
+    /// The HTML report about the record.
+    #[track_caller]
+    pub fn report(&self) -> String {
+        let mut command = ztl();
+        command.args(["report", "run.jsonl", "-o", "report.html"]);
+        let made = Process::run(command.current_dir(self.files.path("")));
+        assert_eq!(made.code, Some(0), "{}", made.stderr);
+        fs::read_to_string(self.files.path("report.html")).unwrap()
     }
 
     /// The decisions so far, and who made them.

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, Terminal, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, Terminal, reserve_port, until, ztl};
 
 use super::robot::{Robot, playing_second_scene};
 use super::stage::{Stage, start_scene};
@@ -105,6 +105,33 @@ fn unconfirmed_stops_are_reported_and_stay_visible() {
     assert!(!screen.contains("everything was stopped"), "{screen}");
     let record = stage.record();
     assert_eq!(record.last().unwrap()["outcome"], "not_confirmed");
+}
+
+#[test]
+fn all_is_confirmed_only_when_each_server_answered_and_each_task_ended() {
+    // Its sleep cannot be aborted.
+    let server = Server::ours();
+    let gone = reserve_port();
+    let script = "move: {a: {test: {sleep: 25}}}\nother: {b: {gone: {echo: 1}}}\n";
+    let stage = Stage::with(script, &[("test", server.port), ("gone", gone)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: move");
+    // Nothing runs yet, and 'gone' cannot be asked.
+    terminal.type_in("x");
+    let screen =
+        terminal.shows("FOUND NOTHING TO STOP: what others started on 'gone' may still run");
+    assert!(!screen.contains("confirmed"), "{screen}");
+    start_scene(&mut terminal, &stage);
+    terminal.shows("▶ test:sleep:25  accepted");
+    terminal.type_in("x");
+    let screen = terminal.shows("✗ test:sleep:25: it cannot be stopped");
+    assert!(!screen.contains("all confirmed"), "{screen}");
+    terminal.shows("STOPPED ONLY 0 OF 1: the others may still move");
+    let report = stage.report();
+    assert!(
+        report.contains("<b>stop not confirmed</b>: it cannot be stopped"),
+        "{report}"
+    );
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use ztl_core::{Instant, State};
+use ztl_std::RemoteId;
 
 use super::state::{POLL, Phase, Player, RunTask, Stopping};
 use crate::event::{
@@ -50,12 +51,12 @@ impl Player {
         let tasks: BTreeSet<TaskNumber> = tasks.filter(|number| all || here(number)).collect();
         self.leave_play();
         self.question = None;
-        let mut listings = BTreeSet::new();
-        if command == RunCommand::StopAll {
-            for remote in self.options.remotes.clone() {
-                listings.insert(self.send_to(now, remote, None, ServerRequest::Tasks));
-            }
-        }
+        let remotes = match command {
+            RunCommand::StopAll => self.options.remotes.clone(),
+            _ => BTreeSet::new(),
+        };
+        let ask = |remote: &String| self.send_to(now, remote.clone(), None, ServerRequest::Tasks);
+        let listings = remotes.iter().map(ask).collect();
         self.phase = Phase::Stopping(Stopping {
             tasks: tasks.clone(),
             listings,
@@ -64,6 +65,7 @@ impl Player {
         });
         self.emit(RunEvent::Stopping {
             tasks: tasks.iter().copied().collect(),
+            remotes: remotes.into_iter().collect(),
         });
         for number in tasks {
             let Some(task) = self.tasks.get_mut(&number) else {
@@ -201,11 +203,26 @@ impl Player {
             }
             _ => (None, vec!["the server does not list its tasks".to_owned()]),
         };
-        for why in gaps {
+        for why in &gaps {
             let text = format!("tasks that others started on '{remote}' may still run: {why}");
             self.emit(RunEvent::Note { text });
         }
-        let Some((boot, tasks)) = listed else { return };
+        if let Some((boot, tasks)) = listed {
+            self.stop_found(now, remote, boot, tasks);
+        }
+        self.emit(RunEvent::TasksListed {
+            remote: remote.to_owned(),
+            gaps,
+        });
+    }
+
+    fn stop_found(
+        &mut self,
+        now: Instant,
+        remote: &str,
+        boot: u32,
+        tasks: Vec<(RemoteId, String)>,
+    ) {
         for (id, text) in tasks {
             // Two names may stand for one server.
             let is_known =

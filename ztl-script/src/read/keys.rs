@@ -54,6 +54,10 @@ impl Reader<'_> {
             let message = "a delay cannot be negative";
             let help = "write the seconds to wait, as delay=3".to_owned();
             self.doubt_at(entry, key, piece, message, Some(help));
+        } else if params::is_too_short(seconds) {
+            let message = "this waits less than a millisecond";
+            let help = "a delay is in seconds, as delay=1.5".to_owned();
+            self.doubt_at(entry, key, piece, message, Some(help));
         } else if delay > LONG_DELAY {
             let message = format!("this waits {}", spoken(delay));
             let help = "a delay is in seconds, as delay=1.5".to_owned();

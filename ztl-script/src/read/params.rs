@@ -12,6 +12,12 @@ use crate::model::{Defaults, OnFailure};
 /// Longest delay or limit, in seconds: a century or so.
 const LONGEST: f64 = 4e9;
 
+/// Shortest time that is not taken for a slip, in seconds.
+const SHORTEST: f64 = 0.001;
+
+/// Most retries of a step.
+const MOST_RETRIES: u32 = 100;
+
 /// Names of parameters, which stand in parentheses.
 pub(super) const NAMES: [&str; 6] = [
     "delay",
@@ -136,6 +142,11 @@ pub(super) fn delay(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds.max(0.0)).unwrap_or_default()
 }
 
+/// Whether a time is above 0, and too short to have been meant.
+pub(super) fn is_too_short(seconds: f64) -> bool {
+    seconds > 0.0 && seconds < SHORTEST
+}
+
 /// A time limit: `none` and 0 mean no limit.
 pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
     if text == "none" {
@@ -145,6 +156,11 @@ pub(super) fn limit(text: &str) -> Result<Option<Duration>, String> {
     if seconds < 0.0 {
         return Err(format!(
             "'{text}' is below 0; write seconds, as 30, or none"
+        ));
+    }
+    if is_too_short(seconds) {
+        return Err(format!(
+            "'{text}' seconds are less than a millisecond; write seconds, as 30, or none"
         ));
     }
     Ok(Some(delay(seconds)).filter(|limit| !limit.is_zero()))
@@ -170,19 +186,14 @@ pub(super) fn truth(text: &str) -> (bool, bool) {
 
 /// `ask`, `stop`, `go on`, `retry 3`.
 pub(super) fn on_failure(text: &str) -> Result<OnFailure, String> {
-    let plain = text.to_lowercase().replace(['_', '-'], " ");
+    let plain = text.to_lowercase();
     let words: Vec<&str> = plain.split_whitespace().collect();
     match words.as_slice() {
         ["ask"] => Ok(OnFailure::Ask),
         ["stop"] => Ok(OnFailure::Stop),
-        ["go", "on"] => Ok(OnFailure::GoOn),
+        ["go", "on"] | ["go-on" | "go_on"] => Ok(OnFailure::GoOn),
         ["retry"] => Ok(OnFailure::Retry(1)),
-        ["retry", count] => match count.parse() {
-            Ok(count) => Ok(OnFailure::Retry(count)),
-            Err(_) => Err(format!(
-                "invalid number of retries '{count}'; write retry 2"
-            )),
-        },
+        ["retry", count @ ..] => retries(&count.join(" ")),
         _ => {
             let known = ["ask", "stop", "go on", "retry 2"];
             Err(match closest(&plain, known) {
@@ -190,6 +201,17 @@ pub(super) fn on_failure(text: &str) -> Result<OnFailure, String> {
                 None => format!("'{text}' is not known here; there are: ask, stop, go on, retry N"),
             })
         }
+    }
+}
+
+fn retries(count: &str) -> Result<OnFailure, String> {
+    let digits = count.bytes().all(|byte| byte.is_ascii_digit());
+    let number = count.parse().ok().filter(|_| digits);
+    match number.filter(|number| (1..=MOST_RETRIES).contains(number)) {
+        Some(number) => Ok(OnFailure::Retry(number)),
+        None => Err(format!(
+            "'{count}': a number of retries is a whole number from 1 to {MOST_RETRIES}; write retry 2"
+        )),
     }
 }
 

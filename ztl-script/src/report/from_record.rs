@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use super::run::{
-    Action, PlayedScene, PlayedStep, PlayedTask, ReportedRun, RequestClass, Wait, WaitCause,
+    Action, PlayedScene, PlayedStep, PlayedTask, ReportedRun, RequestClass, StopTarget, Wait,
+    WaitCause,
 };
 use crate::event::{
     DecidedBy, Ending, Question, RequestKind, RequestNumber, RunCommand, RunEvent, RunOutcome,
@@ -33,6 +34,8 @@ pub(super) fn read(record: Record) -> ReportedRun {
             latencies: BTreeMap::new(),
             skipped: Vec::new(),
             notes: Vec::new(),
+            open_stops: BTreeMap::new(),
+            found: BTreeMap::new(),
         },
         take_open: false,
         step_open: false,
@@ -48,6 +51,9 @@ pub(super) fn read(record: Record) -> ReportedRun {
     reader.run.record.events.extend(first);
     reader.run
 }
+
+/// Why a stop is not confirmed, until it is answered.
+const NO_ANSWER: &str = "no answer in the record";
 
 /// An open question, and since when.
 type Standing = (Duration, Question);
@@ -144,6 +150,29 @@ impl Reader {
                         .unanswered += 1;
                 }
             }
+            RunEvent::Stopping { tasks, remotes } => {
+                let tasks = tasks.into_iter().map(StopTarget::Task);
+                for target in tasks.chain(remotes.into_iter().map(StopTarget::Others)) {
+                    self.open_stop(at, target, NO_ANSWER);
+                }
+            }
+            RunEvent::TaskFound { task, text, .. } => {
+                self.run.found.insert(task, text);
+                self.open_stop(at, StopTarget::Task(task), NO_ANSWER);
+            }
+            RunEvent::StopAnswered {
+                task,
+                confirmed: false,
+                text,
+            } => self.open_stop(at, StopTarget::Task(task), &text),
+            RunEvent::StopAnswered { task, .. } => self.confirm_stop(&StopTarget::Task(task)),
+            RunEvent::TasksListed { remote, gaps } => {
+                let target = StopTarget::Others(remote);
+                match gaps.is_empty() {
+                    true => self.confirm_stop(&target),
+                    false => self.open_stop(at, target, &gaps.join("; ")),
+                }
+            }
             RunEvent::Note { text } => self.run.notes.push((at, text)),
             RunEvent::RunEnded {
                 outcome,
@@ -161,6 +190,14 @@ impl Reader {
             }
             _ => {}
         }
+    }
+
+    fn open_stop(&mut self, at: Duration, target: StopTarget, why: &str) {
+        self.run.open_stops.insert(target, (at, why.to_owned()));
+    }
+
+    fn confirm_stop(&mut self, target: &StopTarget) {
+        self.run.open_stops.remove(target);
     }
 
     fn ask(&mut self, at: Duration, question: Question) {
@@ -349,6 +386,9 @@ impl Reader {
     }
 
     fn task_state(&mut self, at: Duration, number: TaskNumber, state: TaskState, text: String) {
+        if state.is_over() {
+            self.confirm_stop(&StopTarget::Task(number));
+        }
         let mine = |task: &&mut PlayedTask| task.number == number;
         // Mostly the newest.
         let Some(task) = self.run.tasks.iter_mut().rev().find(mine) else {

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::html::{Table, escape};
 use super::run::{PlayedTask, ReportedRun, WaitCause};
-use super::{svg, tables, words};
+use super::{svg, tables, trouble, words};
 use crate::durations::{difference, median, seconds, spoken};
 use crate::event::{Ending, TaskState};
 use crate::record::Damage;
@@ -29,7 +29,7 @@ pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
     out += &format!("<h1>{}</h1>\n", escape(&title));
     out += &damage_list(damage);
     if !runs.is_empty() {
-        out += &trouble(runs);
+        out += &trouble::section(runs);
     }
     if runs.len() > 1 {
         out += &comparison(runs);
@@ -71,57 +71,6 @@ fn damage_list(damage: &[Damage]) -> String {
         "<div class=\"damage\"><p>The records are damaged. This report tells what could be read.</p><ul>{lines}</ul></div>\n"
     )
 }
-
-/// The tasks that failed or are unknown in all runs, with the reasons.
-fn trouble(runs: &[ReportedRun]) -> String {
-    let wrong = |task: &&PlayedTask| {
-        let failed = task.state.is_failure() && task.state != TaskState::Aborted;
-        failed || task.state == TaskState::Unknown
-    };
-    let mut count = 0;
-    let mut items = String::new();
-    for (nth, run) in runs.iter().enumerate() {
-        for task in run.tasks.iter().filter(wrong) {
-            count += 1;
-            if count > TROUBLES {
-                continue;
-            }
-            let colon = if task.text.is_empty() { "" } else { ": " };
-            let place = run.takes.get(task.take).and_then(|take| {
-                let step = take.steps.get(task.step)?;
-                let step = run.step_name(take.scene, step.step);
-                Some(format!("{} / {step}, ", svg::take_name(run, take)))
-            });
-            let whose = match runs.len() {
-                1 => String::new(),
-                _ => format!("{}, ", run.record.name),
-            };
-            items += &format!(
-                "<li><b>{}</b>{colon}{} <small><code>{}</code>, {} at <a href=\"#run-{}\">{} s</a></small></li>\n",
-                escape(&task.state.to_string()),
-                escape(&task.text),
-                escape(&svg::task_name(run, task)),
-                escape(&(whose + &place.unwrap_or_default())).trim_end_matches([',', ' ']),
-                nth + 1,
-                seconds(task.from),
-            );
-        }
-    }
-    if count == 0 {
-        return "<p class=\"well\">No task failed or is unknown.</p>\n".to_owned();
-    }
-    let tasks = if count == 1 { "task" } else { "tasks" };
-    if count > TROUBLES {
-        let more = count - TROUBLES;
-        items += &format!("<li>{more} more are in the tables below</li>\n");
-    }
-    format!(
-        "<section class=\"failures\"><h2>{count} {tasks} failed or unknown</h2>\n<ul>\n{items}</ul></section>\n"
-    )
-}
-
-/// Most tasks listed at the top.
-const TROUBLES: usize = 20;
 
 fn wall(run: &ReportedRun) -> String {
     let first = run.record.events.first();

@@ -27,6 +27,18 @@ pub(super) struct ReportedRun {
     /// Skipped scenes.
     pub(super) skipped: Vec<(Duration, usize, DecidedBy)>,
     pub(super) notes: Vec<(Duration, String)>,
+    /// Stops that were not confirmed, since when, and why.
+    pub(super) open_stops: BTreeMap<StopTarget, (Duration, String)>,
+    /// Names of tasks that others started.
+    pub(super) found: BTreeMap<TaskNumber, String>,
+}
+
+/// What a stop has to end.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum StopTarget {
+    Task(TaskNumber),
+    /// The tasks that others started on this server.
+    Others(String),
 }
 
 /// A scene, played once.

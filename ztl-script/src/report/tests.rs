@@ -472,3 +472,64 @@ fn failed_tasks_are_at_the_top_with_their_reasons() {
     let html = report(&[("evening.jsonl", EVENING), ("matinee.jsonl", MATINEE)]).html();
     assert!(html.contains("evening.jsonl, Welcome"), "{html}");
 }
+
+#[test]
+fn a_stop_that_was_not_confirmed_is_named_at_the_top() {
+    let top = |text: &str| {
+        let html = report(&[("evening.jsonl", text)]).html();
+        let (top, _) = html.split_once("<section class=\"run\"").unwrap();
+        top.to_owned()
+    };
+    assert!(!top(EVENING).contains("stop not confirmed"));
+    let answered = r#""task":13,"confirmed":true,"text":"aborted""#;
+    assert!(EVENING.contains(answered));
+    let ended = r#""event":"task_state","task":13,"state":"aborted""#;
+    assert!(EVENING.contains(ended));
+    let running = EVENING.replace(ended, r#""event":"task_state","task":13,"state":"unknown""#);
+    // Refused, and never answered.
+    for (told, why) in [
+        (
+            r#""task":13,"confirmed":false,"text":"it cannot be stopped""#,
+            "it cannot be stopped",
+        ),
+        (
+            r#""task":99,"confirmed":true,"text":"""#,
+            "no answer in the record",
+        ),
+    ] {
+        let top = top(&running.replace(answered, told));
+        let named = format!("<b>stop not confirmed</b>: {why} <small><code>robot:arm:wave</code>");
+        for words in ["2 tasks failed or unknown, 1 stop not confirmed", &named] {
+            assert!(top.contains(words), "{words} in {top}");
+        }
+    }
+    // It ended after the run gave up stopping it.
+    let late = EVENING.replace(answered, r#""task":13,"confirmed":false,"text":"""#);
+    let (before, told) = late.split_once(r#"{"at_ms":31714.3"#).unwrap();
+    let state = r#"{"at_ms":31714.2,"wall":"2025-11-21T16:00:31Z","event":"task_state","task":13,"state":"aborted","text":""}"#;
+    let late = format!("{before}{state}\n{{\"at_ms\":31714.3{told}");
+    assert!(!top(&late).contains("stop not confirmed"));
+    // Tasks of others: one is found and goes on, and a server does not list its tasks.
+    let stamp = r#"{"at_ms":31714.2,"wall":"2025-11-21T16:00:31Z","event":"#;
+    let events = [
+        r#""stopping","tasks":[],"remotes":["robot","light"]}"#,
+        r#""task_found","task":50,"remote":"robot","id":7,"text":"robot:arm:up"}"#,
+        r#""tasks_listed","remote":"robot","gaps":[]}"#,
+        r#""tasks_listed","remote":"light","gaps":["no answer for 2.0 s"]}"#,
+    ];
+    let events: String = events
+        .iter()
+        .map(|event| format!("{stamp}{event}\n"))
+        .collect();
+    let top = top(&EVENING.replace(
+        r#"{"at_ms":31714.3"#,
+        &format!("{events}{{\"at_ms\":31714.3"),
+    ));
+    for words in [
+        "2 stops not confirmed",
+        "<code>robot:arm:up</code>",
+        "no answer for 2.0 s <small><code>tasks of others on &#39;light&#39;</code>",
+    ] {
+        assert!(top.contains(words), "{words} in {top}");
+    }
+}

@@ -250,6 +250,7 @@ mod tests {
                 ],
                 key: Some(PathBuf::from("/lab/robot.key_secret")),
                 client_keys: vec!["/lab=/lab/anna.key".to_owned()],
+                keyless: None,
                 limits,
                 log: Some(tracing::Level::DEBUG),
                 log_format: Some(LogFormat::Json),
@@ -342,10 +343,6 @@ devices:
             (
                 "allow: [10.0.0.0/8, lan]",
                 "lab.yaml:1:21: 'lan' is not a network",
-            ),
-            (
-                "client-keys: a.key",
-                "lab.yaml:1:14: clients can have keys only if",
             ),
             // What protects the server is not left out by a forgotten value.
             ("key:", "lab.yaml:1:5: here is nothing; wanted is the file"),

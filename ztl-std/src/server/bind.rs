@@ -1,7 +1,7 @@
 //! Binding a socket, and why it can fail.
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 
 use crate::keys::KeyError;
 
@@ -104,6 +104,11 @@ const USE: &str = "use 127.0.0.1 for this machine only, or * for every interface
 /// What is wrong with a host that is not an address.
 pub(super) fn not_here(host: &str) -> String {
     format!("'{host}' is not an address of this machine; {USE}")
+}
+
+/// What is wrong with the address of a group.
+pub(super) fn group(address: &IpAddr, kind: &str) -> String {
+    format!("{address} is a {kind} address, where no client can connect; {USE}")
 }
 
 /// Binds a port without listening, so that a server that starts meanwhile still gets it.

@@ -1,6 +1,7 @@
 //! Receives requests and sends answers, over one of two transports.
 
 use std::io;
+use std::net::{IpAddr, Ipv4Addr};
 use std::time::Duration;
 
 use tracing::warn;
@@ -9,7 +10,7 @@ use ztl_zmtp::session::Security;
 use ztl_zmtp::{Router as RouterType, curve};
 
 use super::access::{Access, CurrentAccess};
-use super::bind::{BindError, not_here};
+use super::bind::{BindError, group, not_here};
 use super::incoming::{Content, Received, Request, ReturnPath};
 use super::limits::Limits;
 use super::waker::Signal;
@@ -52,6 +53,7 @@ impl Router {
             }
             #[cfg(feature = "libzmq")]
             Transport::Libzmq => {
+                accessible(endpoint)?;
                 let (router, bound, waking) = RouterSocket::bind(access, limits, endpoint)?;
                 Ok((Self::Libzmq(router), bound, Signal::Libzmq(waking)))
             }
@@ -114,6 +116,23 @@ impl Router {
     }
 }
 
+/// Refuses an address that the system binds, although no client can connect to it.
+fn accessible(endpoint: &str) -> Result<(), BindError> {
+    let parsed = Endpoint::parse(endpoint).ok();
+    let Some(address) = parsed.and_then(|parsed| parsed.to_bind()) else {
+        return Ok(());
+    };
+    let kind = match address.ip().to_canonical() {
+        address if address.is_multicast() => "multicast",
+        IpAddr::V4(Ipv4Addr::BROADCAST) => "broadcast",
+        _ => return Ok(()),
+    };
+    Err(BindError::Endpoint {
+        endpoint: endpoint.to_owned(),
+        why: group(&address.ip(), kind),
+    })
+}
+
 /// An endpoint to listen at.
 pub(super) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
     let invalid = |why| BindError::Endpoint {
@@ -121,6 +140,7 @@ pub(super) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
         why,
     };
     let parsed = Endpoint::parse(endpoint).map_err(invalid)?;
+    accessible(endpoint)?;
     match &parsed {
         Endpoint::Tcp { host, .. } if parsed.to_bind().is_none() => Err(invalid(not_here(host))),
         _ => Ok(parsed),

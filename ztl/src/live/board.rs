@@ -51,6 +51,9 @@ pub(super) struct Stopping {
     pub(super) command: RunCommand,
     /// For each task whether the stop was confirmed, and the text; `None` until it is answered.
     pub(super) answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
+    /// For each server asked for the tasks that others started, whether its list is complete; `None` until
+    /// it is answered.
+    pub(super) lists: BTreeMap<String, Option<bool>>,
     /// Whether the run waits for no more answers.
     pub(super) over: bool,
 }
@@ -261,9 +264,19 @@ impl Board {
                 self.tasks.insert(*task, found);
                 self.stop_answer(*task, None);
             }
-            RunEvent::Stopping { tasks } => {
+            RunEvent::Stopping { tasks, remotes } => {
                 for task in tasks {
                     self.stop_answer(*task, None);
+                }
+                if let Some(stopping) = &mut self.stopping {
+                    let asked = remotes.iter().map(|remote| (remote.clone(), None));
+                    stopping.lists.extend(asked);
+                }
+            }
+            RunEvent::TasksListed { remote, gaps } => {
+                let lists = self.stopping.as_mut().map(|it| &mut it.lists);
+                if let Some(list) = lists.and_then(|lists| lists.get_mut(remote)) {
+                    *list = Some(gaps.is_empty());
                 }
             }
             RunEvent::StopAnswered {
@@ -374,6 +387,7 @@ impl Board {
             self.stopping = stops.then(|| Stopping {
                 command,
                 answers: BTreeMap::new(),
+                lists: BTreeMap::new(),
                 over: false,
             });
         }

@@ -152,29 +152,9 @@ fn missing(board: &Board, now: Duration) -> impl Iterator<Item = Paragraph> {
 
 /// The results of stopping, unconfirmed ones first.
 fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
-    let open = stopping.answers.values().filter(|it| it.is_none()).count();
-    let confirmed = |answer: &&Option<(bool, String)>| matches!(answer, Some((true, _)));
-    let confirmed = stopping.answers.values().filter(confirmed).count();
-    let (running, done) = match stopping.command {
-        RunCommand::StopScene => ("STOPPING THE SCENE", "STOPPED THE SCENE"),
-        _ => ("STOPPING EVERYTHING", "STOPPED EVERYTHING"),
-    };
-    let all = stopping.answers.len();
-    let head = match (stopping.over, open) {
-        (true, _) if all == 0 => (Style::Warning, format!("{done}: no task was running")),
-        (true, _) if confirmed == all => (
-            Style::Warning,
-            format!("{done}: {confirmed} of {all} confirmed"),
-        ),
-        (true, _) => (
-            Style::Bad,
-            format!("STOPPED ONLY {confirmed} OF {all}: the others may still move"),
-        ),
-        (false, 0) => (Style::Warning, format!("{running}: all confirmed")),
-        (false, open) => (
-            Style::Warning,
-            format!("{running}: {open} not confirmed yet"),
-        ),
+    let head = match stopping.over {
+        true => stopped(stopping),
+        false => being_stopped(stopping),
     };
     let mut answers: Vec<_> = stopping.answers.iter().collect();
     answers.sort_by_key(|(_, answer)| match answer {
@@ -193,6 +173,81 @@ fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
     };
     let answers = answers.into_iter().map(answer);
     std::iter::once(head).chain(answers).collect()
+}
+
+/// What is known while the run waits for answers.
+fn being_stopped(stopping: &Stopping) -> Paragraph {
+    let all = stopping.answers.len();
+    let (confirmed, unconfirmed) = (stops(stopping, true), stops(stopping, false));
+    let asked = listed(stopping, None);
+    let what = match stopping.command {
+        RunCommand::StopScene => "STOPPING THE SCENE",
+        _ => "STOPPING EVERYTHING",
+    };
+    let mut words = Vec::new();
+    if all > 0 {
+        words.push(format!("{confirmed} of {all} confirmed"));
+    }
+    if unconfirmed > 0 {
+        words.push(format!("{unconfirmed} may still move"));
+    }
+    if !asked.is_empty() {
+        words.push(format!("asking {} which tasks run", names(&asked)));
+    }
+    let style = match unconfirmed {
+        0 => Style::Warning,
+        _ => Style::Bad,
+    };
+    let colon = if words.is_empty() { "" } else { ": " };
+    (style, format!("{what}{colon}{}", words.join(", ")))
+}
+
+/// What is known when the run waits for no more answers.
+fn stopped(stopping: &Stopping) -> Paragraph {
+    let (all, confirmed) = (stopping.answers.len(), stops(stopping, true));
+    if confirmed < all {
+        let words = format!("STOPPED ONLY {confirmed} OF {all}: the others may still move");
+        return (Style::Bad, words);
+    }
+    let mut unlisted = listed(stopping, Some(false));
+    unlisted.extend(listed(stopping, None));
+    let what = match stopping.command {
+        RunCommand::StopScene => "STOPPED THE SCENE",
+        _ => "STOPPED EVERYTHING",
+    };
+    let words = match (all, unlisted.is_empty()) {
+        (0, true) => format!("{what}: no task was running"),
+        (_, true) => format!("{what}: {confirmed} of {all} confirmed"),
+        (_, false) => {
+            let known = match all {
+                0 => "FOUND NOTHING TO STOP:".to_owned(),
+                _ => format!("STOPPED WHAT IS KNOWN: {confirmed} of {all} confirmed;"),
+            };
+            let unlisted = names(&unlisted);
+            format!("{known} what others started on {unlisted} may still run")
+        }
+    };
+    (Style::Warning, words)
+}
+
+/// How many stops were answered so.
+fn stops(stopping: &Stopping, confirmed: bool) -> usize {
+    let answers = stopping.answers.values().flatten();
+    answers.filter(|(answer, _)| *answer == confirmed).count()
+}
+
+/// The servers that answered so when they were asked for their tasks.
+fn listed(stopping: &Stopping, complete: Option<bool>) -> Vec<&str> {
+    let lists = stopping.lists.iter();
+    let lists = lists.filter(|(_, answer)| **answer == complete);
+    lists.map(|(remote, _)| remote.as_str()).collect()
+}
+
+fn names(servers: &[&str]) -> String {
+    match servers {
+        [server] => format!("'{server}'"),
+        servers => format!("{} servers", servers.len()),
+    }
 }
 
 /// The outcome of the run, and how many tasks may still run.

@@ -170,7 +170,7 @@ impl<'s> PlainView<'s> {
                 no_server,
                 ..
             } => self.state(*task, *state, text, *no_server),
-            RunEvent::Stopping { tasks } if !tasks.is_empty() => {
+            RunEvent::Stopping { tasks, .. } if !tasks.is_empty() => {
                 let s = if tasks.len() == 1 { "" } else { "S" };
                 self.lines
                     .line(format_args!("STOPPING {} TASK{s}...", tasks.len()));

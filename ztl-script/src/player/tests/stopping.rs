@@ -86,6 +86,14 @@ fn stopping_everything_includes_background_and_foreign_tasks_and_keeps_the_posit
         matches!(notes[..], [RunEvent::Note { text }] if text.contains("on 'robot' may still run")),
         "{notes:?}"
     );
+    let listed = world.seen(|event| matches!(event, RunEvent::TasksListed { .. }));
+    let complete = listed.iter().map(|event| match event {
+        RunEvent::TasksListed { remote, gaps } => (remote.as_str(), gaps.is_empty()),
+        event => panic!("{event:?}"),
+    });
+    let mut complete: Vec<(&str, bool)> = complete.collect();
+    complete.sort_unstable();
+    assert_eq!(complete, [("lamp", true), ("robot", false)]);
     // Between scenes it keeps the place too.
     world.command(RunCommand::StopAll);
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));

@@ -291,7 +291,7 @@ fn everything_can_be_stopped_at_any_point_with_confirmed_final_states() {
                 }
             )
         });
-        let Some(RunEvent::Stopping { tasks }) = world
+        let Some(RunEvent::Stopping { tasks, .. }) = world
             .seen(|event| matches!(event, RunEvent::Stopping { .. }))
             .first()
             .copied()
