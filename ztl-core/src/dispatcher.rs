@@ -1,6 +1,6 @@
 //! The rules of a server: requests go in; replies and actions come out.
 //!
-//! The dispatcher decides every case of the wire specification's table (4.3) and keeps the design's rules: a
+//! The dispatcher decides every row of the table in `docs/protocol.md` [4.1] and keeps the server's rules: a
 //! final state never changes, a repeated request has no second effect, every request gets exactly one reply
 //! within 2 s. It has no socket, no clock, and calls no user code.
 //!

@@ -1,5 +1,5 @@
-//! Runs a task as the original's three clients do: start it, wait for it, abort it at the time limit (wire
-//! specification 7.2, 7.3, 7.5). Reports it in the words of each client, or as JSON.
+//! Runs a task as the original's three clients do: start it, wait for it, abort it at the time limit.
+//! Reports it in the words of each client, or as JSON.
 
 mod event;
 mod json;

@@ -1,5 +1,5 @@
-//! `ztl run-script`: plays the scenes of a script, with the options, output and keys of the original (wire
-//! specification 7.4 and 8).
+//! `ztl run-script`: plays the scenes of a script, with the options, output and keys of the original
+//! (`docs/compatibility.md`, "Scripts", lists the differences).
 
 mod output;
 mod plain;

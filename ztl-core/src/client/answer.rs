@@ -144,7 +144,7 @@ fn is_unknown_outcome(state: State, text: &str) -> bool {
 }
 
 /// Whether this text means that the server does not know the task. The original's controllers name the id, its simple
-/// server does not (wire specification 4.6, 7.5). A relay repeats the text of the server behind it, with the id that the
+/// server does not. A relay repeats the text of the server behind it, with the id that the
 /// task has there. A handler may use the same text for something else.
 fn is_unknown_task(text: &str) -> bool {
     let Some(named) = text.strip_prefix("Invalid ID") else {
@@ -169,7 +169,7 @@ pub fn is_abort_rejected(state: State, text: &str) -> bool {
 }
 
 /// Whether a final state is about the request and not about the task: the scope does not exist (yet), the request was
-/// invalid, or the original's controller raised an exception (wire specification 4.3, cases A, B, C and H).
+/// invalid, or the original's controller raised an exception (`docs/protocol.md` [12.6]).
 fn is_about_the_request(state: State, text: &str) -> bool {
     match state {
         State::Rejected => {

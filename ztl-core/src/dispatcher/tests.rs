@@ -1,4 +1,4 @@
-//! The decision table of the wire specification (4.3, 4.4, 11), as traces.
+//! The table of `docs/protocol.md` [4.1], and the scope `$ztl` (section 11), as traces.
 
 mod places;
 

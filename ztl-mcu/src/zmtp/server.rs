@@ -346,7 +346,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     };
     let spec = match spec {
         Ok(spec) => spec,
-        // Uses the original's texts where it has them (wire specification 4.6).
+        // Uses the original's texts where it has them (`docs/protocol.md` [5.3]).
         Err(error) => {
             let message = match error {
                 SpecError::NoComponent => "'component'",

@@ -232,7 +232,7 @@ impl TaskReporter {
     /// The task is rejected in the form in which the original reports an exception of its controller.
     pub fn threw(self, message: impl Into<String>) {
         let message = message.into();
-        // Logged like the original (wire specification 7.1).
+        // The original's server logs the exception's message, too, with this logger.
         error!(target: "root", "{message}");
         self.end(Report::Threw(message));
     }

@@ -1,4 +1,4 @@
-//! The plain view: the output and keys of the original (wire specification 8.4 to 8.6).
+//! The plain view: the output and keys of the original's `ztl_run_script` (`docs/compatibility.md`, "Scripts").
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
