@@ -76,7 +76,7 @@ fn start_when_served(remote: &mut RemoteTask, goal: &str) -> TaskId {
     })
     .id
     .number()
-    .expect("an id of ours")
+    .expect("a task id")
 }
 
 /// Waits until the finger has passed a position.

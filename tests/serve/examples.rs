@@ -108,7 +108,7 @@ fn runs_them(python: &Path) {
         "base:turn: the goal '270' is not a number from -180 to 180"
     );
     let turn = remote.trigger("base", "turn", "180").expect("taken").id;
-    let turn = turn.number().expect("an id of ours");
+    let turn = turn.number().expect("a task id");
     progress(&mut remote, turn, " degrees");
     assert_eq!(remote.abort(turn).expect("an answer").state, Aborted);
     let (_, text) = end(&mut remote, turn);
@@ -119,7 +119,7 @@ fn runs_them(python: &Path) {
         Err(TriggerError::Refused { reason, .. }) => assert_eq!(reason, "the brake is on"),
         taken => {
             let id = taken.expect("an answer").id.number();
-            let late = end(&mut remote, id.expect("an id of ours"));
+            let late = end(&mut remote, id.expect("a task id"));
             assert_eq!(late, (Failed, "exit code 2: the brake is on".to_owned()));
         }
     }

@@ -148,7 +148,7 @@ pub fn told(status: Status) -> (State, String) {
 pub fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
     let task = remote.trigger("p", component, goal);
     let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
-    task.id.number().expect("an id of ours")
+    task.id.number().expect("a task id")
 }
 
 #[track_caller]

@@ -67,7 +67,7 @@ fn an_abort_before_the_watchdogs_confirmation_starts_nothing() {
     );
     let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
     let mut start = || match remote.trigger("p", "go", "") {
-        Ok(task) => Ok(task.id.number().expect("an id of ours")),
+        Ok(task) => Ok(task.id.number().expect("a task id")),
         Err(TriggerError::Refused { reason, .. }) => Err(reason),
         Err(other) => panic!("{other}"),
     };

@@ -1,4 +1,4 @@
-//! Answers that no server of ours sends: ids of any length, undefined states, fields that are not numbers. The outcome is clear
+//! Answers that no server of this project sends: ids of any length, undefined states, fields that are not numbers. The outcome is clear
 //! at once, and an accepted task is never started again.
 
 use std::fs;

@@ -68,7 +68,7 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Handles a request of `peer`, with its envelope if the client uses ours. The reply goes through `out`:
+    /// Handles a request of `peer`. `envelope` is `None` for clients that send none. The reply goes through `out`:
     /// now, on a later event, or at its deadline.
     pub fn handle_request<'a>(
         &mut self,
@@ -153,8 +153,8 @@ impl<M: Memory> Dispatcher<M> {
         self.handle_step(now, id, told, step, text, out);
     }
 
-    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. A held INIT is
-    /// answered with the state `told`: a rejected task is REJECTED or FAILED. `None` for `step` means that
+    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. `told` is the state sent in
+    /// the answer to a held INIT; it may differ from the stored state. `None` for `step` means that
     /// the task cannot be aborted and continues. Progress goes to the task table directly.
     pub fn handle_step(
         &mut self,

@@ -127,7 +127,7 @@ impl<J: SessionJournal> Session<J> {
     }
 
     /// Starts a task for a client. The decision arrives as an event within one second, unless the device executes
-    /// the `Start` and its answer is lost.
+    /// the `Start` and its answer is lost; then it arrives with the next session, or the task ends as FAILED.
     pub fn start(&mut self, now: Instant, id: TaskId, component: &str, goal: &str) {
         let task = Task::new(component, goal, now + START_LIMIT, Stage::Waiting);
         self.tasks.insert(id, task);

@@ -66,7 +66,8 @@ impl Supervisor {
         processes: ProcessRegistry,
     ) -> io::Result<(Mailbox<Message>, Self)> {
         let (mailbox, inbox) = Mailbox::new()?;
-        // Even if this process was started to ignore the signal: then it could not wait for its children.
+        // Register even if SIGCHLD was ignored at the start: while it is ignored, the kernel reaps children, and `wait`
+        // fails.
         let on_child = pipe::register(SIGCHLD, mailbox.waker()?)?;
         let entries = entries
             .iter()

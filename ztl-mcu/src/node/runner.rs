@@ -106,7 +106,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             };
             task.set_end(end, now, why);
         }
-        // Ends, because each of these tasks starts or fails.
+        // The loop terminates: each pass starts or fails one waiting task.
         while let Some(task) = self.tasks.next_in_turn() {
             let goal = core::mem::take(&mut task.text);
             let mut why = Report::new(&mut task.text);
@@ -123,7 +123,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         }
     }
 
-    /// Makes the components safe that do not carry on without a link.
+    /// Sends every component except `CarryOn` ones to its safe state.
     pub(super) fn on_link_lost(&mut self, now: Instant) {
         self.make_safe(now, false);
     }

@@ -145,7 +145,7 @@ impl Connection {
         let keys = self.keys.as_ref();
         let socket = Socket::open(self.transport, &self.endpoint, keys, self.longest_answer);
         socket.map_err(|error| match error.kind() {
-            // From a name that is none, or an address of another kind.
+            // The endpoint is not a valid address, or its kind is unsupported.
             io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported => RequestError::Endpoint {
                 endpoint: self.endpoint.clone(),
                 why: error.to_string(),
@@ -380,7 +380,7 @@ impl Connection {
         let sent = wait == Wait::ForAnswer;
         loop {
             let unwanted = wanted.is_some_and(|wanted| !wanted());
-            // The original sends a task's id only in this reply.
+            // Keep waiting: the original sends a task's id only in this reply, so leaving would lose the task.
             if unwanted && !(sent && self.client.server() == Server::Original) {
                 return Ok(Ready::Unwanted);
             }

@@ -32,11 +32,11 @@ use crate::time::now;
 /// First and longest pause before a line is reopened. Looking for a port is cheap, and a person who plugs a
 /// device in wants it at once.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(500));
-/// Longest pause before a connection is made again, which is not cheap.
+/// Longest pause before a TCP line is reopened.
 const RETRY_HALF_OPEN: Duration = Duration::from_secs(2);
 /// Link timeouts without an answer after which a line that may be half open is reopened.
 const SILENCES: u32 = 5;
-/// Opening a line that takes longer is logged.
+/// Log a warning if opening a line takes longer.
 const OPENING: Duration = Duration::from_secs(3);
 /// How long a stopping gateway waits for its tasks to stop.
 const STOP: Duration = Duration::from_secs(1);
@@ -45,7 +45,7 @@ const BATCH: usize = 64;
 
 /// The state of the line.
 enum LineState {
-    /// Is opened at this time.
+    /// Closed; opened again at `retry`.
     Closed { retry: Instant },
     /// A thread is opening it.
     Opening {
