@@ -129,7 +129,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
 
     let ended = client.end(PATIENCE);
     assert_eq!(ended.code, Some(5), "{ended:?}");
-    assert!(ended.stdout.contains(r#""fate":"unknown""#), "{ended:?}");
+    assert!(ended.stdout.contains(r#""outcome":"unknown""#), "{ended:?}");
     let ended = play.end(PATIENCE);
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(ended.stderr.contains("Step 'a' waits: "), "{ended:?}");

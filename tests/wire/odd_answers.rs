@@ -270,7 +270,7 @@ fn task_client_reports_an_invalid_reply_at_once() {
         client.arg("--json").arg("--exit-status");
         let ended = run_client(client, &server, "-1");
         assert_eq!(ended.code, Some(5), "{ended:?}");
-        assert!(ended.stdout.contains(r#""fate":"unknown""#), "{ended:?}");
+        assert!(ended.stdout.contains(r#""outcome":"unknown""#), "{ended:?}");
     }
 }
 
