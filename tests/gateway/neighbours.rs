@@ -103,7 +103,7 @@ fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
     for device in ["flood", "hole", "hang"] {
         let refused = remote.trigger(device, "any", "thing");
         assert!(
-            matches!(refused, Err(TriggerError::Refused { .. })),
+            matches!(refused, Err(TriggerError::Rejected { .. })),
             "{device}: {refused:?}"
         );
     }

@@ -201,7 +201,10 @@ fn a_task_with_an_unanswered_abort_is_reported_as_possibly_running() {
     server.process.signal("STOP");
     let (client, words) = (client.end(PATIENCE), words.end(PATIENCE));
     assert_eq!((client.code, words.code), (Some(5), Some(5)), "{words:?}");
-    assert!(client.stdout.contains(r#""outcome":"unknown""#), "{client:?}");
+    assert!(
+        client.stdout.contains(r#""outcome":"unknown""#),
+        "{client:?}"
+    );
     let last = words.stdout.lines().last().unwrap_or_default();
     assert!(last.ends_with("may still run."), "{words:?}");
     for ended in [client, words] {

@@ -144,7 +144,7 @@ impl<M: Memory> Dispatcher<M> {
             TaskEvent::Completed { result } => (State::Accepted, Some(Event::Complete), result),
             TaskEvent::Failed { reason } => (State::Accepted, Some(Event::Fail), reason),
             TaskEvent::Aborted { result } => (State::Accepted, Some(Event::Abort), result),
-            TaskEvent::AbortRefused => (State::Accepted, None, ""),
+            TaskEvent::AbortRejected => (State::Accepted, None, ""),
             TaskEvent::Progress { text } => {
                 self.memory.tasks_mut().progress(id, text);
                 return;

@@ -111,7 +111,7 @@ impl Forward {
         let component = self.component.as_deref().unwrap_or(&call.component);
         let id = match remote.trigger(handler, component, &call.goal.text) {
             Ok(started) => started.id,
-            Err(TriggerError::Refused { reason, .. }) => return Outcome::Rejected(reason),
+            Err(TriggerError::Rejected { reason, .. }) => return Outcome::Rejected(reason),
             Err(TriggerError::NeverCame | TriggerError::GivenUp) => {
                 return Outcome::Rejected(format!("{to} did not get it, and will not start it"));
             }
@@ -191,7 +191,7 @@ fn outcome(status: Status) -> Outcome {
     match status.state {
         State::Completed => Outcome::Completed(text),
         State::Aborted => Outcome::Aborted(text),
-        State::Rejected => Outcome::Failed(format!("refused there: {text}")),
+        State::Rejected => Outcome::Failed(format!("rejected there: {text}")),
         _ => Outcome::Failed(text),
     }
 }

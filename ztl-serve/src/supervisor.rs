@@ -311,7 +311,7 @@ impl Supervisor {
         match effect {
             Effect::Accept => task.accept(),
             Effect::Progress(text) => task.reporter.progress(text),
-            Effect::RejectAbort => task.reporter.abort_refused(),
+            Effect::RejectAbort => task.reporter.abort_rejected(),
             Effect::Background(job) => self.background.push(job),
             Effect::End(outcome) => self.finish(id, outcome),
             Effect::Leave => {

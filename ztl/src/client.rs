@@ -143,13 +143,13 @@ impl ClientTask<'_> {
         report: impl FnMut(ClientEvent<'_>),
     ) -> TaskOutcome {
         let outcome = match &error {
-            TriggerError::Refused { .. } => TaskOutcome::Rejected,
+            TriggerError::Rejected { .. } => TaskOutcome::Rejected,
             TriggerError::NeverCame | TriggerError::GivenUp => TaskOutcome::NotStarted,
             TriggerError::Request(cause) if cause.nothing_was_sent() => TaskOutcome::NotStarted,
             _ => TaskOutcome::Unknown,
         };
         let (id, reason) = match error {
-            TriggerError::Refused { id, reason } => (Some(id), reason),
+            TriggerError::Rejected { id, reason } => (Some(id), reason),
             other => (None, format!("{other}{}", self.nameless())),
         };
         let reason = &reason;

@@ -22,8 +22,8 @@ pub enum Answer<'a> {
         /// The payload: the handler's reply or the task's result.
         text: &'a str,
     },
-    /// To an INIT: the server refused the task, and nothing was done.
-    Refused {
+    /// To an INIT: the server rejected the task, and nothing was done.
+    Rejected {
         /// The id: 0 or below.
         id: Integer<'a>,
         /// The payload: the reason.
@@ -102,7 +102,7 @@ impl<'a> Answer<'a> {
             return Some(match id.is_positive() {
                 _ if !of_scope => other_task,
                 true => Self::Accepted { id, ended, text },
-                false => Self::Refused { id, text },
+                false => Self::Rejected { id, text },
             });
         }
         Some(match (state, code.ok()?) {
@@ -120,7 +120,7 @@ impl<'a> Answer<'a> {
     pub const fn text(&self) -> &'a str {
         match *self {
             Self::Accepted { text, .. }
-            | Self::Refused { text, .. }
+            | Self::Rejected { text, .. }
             | Self::Task { text, .. }
             | Self::UnknownTask { text }
             | Self::NotTold { text, .. }

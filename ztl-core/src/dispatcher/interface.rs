@@ -27,7 +27,7 @@ pub enum Action<'a> {
         /// The INIT's payload, unchanged.
         payload: &'a str,
     },
-    /// Abort this task, or refuse to.
+    /// Abort this task, or reject the ABORT.
     Abort {
         /// The task.
         id: TaskId,
@@ -78,5 +78,5 @@ pub enum TaskEvent<'a> {
         result: &'a str,
     },
     /// The task cannot be aborted and continues.
-    AbortRefused,
+    AbortRejected,
 }

@@ -51,13 +51,13 @@ scopes:
         directory: /tmp
         environment: {LANG: C, EMPTY: , QUOTED: ''}
         user: root
-        dashes: refused
+        dashes: rejected
         limit: 30 s
         output: 4 KiB
         at-once: 2
         busy: queue 3
         goal: {fields: {text: {longest: 80}, speed: {type: whole, least: 0, most: 9, default: 5}}}
-        refused-by: [2, 64]
+        rejected-by: [2, 64]
         decide: 500 ms
         progress: '@ '
         result: json
@@ -199,7 +199,7 @@ scopes:
       six: {run: [sh, '{goal.y}'], goal: {fields: {x: number}}}
       seven: {run: [sh], goal: {least: 2, most: 1}}
       eight: {run: [sh], goal: {type: numbre}, busy: queue}
-      nine: {run: [sh], user: nobody-is-called-so, refused-by: 0}
+      nine: {run: [sh], user: nobody-is-called-so, rejected-by: 0}
       ten: ehco
       eleven: {forward: {to: 10.0.0.7, scope: /cob, key: a}}
       twelve: {run: [sh], output: 2 GiB, decide: 1 s}
@@ -235,7 +235,7 @@ scopes:
         "robot.yaml:16:30: '10.0.0.7' is not an address, as tcp://10.0.0.7:12345",
         "robot.yaml:16:58: an encrypted connection needs both: key: robot.key_secret, server-key: far.key",
         "robot.yaml:17:35: '2 GiB' is not a size from 1 byte to 1000 KiB, as 64 KiB",
-        "robot.yaml:17:50: decide needs exit codes that refuse: refused-by: [2]",
+        "robot.yaml:17:50: decide needs exit codes that reject: rejected-by: [2]",
         "robot.yaml:18:46: busy: replace aborts tasks; remove abort: no",
         "robot.yaml:19:54: needs-client aborts tasks; remove abort: no",
         "robot.yaml:20:48: this must be at least 1s, better 5s: a client that waits asks every second",

@@ -345,7 +345,7 @@ impl Connection {
                 ended,
                 text,
             },
-            Answer::Refused { id, .. } => Reply::Refused {
+            Answer::Rejected { id, .. } => Reply::Rejected {
                 id: id.into(),
                 text,
             },
@@ -423,7 +423,7 @@ pub(super) enum Reply {
         ended: Option<State>,
         text: String,
     },
-    Refused {
+    Rejected {
         id: RemoteId,
         text: String,
     },

@@ -221,7 +221,7 @@ impl RemoteTask {
                 });
                 Ok((Triggered { id, reply: text }, status))
             }
-            Reply::Refused { id, text } => Err(TriggerError::Refused { id, reason: text }),
+            Reply::Rejected { id, text } => Err(TriggerError::Rejected { id, reason: text }),
             Reply::Unclear(error) => Err(TriggerError::Request(error)),
             Reply::Task(Status { text, .. }) | Reply::UnknownTask { text } => {
                 Err(TriggerError::Request(unexpected(text)))
@@ -415,7 +415,7 @@ impl RemoteTask {
                 text,
             }),
             Reply::Unclear(error) => Err(error),
-            Reply::Accepted { text, .. } | Reply::Refused { text, .. } => Err(unexpected(text)),
+            Reply::Accepted { text, .. } | Reply::Rejected { text, .. } => Err(unexpected(text)),
             Reply::NeverStarted => Err(unexpected(String::new())),
         }
     }

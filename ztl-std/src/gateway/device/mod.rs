@@ -88,7 +88,7 @@ impl Device {
         let mut request = DeviceRequest::from(request);
         request.claim = self
             .has_journal
-            .then(|| task.refuse_unless_claimed(DECIDED, UNWRITTEN));
+            .then(|| task.reject_unless_claimed(DECIDED, UNWRITTEN));
         // If the thread has ended, dropping the reporter informs the client.
         let _ = self.inputs.send(Input::Start(task, request));
     }
