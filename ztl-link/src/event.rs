@@ -8,7 +8,7 @@ pub enum LinkEvent {
     /// The device has started the task.
     Accepted(TaskId),
     /// The task was not started and never will be.
-    Rejected(TaskId, String),
+    TaskRejected(TaskId, String),
     /// Progress of the task.
     Progress(TaskId, String),
     /// The task has ended, with this final state and text.
@@ -22,7 +22,7 @@ pub enum LinkEvent {
     /// The device was reset and has lost its tasks.
     Reset,
     /// The device refuses this gateway, or is unusable for this reason.
-    Refused(String),
+    DeviceUnusable(String),
     /// A reading, with the number of its topic.
     Reading(u8, Vec<u8>),
     /// The next bytes of the firmware's log.

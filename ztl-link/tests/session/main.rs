@@ -267,7 +267,7 @@ impl Pair {
         self.note(format!("{event:?}"));
         match event {
             LinkEvent::Accepted(id) => *self.accepted.entry(id).or_default() += 1,
-            LinkEvent::Rejected(id, reason) => {
+            LinkEvent::TaskRejected(id, reason) => {
                 assert!(!self.accepted.contains_key(&id), "{id} rejected after all");
                 let again = self.rejected.insert(id, reason);
                 assert_eq!(again, None, "{id} rejected twice");

@@ -68,7 +68,7 @@ impl Books {
     /// Checks an event of a session.
     pub(super) fn on_event(&mut self, event: &LinkEvent, truth: &Truth) -> Result<(), String> {
         let (id, state, text) = match event {
-            LinkEvent::Rejected(id, text) => (*id, State::Rejected, text),
+            LinkEvent::TaskRejected(id, text) => (*id, State::Rejected, text),
             LinkEvent::Ended(id, state, text) => (*id, *state, text),
             _ => return Ok(()),
         };

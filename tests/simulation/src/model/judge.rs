@@ -37,7 +37,7 @@ impl LinkModel {
     pub(super) fn on_event(&mut self, event: LinkEvent) -> Result<(), String> {
         let (id, told, text) = match event {
             LinkEvent::Accepted(id) => (id, Told::Accepted, String::new()),
-            LinkEvent::Rejected(id, text) => (id, Told::Rejected, text),
+            LinkEvent::TaskRejected(id, text) => (id, Told::Rejected, text),
             LinkEvent::Ended(id, state, text) => (id, Told::Ended(state), text),
             _ => return Ok(()),
         };

@@ -437,7 +437,7 @@ impl Worker {
                     task.accepted(&request.reply);
                 }
             }
-            LinkEvent::Rejected(id, reason) => {
+            LinkEvent::TaskRejected(id, reason) => {
                 if let Some(journal) = self.session.journal_mut() {
                     journal.forget(id);
                 }
@@ -485,7 +485,7 @@ impl Worker {
             LinkEvent::Reset => self
                 .log
                 .log(now(), Severity::Warn, " was reset.".to_owned()),
-            LinkEvent::Refused(reason) => self.set_trouble(reason),
+            LinkEvent::DeviceUnusable(reason) => self.set_trouble(reason),
             LinkEvent::Log { lost, bytes } => {
                 let boot = self.session.device().map_or(0, |device| device.boot);
                 self.firmware_log.put(boot, lost, bytes);
