@@ -17,7 +17,7 @@ pub enum LinkEvent {
     Up,
     /// Nothing has answered `Hello` for the link timeout. Repeated as long as nothing answers.
     Silent,
-    /// The device no longer answers.
+    /// The device, which answered before, is not answering.
     Lost,
     /// The device was reset and has lost its tasks.
     Reset,

@@ -69,7 +69,7 @@ impl<J: SessionJournal> Session<J> {
             let reason = if self.phase == Phase::Up {
                 "the device is busy with other commands"
             } else {
-                "the device is not answering"
+                "device is not answering"
             };
             self.reject(id, reason.to_owned());
         }
