@@ -156,10 +156,10 @@ pub(crate) enum Event {
 
 /// Messages to the supervisor.
 pub(crate) enum Message {
-    /// A client starts a task of the entry with this index.
+    /// A client starts a task of the component with this index.
     Start {
         task: TaskReporter,
-        entry: usize,
+        component_index: usize,
         handler: String,
         component: String,
         goal: String,
