@@ -16,7 +16,7 @@ use ztl_std::server::TaskReporter;
 use crate::admission::{Admission, Admitted};
 use crate::call::Call;
 use crate::component_config::{ComponentConfig, TotalLimit};
-use crate::kind::{Effect, Job, Message, Outcome, Services, Start, StopReason, TaskContext};
+use crate::kind::{Effect, Job, JobContext, Message, Outcome, Services, Start, StopReason};
 use crate::log::LOG;
 use crate::mailbox::{Inbox, Mailbox};
 use crate::program::processes::ProcessRegistry;
@@ -268,7 +268,7 @@ impl Supervisor {
             return;
         };
         debug!(target: LOG, "Task {id}, {}, begins.", task.name());
-        let context = TaskContext {
+        let context = JobContext {
             call: Arc::clone(&task.call),
             mailbox: self.mailbox.clone(),
         };
