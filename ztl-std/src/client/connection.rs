@@ -302,7 +302,7 @@ impl Connection {
                 Ready::Late => break,
                 Ready::Unwanted => {
                     return Err(Unanswered {
-                        outcome: true,
+                        can_ask_outcome: true,
                         error: self.no_answer(start),
                     });
                 }
@@ -325,7 +325,7 @@ impl Connection {
         }
         let late = self.client.handle_timeout(now());
         Err(Unanswered {
-            outcome: late == Late::AskOutcome,
+            can_ask_outcome: late == Late::AskOutcome,
             error: self.no_answer(start),
         })
     }
@@ -454,14 +454,14 @@ pub(super) enum ClientReply {
 pub(super) struct Unanswered {
     pub(super) error: RequestError,
     /// Whether the server can be asked for the outcome.
-    pub(super) outcome: bool,
+    pub(super) can_ask_outcome: bool,
 }
 
 impl From<RequestError> for Unanswered {
     fn from(error: RequestError) -> Self {
         Self {
             error,
-            outcome: false,
+            can_ask_outcome: false,
         }
     }
 }

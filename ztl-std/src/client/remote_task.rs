@@ -205,7 +205,7 @@ impl RemoteTask {
         let scope = &self.scope;
         let mut answer = connection.ask_while(wanted, |client, body| request(client, scope, body));
         if let Err(unanswered) = &answer
-            && unanswered.outcome
+            && unanswered.can_ask_outcome
         {
             // Only an answer settles the outcome. If the question cannot be sent, because the server hangs or is
             // gone, the outcome stays unknown: the INIT was sent.
