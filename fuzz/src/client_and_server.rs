@@ -1,5 +1,5 @@
-//! A client and a server of this project on a line that delays, repeats and loses messages. The client must learn the true
-//! outcome of its INIT.
+//! A client and a server of this project on a line that delays, repeats and loses messages. The client must learn
+//! the true outcome of its INIT.
 //!
 //! | line | step |
 //! |---|---|

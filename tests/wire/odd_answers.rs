@@ -1,5 +1,5 @@
-//! Answers that no server of this project sends: ids of any length, undefined states, fields that are not numbers. The outcome is clear
-//! at once, and an accepted task is never started again.
+//! Answers that no server of this project sends: ids of any length, undefined states, fields that are not numbers.
+//! The outcome is clear at once, and an accepted task is never started again.
 
 use std::fs;
 use std::process::Command;

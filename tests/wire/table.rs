@@ -1,4 +1,5 @@
-//! Requests and answers of the original's test server (`docs/protocol.md`, sections 4 and 5), compared between both servers.
+//! Requests and answers of the original's test server (`docs/protocol.md`, sections 4 and 5), compared between both
+//! servers.
 
 use ztl_std::TaskSpec;
 use ztl_tests::lab::{SCOPE, Server};

@@ -1,9 +1,9 @@
 //! Runs the tests, then reruns failed ones alone.
 //!
-//! Many tests wait for programs, boards in QEMU and other peers, with limits of seconds. A machine that stalls breaks
-//! such a limit now and then, a defect breaks it each time. Reruns failed tests, with
-//! the same random input, only if a stall was measured within a minute before each failure; otherwise the run fails. Lists
-//! those that pass then.
+//! Many tests wait for programs, boards in QEMU and other peers, with limits of seconds. A machine that stalls
+//! breaks such a limit now and then, a defect breaks it each time. Reruns failed tests, with the same random input,
+//! only if a stall was measured within a minute before each failure; otherwise the run fails. Lists those that pass
+//! then.
 
 use std::collections::BTreeSet;
 use std::env;

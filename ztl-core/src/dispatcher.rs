@@ -153,9 +153,9 @@ impl<M: Memory> Dispatcher<M> {
         self.handle_step(now, id, told, step, text, out);
     }
 
-    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. `told` is the state sent in
-    /// the answer to a held INIT; it may differ from the stored state. `None` for `step` means that
-    /// the task cannot be aborted and continues. Progress goes to the task table directly.
+    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. `told` is the
+    /// state sent in the answer to a held INIT; it may differ from the stored state. `None` for `step`
+    /// means that the task cannot be aborted and continues. Progress goes to the task table directly.
     pub fn handle_step(
         &mut self,
         now: Instant,

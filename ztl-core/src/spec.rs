@@ -121,9 +121,8 @@ impl<'a> TaskSpec<'a> {
         encoder.finish();
     }
 
-    /// Writes the text with which the original's standard controller answers an INIT
-    /// (`docs/protocol.md` [5.4]):
-    /// `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
+    /// Writes the text with which the original's standard controller answers an INIT (`docs/protocol.md`
+    /// [5.4]): `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
     pub fn put_initiated(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
         self.put_initiated_by(put_quoted, id, sink);
     }

@@ -1,5 +1,5 @@
-//! The gateway's end of a link, without I/O: bytes, commands and the time go in; bytes and events come out. A [`Session`]
-//! outlives the sessions of the link, each of which lasts from one `Hello` to the next.
+//! The gateway's end of a link, without I/O: bytes, commands and the time go in; bytes and events come out. A
+//! [`Session`] outlives the sessions of the link, each of which lasts from one `Hello` to the next.
 //!
 //! One command is in flight at a time. It is repeated until it is answered; only a new session gives it up. A
 //! `Start` is never sent again in another session. While a `Start` is unanswered, the task may run, so it is

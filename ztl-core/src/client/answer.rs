@@ -143,9 +143,9 @@ fn is_unknown_outcome(state: State, text: &str) -> bool {
     state == State::Failed && text.starts_with(UNKNOWN_OUTCOME)
 }
 
-/// Whether this text means that the server does not know the task. The original's controllers name the id, its simple
-/// server does not. A relay repeats the text of the server behind it, with the id that the
-/// task has there. A handler may use the same text for something else.
+/// Whether this text means that the server does not know the task. The original's controllers name the id, its
+/// simple server does not. A relay repeats the text of the server behind it, with the id that the task has
+/// there. A handler may use the same text for something else.
 fn is_unknown_task(text: &str) -> bool {
     let Some(named) = text.strip_prefix("Invalid ID") else {
         return false;

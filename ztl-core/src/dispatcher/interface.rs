@@ -51,8 +51,8 @@ pub enum TaskEvent<'a> {
         /// What is wrong, and what would be right.
         reason: &'a str,
     },
-    /// The task is rejected in the form in which the original reports an exception of its controller:
-    /// state 3 and `Controller threw exception: …`.
+    /// The task is rejected in the form in which the original reports an exception of its controller: state
+    /// 3 and `Controller threw exception: …`.
     Threw {
         /// The exception's message.
         message: &'a str,
