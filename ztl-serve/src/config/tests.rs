@@ -233,7 +233,7 @@ scopes:
         "robot.yaml:13:39: 'numbre' is not known here; did you mean 'number'?",
         "robot.yaml:13:54: 'queue' is not refuse, replace, or queue with how many may wait, as queue 3",
         "robot.yaml:14:31: there is no user 'nobody-is-called-so' on this machine",
-        "robot.yaml:14:64: '0' is not an exit code from 1 to 255, or a list of them",
+        "robot.yaml:14:65: '0' is not an exit code from 1 to 255, or a list of them",
         "robot.yaml:15:12: 'ehco' is not known here; did you mean 'echo'?",
         "robot.yaml:16:30: '10.0.0.7' is not an address, as tcp://10.0.0.7:12345",
         "robot.yaml:16:58: an encrypted connection needs both: key: robot.key_secret, server-key: far.key",
