@@ -1,5 +1,5 @@
-//! A client and a server of ours on a line that delays, repeats and loses messages. The client must learn the true
-//! outcome of its INIT.
+//! A client and a server of this project on a line that delays, repeats and loses messages. The client must learn
+//! the true outcome of its INIT.
 //!
 //! | line | step |
 //! |---|---|
@@ -9,7 +9,7 @@
 //! | `>0` | the first of the requests on the line arrives; `<0` the first of the answers |
 //! | `}0` | the request arrives and stays on the line, to arrive again |
 //! | `x0` | the request is lost, `y0` the answer |
-//! | `A`, `B` | another client of ours sends an INIT |
+//! | `A`, `B` | another client of this project sends an INIT |
 //! | `a0 ok` | a handler's event, as in [`dispatcher`](crate::dispatcher): `a` `r` `p` `c` `f` `o`…; here `O` is aborted |
 //! | `t1500` | this many milliseconds pass |
 //! | `R` | the server restarts, and all connections break |

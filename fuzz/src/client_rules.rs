@@ -230,7 +230,7 @@ impl Scenario {
                         assert_eq!(message.number(), Ok(id));
                         assert!(id.is_positive(), "accepted without an id: {}", text(body));
                     }
-                    Answer::Refused { id, .. } => {
+                    Answer::Rejected { id, .. } => {
                         assert_eq!(message.number(), Ok(id));
                         assert!(!id.is_positive(), "refused with an id: {}", text(body));
                     }

@@ -162,7 +162,7 @@ impl<const TASKS: usize, const HELD: usize> Stage<TASKS, HELD> {
             b'c' => TaskEvent::Completed { result: &text },
             b'f' => TaskEvent::Failed { reason: &text },
             b'o' => TaskEvent::Aborted { result: &text },
-            b'n' => TaskEvent::AbortRefused,
+            b'n' => TaskEvent::AbortRejected,
             _ => return,
         };
         model.on_event(*now, id, event);

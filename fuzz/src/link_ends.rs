@@ -298,7 +298,7 @@ struct Told(BTreeMap<TaskId, Option<State>>);
 impl Told {
     fn on_event(&mut self, event: &LinkEvent) {
         let (id, state) = match event {
-            LinkEvent::Rejected(id, _) => (id, State::Rejected),
+            LinkEvent::TaskRejected(id, _) => (id, State::Rejected),
             LinkEvent::Ended(id, state, _) => (id, *state),
             _ => return,
         };
@@ -339,7 +339,9 @@ impl Ends {
         let after = self.pass(Duration::from_millis(500));
         let end = after.iter().find_map(|event| match event {
             LinkEvent::Ended(ended, state, text) if *ended == id => Some((*state, text.as_str())),
-            LinkEvent::Rejected(ended, reason) if *ended == id => Some((State::Rejected, reason)),
+            LinkEvent::TaskRejected(ended, reason) if *ended == id => {
+                Some((State::Rejected, reason))
+            }
             _ => None,
         });
         let used_up = "a task of this or a later id was started already";

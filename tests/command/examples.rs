@@ -51,7 +51,7 @@ fn the_handler_rejects_unsupported_tasks_and_stops_on_request() {
         ("base", "up", "no goal 'up'; base takes: forward"),
         ("arm", "up", "no component 'arm'; it has: base"),
     ] {
-        let refused = TriggerError::Refused {
+        let refused = TriggerError::Rejected {
             id: (-1).into(),
             reason: format!("Controller threw exception: {reason}"),
         };

@@ -61,10 +61,10 @@ fn assert_documented(object: &Value) {
     for name in names.keys() {
         assert!(with.contains(&format!("`{name}`")), "{name} in {row}");
     }
-    if let Some(fate) = names.get("fate") {
+    if let Some(outcome) = names.get("outcome") {
         let row = format!(
             "| {} | {} |",
-            fate.to_string().replace('"', "`"),
+            outcome.to_string().replace('"', "`"),
             names["exit_status"]
         );
         assert!(DOCUMENT.contains(&row), "{row}");
@@ -117,7 +117,7 @@ fn each_client_reports_a_task_as_json_events() {
         );
         assert_eq!(started["id"], over["id"]);
         assert_eq!(
-            (over["fate"].as_str(), over["text"].as_str()),
+            (over["outcome"].as_str(), over["text"].as_str()),
             (Some("completed"), Some("hi"))
         );
         assert_eq!((over["exit_status"].as_i64(), code), (Some(0), Some(0)));
@@ -129,14 +129,14 @@ fn json_reports_each_outcome_with_its_exit_code() {
     let server = Server::ours();
     let at = |port: u16| format!("-r localhost -p {port} -s {SCOPE}");
     let here = at(server.port);
-    for (line, names, fate, code) in [
+    for (line, names, outcome, code) in [
         (
             format!("{here} test:nothing:x"),
             "asking started over",
             "failed",
             3,
         ),
-        (format!("{here} other:echo:x"), "asking over", "refused", 1),
+        (format!("{here} other:echo:x"), "asking over", "rejected", 1),
         (
             format!("{} test:echo:x", at(reserve_port())),
             "asking over",
@@ -154,7 +154,7 @@ fn json_reports_each_outcome_with_its_exit_code() {
         let (objects, exit) = told(&format!("task-client {line}"));
         assert_eq!(events(&objects).join(" "), names, "{line}: {objects:?}");
         let over = objects.last().expect("a last line");
-        assert_eq!(over["fate"], fate, "{over}");
+        assert_eq!(over["outcome"], outcome, "{over}");
         assert_eq!(
             (over["exit_status"].as_i64(), exit),
             (Some(code), Some(code as i32))
@@ -267,7 +267,7 @@ fn ctrl_c_before_the_answer_finds_the_task_and_aborts_it() {
             let objects = objects(&ended);
             assert_eq!(events(&objects), names);
             assert_eq!(objects[3]["interrupted"], true);
-            assert_eq!(objects[4]["fate"], "aborted");
+            assert_eq!(objects[4]["outcome"], "aborted");
         }
     }
 }
@@ -286,7 +286,7 @@ fn ctrl_c_without_a_server_exits_at_once() {
     assert_eq!(ended.code, Some(130));
     let objects = objects(&ended);
     assert_eq!(
-        objects.last().expect("a line")["fate"],
+        objects.last().expect("a line")["outcome"],
         "not_started",
         "{ended:?}"
     );
@@ -346,7 +346,7 @@ fn sigterm_aborts_the_task_reports_its_outcome_and_exits_with_143() {
         objects.retain(|object| object["event"] != "progress");
         let names = ["asking", "started", "aborting", "not_aborted", "over"];
         assert_eq!(events(&objects), names);
-        assert_eq!(objects[4]["fate"], "unknown");
+        assert_eq!(objects[4]["outcome"], "unknown");
         assert_eq!(ended.code, Some(code), "{ended:?}");
     }
 }

@@ -68,7 +68,7 @@ fn a_rejected_init_creates_no_task() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
     let reason = "Controller threw exception: No such handler 'robot', try 'test'.";
-    let refused = TriggerError::Refused {
+    let refused = TriggerError::Rejected {
         id: (-1).into(),
         reason: reason.to_owned(),
     };
@@ -103,7 +103,7 @@ fn an_unknown_id_or_scope_is_refused() {
     assert_eq!(remote.abort(id), Err(unknown));
 
     let stranger = RemoteTask::connect(&server.endpoint(), "/elsewhere");
-    let refused = TriggerError::Refused {
+    let refused = TriggerError::Rejected {
         id: (-1).into(),
         reason: "No controller for scope: /elsewhere".to_owned(),
     };

@@ -21,7 +21,7 @@ fn same(servers: &[Server; 2], args: &[&str], last: &str) -> String {
     same_by(our_client, servers, args, last)
 }
 
-/// The same with this client of ours.
+/// The same with this client of this project.
 #[track_caller]
 fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], last: &str) -> String {
     let original = |server: &Server| server.start_client(original_client(), args);

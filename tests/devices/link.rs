@@ -114,7 +114,7 @@ fn hex(bytes: &[u8]) -> String {
 
 /// The lines of the document's conversation: name and bytes.
 fn shown() -> Vec<(&'static str, Vec<u8>)> {
-    let (_, examples) = DOCUMENT.split_once("## Examples").unwrap();
+    let (_, examples) = DOCUMENT.split_once("## 12. Examples").unwrap();
     let (_, block) = examples.split_once("```text\n").unwrap();
     let (block, _) = block.split_once("```").unwrap();
     let line = |line: &'static str| {

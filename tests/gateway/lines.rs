@@ -186,7 +186,7 @@ fn a_device_link_that_changes_its_target_is_reopened() {
     });
     std::os::unix::fs::symlink(&silent, &link).expect("a link");
     let gateway = Server::gateway(&[&format!("gripper=serial:{}", link.display())]);
-    gateway.process.wait_for("nothing there answers");
+    gateway.process.wait_for("device is not answering");
 
     let (_device, pty) = Device::new(Kind::Gripper).on_pty(None).expect("a pty");
     std::fs::remove_file(&link).expect("the link");

@@ -90,7 +90,7 @@ fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
         trouble(&watch, "hang"),
         "a stuck driver: opening it takes long"
     );
-    assert!(trouble(&watch, "hole").ends_with(": nothing there answers"));
+    assert!(trouble(&watch, "hole").ends_with(": device is not answering"));
     trouble(&watch, "flood");
     // The flood keeps a core busy, which the gateway cannot prevent. Waiting for any of the
     // three would take hundreds of milliseconds.
@@ -103,7 +103,7 @@ fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
     for device in ["flood", "hole", "hang"] {
         let refused = remote.trigger(device, "any", "thing");
         assert!(
-            matches!(refused, Err(TriggerError::Refused { .. })),
+            matches!(refused, Err(TriggerError::Rejected { .. })),
             "{device}: {refused:?}"
         );
     }

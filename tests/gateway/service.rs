@@ -79,7 +79,7 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
     })
     .id
     .number()
-    .expect("an id of ours")
+    .expect("a task id")
 }
 
 #[test]

@@ -186,7 +186,7 @@ fn a_task_over_its_time_limit_is_aborted_after_its_server_hung() {
     server.process.signal("CONT");
     let ended = client.end(PATIENCE);
     assert_eq!(ended.code, Some(4), "{ended:?}");
-    assert!(ended.stdout.contains(r#""fate":"aborted""#), "{ended:?}");
+    assert!(ended.stdout.contains(r#""outcome":"aborted""#), "{ended:?}");
     runs_nothing(&server);
 }
 
@@ -201,7 +201,10 @@ fn a_task_with_an_unanswered_abort_is_reported_as_possibly_running() {
     server.process.signal("STOP");
     let (client, words) = (client.end(PATIENCE), words.end(PATIENCE));
     assert_eq!((client.code, words.code), (Some(5), Some(5)), "{words:?}");
-    assert!(client.stdout.contains(r#""fate":"unknown""#), "{client:?}");
+    assert!(
+        client.stdout.contains(r#""outcome":"unknown""#),
+        "{client:?}"
+    );
     let last = words.stdout.lines().last().unwrap_or_default();
     assert!(last.ends_with("may still run."), "{words:?}");
     for ended in [client, words] {
@@ -274,7 +277,7 @@ fn the_reply_to_an_abort_is_not_reported_as_the_result() {
     let mut client = our_client_at(server.port);
     let ended = Process::run(client.args(["--json", "-t", "1", "arm:left:up"]));
     let last = ended.stdout.lines().last().unwrap_or_default();
-    assert!(last.contains(r#""fate":"completed""#), "{ended:?}");
+    assert!(last.contains(r#""outcome":"completed""#), "{ended:?}");
     assert!(last.contains(r#""text":"there""#), "{ended:?}");
 }
 

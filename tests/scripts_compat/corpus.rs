@@ -1,4 +1,4 @@
-//! Scripts for each rule of the wire specification's section 8, with keys: Enter, `r`, ….
+//! Scripts for each rule of the original's `ztl_run_script`, with keys: Enter, `r`, ….
 
 /// What a key sends.
 pub(crate) fn key(name: &str) -> &str {

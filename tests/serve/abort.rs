@@ -45,7 +45,7 @@ fn the_json_client_reports_the_last_output_of_an_aborted_program() {
     assert!(
         ended
             .stdout
-            .ends_with("\"fate\":\"aborted\",\"exit_status\":4,\"text\":\"stopped at 3\"}\n"),
+            .ends_with("\"outcome\":\"aborted\",\"exit_status\":4,\"text\":\"stopped at 3\"}\n"),
         "{ended:?}"
     );
 }

@@ -41,7 +41,7 @@ fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
         ),
         ("nowhere", 8, "sh: there is no directory "),
     ] {
-        let reason = rig.refusal(component, "x");
+        let reason = rig.rejection(component, "x");
         assert!(reason.contains(part), "{component}: {reason}");
         assert!(
             reason.ends_with(&format!("at {file}:{line}")),
@@ -71,28 +71,28 @@ fn write_executable(path: &std::path::Path, text: &str) {
 fn an_unknown_handler_or_component_is_rejected_with_the_known_ones() {
     let rig = Rig::new("one: echo\ntwo: echo");
     assert_eq!(
-        rig.refusal("three", ""),
+        rig.rejection("three", ""),
         "no component 'three' on 'p'; it has: one, two"
     );
     let other = rig
         .remote()
         .trigger("q", "one", "")
         .expect_err("no such handler");
-    assert_eq!(other.to_string(), "refused: no handler 'q'; there are: p");
+    assert_eq!(other.to_string(), "rejected: no handler 'q'; there are: p");
 }
 
 #[test]
 fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
     let rig = Rig::new(
         r#"
-        refuses: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], refused-by: [2, 3], decide: 1500 ms}
-        fails: {run: [sh, -c, 'exit 1'], refused-by: 2}
-        works: {run: [echo, fine], refused-by: 2}
-        late: {run: [sh, -c, 'echo "@ moving"; sleep 0.2; exit 2'], refused-by: 2, progress: '@ ', decide: 1500 ms}
-        slow: {run: [sh, -c, 'until [ -e go ]; do sleep 0.01; done; exit 2'], refused-by: 2, decide: 50 ms}
+        rejects: {run: [sh, -c, 'echo "the arm is locked" >&2; exit 2'], rejected-by: [2, 3], decide: 1500 ms}
+        fails: {run: [sh, -c, 'exit 1'], rejected-by: 2}
+        works: {run: [echo, fine], rejected-by: 2}
+        late: {run: [sh, -c, 'echo "@ moving"; sleep 0.2; exit 2'], rejected-by: 2, progress: '@ ', decide: 1500 ms}
+        slow: {run: [sh, -c, 'until [ -e go ]; do sleep 0.01; done; exit 2'], rejected-by: 2, decide: 50 ms}
         "#,
     );
-    assert_eq!(rig.refusal("refuses", ""), "the arm is locked");
+    assert_eq!(rig.rejection("rejects", ""), "the arm is locked");
     assert_eq!(rig.run("fails", ""), (Failed, "exit code 1".to_owned()));
     assert_eq!(rig.run("works", ""), (Completed, "fine".to_owned()));
     assert_eq!(
@@ -112,8 +112,8 @@ fn a_program_rejects_by_its_exit_code_before_it_is_accepted() {
     });
     std::fs::write(rig.scratch.path("go"), "").expect("to write");
     assert_eq!(end(&mut remote, id), (Failed, "exit code 2".to_owned()));
-    let refused = rig.server.original_client().trigger("p", "refuses", "");
-    assert_eq!(refused, (-1, "the arm is locked"));
+    let rejected = rig.server.original_client().trigger("p", "rejects", "");
+    assert_eq!(rejected, (-1, "the arm is locked"));
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn built_in_components_need_no_program() {
     assert_eq!(rig.run("echo", "a;b:c"), (Completed, "a;b:c".to_owned()));
     assert_eq!(rig.run("sleep", "0.05"), (Completed, "True".to_owned()));
     assert_eq!(
-        rig.refusal("sleep", "-1"),
+        rig.rejection("sleep", "-1"),
         "p:sleep: the goal '-1' is not a number of at least 0"
     );
     assert_eq!(rig.run("print", "hello"), (Completed, "True".to_owned()));
@@ -145,7 +145,7 @@ fn built_in_components_need_no_program() {
             .then_some(())
     });
     assert_eq!(rig.run("any", "12"), (Completed, "12".to_owned()));
-    assert!(rig.refusal("any", "x").contains("a whole number"));
+    assert!(rig.rejection("any", "x").contains("a whole number"));
     let mut client = rig.server.original_client();
     let id = client.start("p", "sleep", "60");
     assert_eq!(client.abort(id).text, "True");

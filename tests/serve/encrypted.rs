@@ -292,11 +292,11 @@ fn a_clients_key_needs_a_key_of_the_server_in_an_option_or_in_the_file() {
         command.args(["gateway", file, "--check", "--client-key", &anna]);
         Process::run(command.args(options))
     };
-    let refused = check(&without, &[]);
-    assert_eq!(refused.code, Some(2), "{refused:?}");
+    let rejected = check(&without, &[]);
+    assert_eq!(rejected.code, Some(2), "{rejected:?}");
     let told =
         format!("ztl: --client-key {anna}: clients can have keys only if the server has one");
-    assert!(refused.stderr.starts_with(&told), "{refused:?}");
+    assert!(rejected.stderr.starts_with(&told), "{rejected:?}");
     for ended in [check(&without, &["--key", &own]), check(&with, &[])] {
         assert_eq!(ended.code, Some(0), "{ended:?}");
         assert_eq!(ended.stderr, "", "{ended:?}");
@@ -334,10 +334,10 @@ fn the_longest_encrypted_message_passes_and_a_longer_one_is_reported() {
     let mut remote = keys.client(&server.endpoint(), "anna", "robot");
     let most = MAX_MESSAGE - 33;
     let payload = |bytes| "x".repeat(bytes - SCOPE.len() - ";1;-1;".len());
-    let refused = remote.trigger_payload(&payload(most));
+    let rejected = remote.trigger_payload(&payload(most));
     assert!(
-        matches!(refused, Err(TriggerError::Refused { .. })),
-        "it is not a task: {refused:?}"
+        matches!(rejected, Err(TriggerError::Rejected { .. })),
+        "it is not a task: {rejected:?}"
     );
     let error = remote.trigger_payload(&payload(most + 1));
     let told = format!(
@@ -370,7 +370,7 @@ fn a_key_for_another_scope_gives_no_access() {
 
     let mut remote = keys.client(&server.endpoint(), "bert", "robot");
     match remote.trigger("gripper", "finger", "5") {
-        Err(TriggerError::Refused { reason, .. }) => {
+        Err(TriggerError::Rejected { reason, .. }) => {
             assert!(reason.starts_with("No controller for scope"), "{reason}");
         }
         other => panic!("{other:?}"),

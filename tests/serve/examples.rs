@@ -91,24 +91,25 @@ fn runs_them(python: &Path) {
             "{goal}"
         );
     }
-    let refused = |remote: &mut RemoteTask, handler: &str, component: &str, goal: &str| match remote
-        .trigger(handler, component, goal)
-    {
-        Err(TriggerError::Refused { reason, .. }) => reason,
-        other => panic!("{other:?}"),
-    };
-    let said = refused(&mut remote, "ros", "cmd_vel", "{x: 3}");
+    let rejected =
+        |remote: &mut RemoteTask, handler: &str, component: &str, goal: &str| match remote
+            .trigger(handler, component, goal)
+        {
+            Err(TriggerError::Rejected { reason, .. }) => reason,
+            other => panic!("{other:?}"),
+        };
+    let said = rejected(&mut remote, "ros", "cmd_vel", "{x: 3}");
     assert_eq!(
         said,
         "ros:cmd_vel: '3' for x is not a number from -0.3 to 0.3"
     );
-    let said = refused(&mut remote, "base", "turn", "270");
+    let said = rejected(&mut remote, "base", "turn", "270");
     assert_eq!(
         said,
         "base:turn: the goal '270' is not a number from -180 to 180"
     );
     let turn = remote.trigger("base", "turn", "180").expect("taken").id;
-    let turn = turn.number().expect("an id of ours");
+    let turn = turn.number().expect("a task id");
     progress(&mut remote, turn, " degrees");
     assert_eq!(remote.abort(turn).expect("an answer").state, Aborted);
     let (_, text) = end(&mut remote, turn);
@@ -116,10 +117,10 @@ fn runs_them(python: &Path) {
     std::fs::write(scratch.path("brake"), "").expect("to write");
     // On a busy machine Python starts too slowly to reject in time.
     match remote.trigger("base", "turn", "10") {
-        Err(TriggerError::Refused { reason, .. }) => assert_eq!(reason, "the brake is on"),
+        Err(TriggerError::Rejected { reason, .. }) => assert_eq!(reason, "the brake is on"),
         taken => {
             let id = taken.expect("an answer").id.number();
-            let late = end(&mut remote, id.expect("an id of ours"));
+            let late = end(&mut remote, id.expect("a task id"));
             assert_eq!(late, (Failed, "exit code 2: the brake is on".to_owned()));
         }
     }

@@ -70,7 +70,7 @@ fn a_constantly_busy_line_gets_rejections_and_the_gateway_exits() {
         let mut remote = connect(server.endpoint());
         let ran = remote.run("noise", "c", "g", Some(PATIENCE));
         let rejected = match &ran {
-            Err(RunError::NotStarted(TriggerError::Refused { .. })) => true,
+            Err(RunError::NotStarted(TriggerError::Rejected { .. })) => true,
             // On a busy machine the INIT may be answered before.
             Ok(status) => status.state == State::Rejected,
             _ => false,

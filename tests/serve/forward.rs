@@ -34,7 +34,7 @@ fn a_forwarded_task_behaves_like_a_local_one() {
         (Failed, "exit code 1: broken".to_owned())
     );
     assert_eq!(
-        near.refusal("nope", ""),
+        near.rejection("nope", ""),
         "no component 'nope' on 'p'; it has: bad, echo, go, never"
     );
     let mut remote = near.remote();
@@ -60,10 +60,10 @@ fn tasks_are_forwarded_to_the_originals_server() {
     let far = Server::original();
     let near = relay(far.port);
     assert_eq!(near.run("other", "hi"), (Completed, "hi".to_owned()));
-    let refused = near.refusal("echo", "hi");
+    let rejected = near.rejection("echo", "hi");
     assert!(
-        refused.contains("No such handler 'p', try 'test'."),
-        "{refused}"
+        rejected.contains("No such handler 'p', try 'test'."),
+        "{rejected}"
     );
 }
 
@@ -129,7 +129,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
 
     let ended = client.end(PATIENCE);
     assert_eq!(ended.code, Some(5), "{ended:?}");
-    assert!(ended.stdout.contains(r#""fate":"unknown""#), "{ended:?}");
+    assert!(ended.stdout.contains(r#""outcome":"unknown""#), "{ended:?}");
     let ended = play.end(PATIENCE);
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(ended.stderr.contains("Step 'a' waits: "), "{ended:?}");
@@ -199,7 +199,7 @@ fn a_server_that_forwards_to_itself_terminates_the_loop() {
             .wait(task.id, Some(PATIENCE))
             .map(|status| status.text)
             .ok(),
-        Err(refused) => Some(refused.to_string()),
+        Err(rejected) => Some(rejected.to_string()),
     };
     let ended = ended.expect("an end");
     assert!(ended.contains("p:x is busy with task"), "{ended}");

@@ -92,7 +92,7 @@ fn a_panic_fails_only_its_own_task() {
     let bystander = start(&mut remote, "any", "sleep", "");
     for round in 0..3 {
         let reason = match remote.trigger("any", "panic-in-assign", &round.to_string()) {
-            Err(TriggerError::Refused { reason, .. }) => reason,
+            Err(TriggerError::Rejected { reason, .. }) => reason,
             // On a busy machine, printing the panic takes longer than a reply is held.
             taken => {
                 let late = remote.wait(taken.expect("an answer").id, LIMIT);

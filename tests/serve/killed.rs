@@ -169,7 +169,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
         kill(last);
         until("the program is started", PATIENCE, || {
             match remote.trigger("p", "go", "") {
-                Err(TriggerError::Refused { reason, .. }) => {
+                Err(TriggerError::Rejected { reason, .. }) => {
                     assert!(reason.contains("watchdog"), "{reason}");
                     None
                 }

@@ -88,14 +88,17 @@ fn running_tasks_goals_that_fill_the_memory_are_rejected() {
     let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
     let goal = "x".repeat(50_000);
     let mut taken = Vec::new();
-    let refused = loop {
+    let rejected = loop {
         match remote.trigger("h", "c", &goal) {
             Ok(task) => taken.push(task.id),
             Err(error) => break error.to_string(),
         }
-        assert!(taken.len() < 20, "no goal was refused");
+        assert!(taken.len() < 20, "no goal was rejected");
     };
-    assert!(refused.contains("too many tasks are running"), "{refused}");
+    assert!(
+        rejected.contains("too many tasks are running"),
+        "{rejected}"
+    );
     assert!(taken.len() >= 5, "{taken:?}");
     for id in &taken {
         assert_eq!(remote.status(id).expect("known").state, State::Accepted);

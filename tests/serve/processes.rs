@@ -24,7 +24,7 @@ fn a_program_of_another_user_has_only_that_users_rights() {
         ended.stdout.trim().to_owned()
     };
     if id("-u") != "0" {
-        let why = rig.refusal("own", "");
+        let why = rig.rejection("own", "");
         assert!(why.contains("must run as that user or as root"), "{why}");
         return;
     }

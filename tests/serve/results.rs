@@ -39,12 +39,12 @@ fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
         rig.run("field", "{a: 'it''s', b: [-2, 3]}"),
         (Completed, said)
     );
-    assert_eq!(rig.refusal("field", "{a: 1}"), "the goal has no 'b.0'");
-    assert!(rig.refusal("field", "{a: ").contains("has no fields"));
+    assert_eq!(rig.rejection("field", "{a: 1}"), "the goal has no 'b.0'");
+    assert!(rig.rejection("field", "{a: ").contains("has no fields"));
     assert_eq!(rig.run("number", "0x1F"), (Completed, "31".to_owned()));
     assert_eq!(rig.run("number", "-45"), (Completed, "-45".to_owned()));
     let said = "p:number: the goal '101' is not a number of at most 100";
-    assert_eq!(rig.refusal("number", "101"), said);
+    assert_eq!(rig.rejection("number", "101"), said);
 }
 
 #[test]
@@ -55,8 +55,8 @@ fn an_option_like_goal_or_invalid_argument_is_rejected() {
         bold: {run: [printf, '%s', '{goal}'], dashes: allowed}
         ",
     );
-    let refused = rig.refusal("say", "-n");
-    assert!(refused.starts_with("'-n' begins with '-'"), "{refused}");
+    let rejected = rig.rejection("say", "-n");
+    assert!(rejected.starts_with("'-n' begins with '-'"), "{rejected}");
     // A check of a script gets the same reply and starts nothing.
     let scratch = Scratch::new();
     let (script, remotes) = (scratch.path("show.yaml"), scratch.path("remotes.yaml"));
@@ -80,12 +80,12 @@ fn an_option_like_goal_or_invalid_argument_is_rejected() {
         "{ended:?}"
     );
     assert!(ended.stdout.contains("1 mistake"), "{ended:?}");
-    assert!(refused.contains("dashes: allowed"), "{refused}");
+    assert!(rejected.contains("dashes: allowed"), "{rejected}");
     assert_eq!(rig.run("bold", "-n"), (Completed, "-n".to_owned()));
     assert_eq!(rig.run("say", "a-b"), (Completed, "a-b".to_owned()));
-    assert!(rig.refusal("say", "a\0b").contains("NUL"));
+    assert!(rig.rejection("say", "a\0b").contains("NUL"));
     let long = "x".repeat(200_000);
-    assert!(rig.refusal("say", &long).contains("too long"));
+    assert!(rig.rejection("say", &long).contains("too long"));
 }
 
 #[test]

@@ -62,7 +62,7 @@ impl Rig {
             PATIENCE,
             || match remote.run("p", component, goal, Some(PATIENCE)) {
                 Ok(Status { text, .. }) if is_starved(&text) => None,
-                Err(RunError::NotStarted(TriggerError::Refused { reason, .. }))
+                Err(RunError::NotStarted(TriggerError::Rejected { reason, .. }))
                     if is_starved(&reason) =>
                 {
                     None
@@ -75,8 +75,8 @@ impl Rig {
 
     /// Why a task is rejected.
     #[track_caller]
-    pub fn refusal(&self, component: &str, goal: &str) -> String {
-        refusal(&mut self.remote(), component, goal)
+    pub fn rejection(&self, component: &str, goal: &str) -> String {
+        rejection(&mut self.remote(), component, goal)
     }
 
     /// Waits until a program has written a file of its directory, and returns the content.
@@ -148,13 +148,13 @@ pub fn told(status: Status) -> (State, String) {
 pub fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
     let task = remote.trigger("p", component, goal);
     let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
-    task.id.number().expect("an id of ours")
+    task.id.number().expect("a task id")
 }
 
 #[track_caller]
-pub fn refusal(remote: &mut RemoteTask, component: &str, goal: &str) -> String {
+pub fn rejection(remote: &mut RemoteTask, component: &str, goal: &str) -> String {
     match remote.trigger("p", component, goal) {
-        Err(TriggerError::Refused { reason, .. }) => reason,
+        Err(TriggerError::Rejected { reason, .. }) => reason,
         other => panic!("{component}:{goal}: {other:?}"),
     }
 }

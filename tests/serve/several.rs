@@ -4,7 +4,7 @@ use ztl_std::State::{Aborted, Accepted, Completed};
 use ztl_std::{RemoteTask, TaskId};
 use ztl_tests::lab::{PATIENCE, until};
 
-use crate::rig::{Rig, end, is_starved, progress, refusal, trigger};
+use crate::rig::{Rig, end, is_starved, progress, rejection, trigger};
 
 /// Runs until a file named like its goal exists.
 const WAITS: &str = r#"run: [sh, -c, 'echo "@ on"; until [ -e "$0" ]; do sleep 0.02; done; echo "$0 done"', '{goal}'], progress: '@ '"#;
@@ -31,7 +31,7 @@ fn tasks_beyond_the_allowed_number_are_rejected() {
     let one = started(&mut remote, "one");
     let two = started(&mut remote, "two");
     let said = format!("p:go is busy with task {two}");
-    assert_eq!(refusal(&mut remote, "go", "three"), said);
+    assert_eq!(rejection(&mut remote, "go", "three"), said);
     let_go(&rig, "one");
     assert_eq!(end(&mut remote, one), (Completed, "one done".to_owned()));
     let three = started(&mut remote, "three");
@@ -49,7 +49,7 @@ fn queued_tasks_run_in_order() {
     let two = trigger(&mut remote, "go", "two");
     let three = trigger(&mut remote, "go", "three");
     progress(&mut remote, three, "waiting, 1 before it");
-    refusal(&mut remote, "go", "four");
+    rejection(&mut remote, "go", "four");
     let_go(&rig, "one");
     assert_eq!(end(&mut remote, one).0, Completed);
     progress(&mut remote, two, "on");
@@ -105,8 +105,8 @@ fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
         .map(|_| trigger(&mut remote, "go", "all"))
         .collect();
     let said = "200 tasks are under way, and more are not allowed (at-once)";
-    assert_eq!(refusal(&mut remote, "go", "all"), said);
-    assert_eq!(refusal(&mut remote, "echo", "all"), said);
+    assert_eq!(rejection(&mut remote, "go", "all"), said);
+    assert_eq!(rejection(&mut remote, "echo", "all"), said);
     // Another client is answered at once meanwhile.
     let one = *tasks.first().expect("200");
     assert_eq!(rig.remote().status(one).expect("an answer").state, Accepted);

@@ -96,10 +96,10 @@ fn a_stopping_server_starts_no_new_task() {
     rig.server.process.signal("TERM");
     rig.server.process.wait_for("Stopping;");
     let mut other = rig.remote();
-    let refused = until("it is refused", PATIENCE, || {
+    let rejected = until("it is rejected", PATIENCE, || {
         other.trigger("p", "sleep", "60").err()
     });
-    assert_eq!(refused.to_string(), "refused: the server is stopping");
+    assert_eq!(rejected.to_string(), "rejected: the server is stopping");
     let Rig { server, scratch } = rig;
     assert_eq!(server.process.end(PATIENCE).code, Some(143));
     assert!(!lives(process));

@@ -6,7 +6,7 @@ use ztl_serve::{Config, ProcessRegistry};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer, TriggerError};
 use ztl_tests::lab::{PATIENCE, Scratch, until};
 
-use crate::rig::{end, refusal};
+use crate::rig::{end, rejection};
 
 const FILE: &str = "
 scopes:
@@ -45,10 +45,10 @@ fn without_the_watchdogs_confirmation_only_programs_are_rejected() {
         let (scratch, server, endpoint) = serve(watchdog);
         let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
         let mut other = RemoteTask::connect(&endpoint, "/test").expect("an address");
-        let refused = std::thread::spawn(move || refusal(&mut remote, "go", ""));
+        let rejected = std::thread::spawn(move || rejection(&mut remote, "go", ""));
         let ran = other.run("p", "echo", "heard", Some(PATIENCE));
         assert_eq!(ran.expect("its end").state, State::Completed);
-        let reason = refused.join().expect("a reason");
+        let reason = rejected.join().expect("a reason");
         assert_eq!(
             reason, "not started: the watchdog has not confirmed within 1200 ms; try again",
             "{watchdog}"
@@ -67,8 +67,8 @@ fn an_abort_before_the_watchdogs_confirmation_starts_nothing() {
     );
     let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
     let mut start = || match remote.trigger("p", "go", "") {
-        Ok(task) => Ok(task.id.number().expect("an id of ours")),
-        Err(TriggerError::Refused { reason, .. }) => Err(reason),
+        Ok(task) => Ok(task.id.number().expect("a task id")),
+        Err(TriggerError::Rejected { reason, .. }) => Err(reason),
         Err(other) => panic!("{other}"),
     };
     let first = start().expect("taken");

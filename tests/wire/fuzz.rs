@@ -40,7 +40,7 @@ const BODIES: &[&[u8]] = &[
     b";;;",
 ];
 
-/// A message from a client of ours, from the original's, or from neither.
+/// A message from a client of this project, from the original's, or from neither.
 fn message(random: &mut Random) -> Vec<u8> {
     let mut frames: Vec<Vec<u8>> = Vec::new();
     for _ in 0..random.below(4) {

@@ -44,7 +44,7 @@ fn serve_at(endpoint: &str, change: impl FnOnce(&mut Limits)) -> RunningServer {
 #[track_caller]
 fn refused(remote: &mut RemoteTask) -> String {
     match remote.trigger("h", "wait", "g") {
-        Err(TriggerError::Refused { id, reason }) if id.as_str() == "-1" => reason,
+        Err(TriggerError::Rejected { id, reason }) if id.as_str() == "-1" => reason,
         other => panic!("not refused: {other:?}"),
     }
 }
@@ -103,7 +103,7 @@ fn waiting_requests_above_the_limit_are_rejected() {
     let waiting = std::thread::spawn(move || remote.wait(id, Some(Duration::from_secs(3))));
     let reason = until("the wait", PATIENCE, || {
         match other.trigger("h", "echo", "g") {
-            Err(TriggerError::Refused { reason, .. }) => Some(reason),
+            Err(TriggerError::Rejected { reason, .. }) => Some(reason),
             _ => None,
         }
     });
@@ -164,7 +164,7 @@ fn the_longest_message_passes_and_a_longer_one_is_reported() {
     let payload = |length: usize| "x".repeat(length - "/test;1;-1;".len());
     let refused = remote.trigger_payload(&payload(MAX_MESSAGE));
     assert!(
-        matches!(refused, Err(TriggerError::Refused { .. })),
+        matches!(refused, Err(TriggerError::Rejected { .. })),
         "it is not a task: {refused:?}"
     );
     let error = remote.trigger_payload(&payload(MAX_MESSAGE + 1));

@@ -1,5 +1,5 @@
-//! Answers that no server of ours sends: ids of any length, undefined states, fields that are not numbers. The outcome is clear
-//! at once, and an accepted task is never started again.
+//! Answers that no server of this project sends: ids of any length, undefined states, fields that are not numbers.
+//! The outcome is clear at once, and an accepted task is never started again.
 
 use std::fs;
 use std::process::Command;
@@ -270,7 +270,7 @@ fn task_client_reports_an_invalid_reply_at_once() {
         client.arg("--json").arg("--exit-status");
         let ended = run_client(client, &server, "-1");
         assert_eq!(ended.code, Some(5), "{ended:?}");
-        assert!(ended.stdout.contains(r#""fate":"unknown""#), "{ended:?}");
+        assert!(ended.stdout.contains(r#""outcome":"unknown""#), "{ended:?}");
     }
 }
 

@@ -1,8 +1,9 @@
-//! Runs tests, and again, one at a time, those that failed.
+//! Runs the tests, then reruns failed ones alone.
 //!
-//! Many tests wait for programs, boards in QEMU and other peers, with limits of seconds. A machine that stalls breaks
-//! such a limit now and then, a defect breaks it each time. So a test runs again only if the machine was measured to
-//! stall while it ran, and with the same random input. It is listed if it passes then.
+//! Many tests wait for programs, boards in QEMU and other peers, with limits of seconds. A machine that stalls
+//! breaks such a limit now and then, a defect breaks it each time. Reruns failed tests, with the same random input,
+//! only if a stall was measured within a minute before each failure; otherwise the run fails. Lists those that pass
+//! then.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -15,8 +16,8 @@ use xshell::Cmd;
 
 use crate::stalls::Stalls;
 
-/// How often a test that failed runs again at most.
-const AGAIN: u32 = 2;
+/// Most reruns of a failed test.
+const RERUNS: u32 = 2;
 
 /// If more tests fail, the machine is hardly the reason.
 const AT_MOST: usize = 20;
@@ -47,11 +48,11 @@ pub(crate) fn cargo_test<'a>(
     let not_stalled = first.difference(&ran.stalled).cloned().collect();
     ensure!(
         first.is_subset(&ran.stalled),
-        "these tests failed while the machine did not stall (ZTL_SEED={seed}):{}",
+        "these tests failed without a stall in the minute before (ZTL_SEED={seed}):{}",
         list(&not_stalled)
     );
     let mut failed = first.clone();
-    for time in 1..=AGAIN {
+    for time in 1..=RERUNS {
         if failed.is_empty() {
             break;
         }
@@ -62,13 +63,13 @@ pub(crate) fn cargo_test<'a>(
             "{} tests failed:{listed}",
             names.len()
         );
-        println!("\n=== again, one at a time ({time} of {AGAIN} at most):{listed}");
+        println!("\n=== rerun, one test at a time ({time} of at most {RERUNS}):{listed}");
         let ran = run(&[&["--test-threads=1", "--exact"], &names[..]].concat())?;
         let failed_again = ran.failed()?;
         let passed = passed(&ran.output);
         ensure!(
             passed + failed_again.len() >= names.len(),
-            "only {passed} ran again of:{listed}"
+            "only {passed} were rerun of:{listed}"
         );
         failed = failed_again;
     }
@@ -78,7 +79,7 @@ pub(crate) fn cargo_test<'a>(
         list(&failed)
     );
     if !first.is_empty() {
-        println!("\nPASSED ONLY AGAIN, after {stalls}:{}", list(&first));
+        println!("\nPASSED ONLY WHEN RERUN, after {stalls}:{}", list(&first));
     }
     Ok(())
 }
@@ -86,7 +87,7 @@ pub(crate) fn cargo_test<'a>(
 struct Ran {
     success: bool,
     output: String,
-    /// The tests that failed while the machine stalled.
+    /// The tests that failed within a minute after a stall.
     stalled: BTreeSet<String>,
 }
 

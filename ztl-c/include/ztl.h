@@ -490,7 +490,7 @@ int ztl_task_sleep(ztl_server *server, unsigned int task, unsigned int time_ms);
 /**
  * Informs the client that asked to stop the task that the task cannot be stopped and continues.
  */
-int ztl_task_refuse_abort(ztl_server *server, unsigned int task);
+int ztl_task_reject_abort(ztl_server *server, unsigned int task);
 
 /**
  * Stops the task when its client is silent for this time (5000 ms or more), after at least one request since the task

@@ -137,7 +137,7 @@ impl From<TriggerError> for Failure {
     fn from(error: TriggerError) -> Self {
         let text = error.to_string();
         match error {
-            TriggerError::Refused { reason, .. } => Self::new(ZTL_E_REFUSED, reason),
+            TriggerError::Rejected { reason, .. } => Self::new(ZTL_E_REFUSED, reason),
             TriggerError::Request(cause) => Self {
                 text,
                 ..cause.into()

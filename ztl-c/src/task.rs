@@ -100,9 +100,9 @@ pub unsafe extern "C" fn ztl_task_sleep(
 
 /// Informs the client that asked to stop the task that the task cannot be stopped and continues.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ztl_task_refuse_abort(server: *mut Server, task: c_uint) -> c_int {
+pub unsafe extern "C" fn ztl_task_reject_abort(server: *mut Server, task: c_uint) -> c_int {
     // SAFETY: NULL, or a server that is not freed, as its caller promises.
-    unsafe { Server::with(server, |server| server.tasks()?.refuse_abort(id(task)?)) }
+    unsafe { Server::with(server, |server| server.tasks()?.reject_abort(id(task)?)) }
 }
 
 /// Stops the task when its client is silent for this time (5000 ms or more), after at least one request since the task

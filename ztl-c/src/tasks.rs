@@ -152,8 +152,8 @@ impl Tasks {
         self.with(id, |task| task.reporter.progress(text))
     }
 
-    pub(crate) fn refuse_abort(&self, id: TaskId) -> Result<(), Failure> {
-        self.with(id, |task| task.reporter.abort_refused())
+    pub(crate) fn reject_abort(&self, id: TaskId) -> Result<(), Failure> {
+        self.with(id, |task| task.reporter.abort_rejected())
     }
 
     pub(crate) fn needs_client(&self, id: TaskId, silence: Duration) -> Result<(), Failure> {

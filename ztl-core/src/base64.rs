@@ -28,7 +28,7 @@ pub enum DecodeError {
 }
 
 impl core::fmt::Display for DecodeError {
-    /// Uses the original's texts where it has them (wire specification 4.6).
+    /// Uses the original's texts where it has them (`docs/protocol.md` [5.3]).
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::IncorrectPadding => f.write_str("Incorrect padding"),

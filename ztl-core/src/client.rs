@@ -64,7 +64,7 @@ pub enum Server {
 pub enum Heard<'a> {
     /// The answer to the pending request, or to an INIT whose outcome was asked for.
     Answer(Answer<'a>),
-    /// The INIT never arrived, and the server will refuse it if it still does.
+    /// The INIT never arrived, and the server will reject it if it still does.
     NeverStarted,
     /// The server does not know the outcome of the INIT: its task may run.
     OutcomeUnknown,
@@ -321,11 +321,11 @@ impl Client {
     }
 
     fn on_outcome<'a>(&mut self, scope: &str, answer: Answer<'a>) -> Heard<'a> {
-        // The original refuses the reserved scope with the id that our servers give a refused INIT.
+        // The original rejects the reserved scope with the id that our servers give a rejected INIT.
         if scope != RESERVED_SCOPE || self.server == Server::Original {
             return Heard::OutcomeUnknown;
         }
-        if let Answer::Refused { id, text } = answer
+        if let Answer::Rejected { id, text } = answer
             && id == Integer::ZERO
             && let Some(boot) = text.strip_prefix(NEVER_SEEN)
         {
@@ -340,7 +340,7 @@ impl Client {
             };
         }
         // The server does not know; an answer about the INIT has another id.
-        if let Answer::Refused { id, text } = answer
+        if let Answer::Rejected { id, text } = answer
             && (id == Integer::ZERO || text.starts_with("No controller for scope"))
         {
             return Heard::OutcomeUnknown;

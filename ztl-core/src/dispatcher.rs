@@ -1,6 +1,6 @@
 //! The rules of a server: requests go in; replies and actions come out.
 //!
-//! The dispatcher decides every case of the wire specification's table (4.3) and keeps the design's rules: a
+//! The dispatcher decides every row of the table in `docs/protocol.md` [4.1] and keeps the server's rules: a
 //! final state never changes, a repeated request has no second effect, every request gets exactly one reply
 //! within 2 s. It has no socket, no clock, and calls no user code.
 //!
@@ -68,7 +68,7 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
-    /// Handles a request of `peer`, with its envelope if the client uses ours. The reply goes through `out`:
+    /// Handles a request of `peer`. `envelope` is `None` for clients that send none. The reply goes through `out`:
     /// now, on a later event, or at its deadline.
     pub fn handle_request<'a>(
         &mut self,
@@ -144,7 +144,7 @@ impl<M: Memory> Dispatcher<M> {
             TaskEvent::Completed { result } => (State::Accepted, Some(Event::Complete), result),
             TaskEvent::Failed { reason } => (State::Accepted, Some(Event::Fail), reason),
             TaskEvent::Aborted { result } => (State::Accepted, Some(Event::Abort), result),
-            TaskEvent::AbortRefused => (State::Accepted, None, ""),
+            TaskEvent::AbortRejected => (State::Accepted, None, ""),
             TaskEvent::Progress { text } => {
                 self.memory.tasks_mut().progress(id, text);
                 return;
@@ -153,9 +153,9 @@ impl<M: Memory> Dispatcher<M> {
         self.handle_step(now, id, told, step, text, out);
     }
 
-    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. A held INIT is
-    /// answered with the state `told`: a rejected task is REJECTED or FAILED. `None` for `step` means that
-    /// the task cannot be aborted and continues. Progress goes to the task table directly.
+    /// Like [`handle_event`](Self::handle_event), for firmware that uses lifecycle events. `told` is the
+    /// state sent in the answer to a held INIT; it may differ from the stored state. `None` for `step`
+    /// means that the task cannot be aborted and continues. Progress goes to the task table directly.
     pub fn handle_step(
         &mut self,
         now: Instant,

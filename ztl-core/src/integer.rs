@@ -1,4 +1,4 @@
-//! Integers as Python's `int()` reads them (wire specification 3.4).
+//! Integers as Python's `int()` reads them (`docs/protocol.md` [2.3]).
 
 use crate::sink::Sink;
 use crate::text::is_blank;

@@ -20,8 +20,8 @@
 //! | handler | [`Event::Complete`], [`Event::Fail`], [`Event::Abort`] | end the task; a client's ABORT takes effect once the handler has stopped |
 //!
 //! REJECTED, FAILED, ABORTED and COMPLETED are final: no event leads out of them. So a final state that a
-//! client has seen never changes. The original can turn ABORTED into COMPLETED and back (wire specification
-//! 4.7, HAZARDS); this table cannot.
+//! client has seen never changes. The original can turn ABORTED into COMPLETED and back
+//! (`docs/compatibility.md`, "Server"); this table cannot.
 
 /// A client's request. The code is the request's `state` field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

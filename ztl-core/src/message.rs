@@ -1,4 +1,4 @@
-//! The text on the wire: `scope;state;id;payload` (wire specification 3).
+//! The text on the wire: `scope;state;id;payload` (`docs/protocol.md`, section 2).
 //!
 //! There is no length prefix and no escaping. The text is split at the first three `;`, so only the payload
 //! may contain one.

@@ -1,4 +1,4 @@
-//! Quoted text, as Python's `repr` writes it (wire specification 6.2).
+//! Quoted text, as Python's `repr` writes it (`docs/protocol.md` [5.4]).
 
 mod printable;
 

@@ -41,7 +41,7 @@ pub enum SpecError {
 }
 
 impl core::fmt::Display for SpecError {
-    /// For a missing part, the original's text: the part's name in quotes (wire specification 4.6).
+    /// For a missing part, the original's text: the part's name in quotes (`docs/protocol.md` [5.3]).
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Base64(cause) => cause.fmt(f),
@@ -121,9 +121,8 @@ impl<'a> TaskSpec<'a> {
         encoder.finish();
     }
 
-    /// Writes the text with which the original's standard controller answers an INIT (wire specification
-    /// 4.6):
-    /// `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
+    /// Writes the text with which the original's standard controller answers an INIT (`docs/protocol.md`
+    /// [5.4]): `Initiated task '7' with request: {'handler': 'cob', 'component': 'head', 'goal': 'left'}`.
     pub fn put_initiated(&self, id: TaskId, sink: &mut (impl Sink + ?Sized)) {
         self.put_initiated_by(put_quoted, id, sink);
     }

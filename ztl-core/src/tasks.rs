@@ -7,7 +7,7 @@
 use crate::Instant;
 use crate::lifecycle::{Event, State};
 
-/// An entry of the task table. `X` is what the owner adds: a scope, a component.
+/// A task in the task table. `X` is what the owner adds: a scope, a component.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Task<X, T> {
     /// Its state.
@@ -103,14 +103,14 @@ impl core::error::Error for NoRoom {}
 /// A task as storage `K` holds it.
 pub type TaskOf<K> = Task<<K as Tasks>::Extra, <K as Tasks>::Text>;
 
-/// Removes and returns the first entry that is `wanted`.
+/// Removes and returns the first item that is `wanted`.
 pub(crate) fn take_out<T>(
-    entries: &mut [Option<T>],
+    slots: &mut [Option<T>],
     mut wanted: impl FnMut(&mut T) -> bool,
 ) -> Option<T> {
-    for entry in entries {
-        if entry.as_mut().is_some_and(&mut wanted) {
-            return entry.take();
+    for slot in slots {
+        if slot.as_mut().is_some_and(&mut wanted) {
+            return slot.take();
         }
     }
     None
@@ -218,10 +218,10 @@ impl<T: Tasks + ?Sized> TaskRules for T {}
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskTable<I, X, const N: usize, const TEXT: usize> {
     // Slots instead of a compact list: closing a gap takes more flash on a Cortex-M0 than skipping it.
-    slots: [Option<Entry<I, X, TEXT>>; N],
+    slots: [Option<Slot<I, X, TEXT>>; N],
 }
 
-type Entry<I, X, const TEXT: usize> = (I, Task<X, heapless::String<TEXT>>);
+type Slot<I, X, const TEXT: usize> = (I, Task<X, heapless::String<TEXT>>);
 
 impl<I, X, const N: usize, const TEXT: usize> TaskTable<I, X, N, TEXT> {
     /// An empty table.
@@ -245,7 +245,7 @@ impl<I, X, const N: usize, const TEXT: usize> TaskTable<I, X, N, TEXT> {
     }
 
     /// All tasks, mutable.
-    pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Entry<I, X, TEXT>> {
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Slot<I, X, TEXT>> {
         self.slots.iter_mut().flatten()
     }
 }

@@ -8,7 +8,7 @@ pub enum LinkEvent {
     /// The device has started the task.
     Accepted(TaskId),
     /// The task was not started and never will be.
-    Rejected(TaskId, String),
+    TaskRejected(TaskId, String),
     /// Progress of the task.
     Progress(TaskId, String),
     /// The task has ended, with this final state and text.
@@ -17,12 +17,12 @@ pub enum LinkEvent {
     Up,
     /// Nothing has answered `Hello` for the link timeout. Repeated as long as nothing answers.
     Silent,
-    /// The device no longer answers.
+    /// The device, which answered before, is not answering.
     Lost,
     /// The device was reset and has lost its tasks.
     Reset,
     /// The device refuses this gateway, or is unusable for this reason.
-    Refused(String),
+    DeviceUnusable(String),
     /// A reading, with the number of its topic.
     Reading(u8, Vec<u8>),
     /// The next bytes of the firmware's log.

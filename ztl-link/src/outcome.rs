@@ -69,7 +69,7 @@ impl<J: SessionJournal> Session<J> {
             let reason = if self.phase == Phase::Up {
                 "the device is busy with other commands"
             } else {
-                "the device is not answering"
+                "device is not answering"
             };
             self.reject(id, reason.to_owned());
         }
@@ -95,7 +95,7 @@ impl<J: SessionJournal> Session<J> {
     /// Rejects a task that was never sent. Nothing is journaled, because neither client nor device knows the task.
     pub(crate) fn reject(&mut self, id: TaskId, reason: String) {
         self.tasks.remove(&id);
-        self.events.push_back(LinkEvent::Rejected(id, reason));
+        self.events.push_back(LinkEvent::TaskRejected(id, reason));
     }
 
     /// Writes the outcome of a task and ends it. Returns `false` if the outcome could not be written.
@@ -116,7 +116,7 @@ impl<J: SessionJournal> Session<J> {
         self.tasks.remove(&id);
         let text = text.to_owned();
         if state == State::Rejected {
-            self.events.push_back(LinkEvent::Rejected(id, text));
+            self.events.push_back(LinkEvent::TaskRejected(id, text));
             return true;
         }
         if undecided {

@@ -28,7 +28,8 @@ impl<J: SessionJournal> Session<J> {
             (1, NO_SEQ, Body::Awake { boot, .. }) => self.on_awake(now, boot),
             (0, NO_SEQ, Body::Welcome(welcome)) => self.on_welcome(now, &welcome),
             (0, NO_SEQ, Body::Refused { reason }) if self.phase == Phase::Greeting => {
-                self.events.push_back(LinkEvent::Refused(reason.to_owned()));
+                self.events
+                    .push_back(LinkEvent::DeviceUnusable(reason.to_owned()));
             }
             (
                 0,
@@ -94,7 +95,7 @@ impl<J: SessionJournal> Session<J> {
         }
         if welcome.version != VERSION {
             let reason = format!("it speaks version {} of the link", welcome.version);
-            self.events.push_back(LinkEvent::Refused(reason));
+            self.events.push_back(LinkEvent::DeviceUnusable(reason));
             return;
         }
         let link_timeout = Duration::from_millis(u64::from(welcome.link_timeout_ms));
@@ -104,7 +105,7 @@ impl<J: SessionJournal> Session<J> {
                 LINK_TIMEOUTS.start(),
                 LINK_TIMEOUTS.end()
             );
-            self.events.push_back(LinkEvent::Refused(reason));
+            self.events.push_back(LinkEvent::DeviceUnusable(reason));
             return;
         }
         self.session = session_key(self.session, welcome.boot);
@@ -255,7 +256,7 @@ impl<J: SessionJournal> Session<J> {
             (CommandKind::Describe(index), Body::Refused { reason }) => {
                 self.lose();
                 let reason = format!("component {index}: {reason}");
-                self.events.push_back(LinkEvent::Refused(reason));
+                self.events.push_back(LinkEvent::DeviceUnusable(reason));
                 return self.greet_after(now, BAD_ANSWER);
             }
             (CommandKind::Start(id), Body::Started { .. }) => {

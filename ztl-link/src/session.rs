@@ -1,4 +1,5 @@
-//! The gateway's end of a link, without I/O: bytes, commands and the time go in; bytes and events come out.
+//! The gateway's end of a link, without I/O: bytes, commands and the time go in; bytes and events come out. A
+//! [`Session`] outlives the sessions of the link, each of which lasts from one `Hello` to the next.
 //!
 //! One command is in flight at a time. It is repeated until it is answered; only a new session gives it up. A
 //! `Start` is never sent again in another session. While a `Start` is unanswered, the task may run, so it is
@@ -127,7 +128,7 @@ impl<J: SessionJournal> Session<J> {
     }
 
     /// Starts a task for a client. The decision arrives as an event within one second, unless the device executes
-    /// the `Start` and its answer is lost.
+    /// the `Start` and its answer is lost; then it arrives with the next session, or the task ends as FAILED.
     pub fn start(&mut self, now: Instant, id: TaskId, component: &str, goal: &str) {
         let task = Task::new(component, goal, now + START_LIMIT, Stage::Waiting);
         self.tasks.insert(id, task);

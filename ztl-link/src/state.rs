@@ -50,7 +50,8 @@ pub(crate) struct InFlight {
     pub(crate) repeated: bool,
 }
 
-/// The gateway's end of one link. It writes into a [`SessionJournal`](crate::SessionJournal) before it acts; `()` keeps no journal.
+/// The gateway's end of one link, over many sessions: it opens a new one after each loss. It writes into a
+/// [`SessionJournal`](crate::SessionJournal) before it acts; `()` keeps no journal.
 ///
 /// *Inputs*: [`handle_connected`](Self::handle_connected), [`handle_bytes`](Self::handle_bytes),
 /// [`handle_disconnected`](Self::handle_disconnected), [`handle_timeout`](Self::handle_timeout).

@@ -26,7 +26,7 @@ use tasks::Table;
 
 pub use link_state::Counters;
 pub use refusal::Reason;
-pub(crate) use runner::Runner;
+pub(crate) use runner::TaskRunner;
 
 /// Default for [`Identity::reading_interval`].
 const READING_INTERVAL: Duration = Duration::from_millis(10);
@@ -175,7 +175,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 firmware: cut(identity.firmware, Self::LONGEST_NAME),
                 boot: identity.boot,
                 // Not by a call: its result would be copied, and take its stack space twice.
-                runner: Runner {
+                runner: TaskRunner {
                     stopped: false,
                     all_to_safety: false,
                     safety_wake: Instant::NEVER,

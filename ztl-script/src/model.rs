@@ -85,7 +85,7 @@ pub struct Task {
 pub enum OnFailure {
     /// Ask the operator.
     Ask,
-    /// Stop everything.
+    /// Abort the tasks of this run and end it.
     Stop,
     /// Report it and continue, as the original does; but ask the operator if a server is absent.
     #[default]

@@ -1,5 +1,5 @@
-//! From a YAML document to scenes, by PyYAML's rules (wire specification 8.1 to 8.3), with everything
-//! wrong or doubtful in it.
+//! From a YAML document to scenes, by PyYAML's rules (`docs/compatibility.md`, "YAML"), with everything wrong or
+//! doubtful in it.
 
 mod keys;
 mod params;

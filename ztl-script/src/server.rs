@@ -86,8 +86,8 @@ pub enum ServerAnswer {
         /// Who the server is.
         server: Server,
     },
-    /// INIT: the server refused the task.
-    Refused {
+    /// INIT: the server rejected the task.
+    Rejected {
         /// The id in the answer.
         id: RemoteId,
         /// The reason.

@@ -1,4 +1,4 @@
-//! Admission: how many tasks of one entry run at once, and what happens to the next. No I/O.
+//! Admission: how many tasks of one component run at once, and what happens to the next. No I/O.
 
 use std::collections::VecDeque;
 
@@ -16,7 +16,7 @@ pub(crate) enum BusyPolicy {
     Replace,
 }
 
-/// The tasks of one entry.
+/// The tasks of one component.
 #[derive(Debug)]
 pub(crate) struct Admission {
     at_once: usize,

@@ -9,7 +9,7 @@ use ztl_yaml::{Fields, Node};
 
 use crate::call::Call;
 use crate::goal_rule::GoalRule;
-use crate::kind::{Effect, Job, Kind, Outcome, Services, Start, StopReason, TaskContext};
+use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::thread_job;
 
@@ -51,7 +51,7 @@ impl Kind for BuiltIn {
         }
     }
 
-    fn start(self: Arc<Self>, task: TaskContext, _: &Services) -> Start {
+    fn start(self: Arc<Self>, task: JobContext, _: &Services) -> Start {
         match *self {
             Self::Echo => Start::Ended(Outcome::Completed(task.call.goal.text.clone())),
             Self::Sleep => {

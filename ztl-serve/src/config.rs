@@ -13,7 +13,7 @@ use ztl_yaml::{Diagnostic, Diagnostics, Document, Node, NodeValue};
 
 use crate::admission::BusyPolicy;
 use crate::built_in::BUILT_INS;
-use crate::entry::{Entry, TotalLimit};
+use crate::component_config::{ComponentConfig, TotalLimit};
 use crate::goal_rule::GoalRule;
 use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
@@ -43,7 +43,7 @@ pub struct Config {
 pub struct Scope {
     name: String,
     /// With handler and component, in the file's order.
-    entries: Vec<(String, String, Arc<Entry>)>,
+    configs: Vec<(String, String, Arc<ComponentConfig>)>,
 }
 
 impl Scope {
@@ -61,12 +61,12 @@ impl Scope {
     /// The number of components.
     #[must_use]
     pub fn components(&self) -> usize {
-        self.entries.len()
+        self.configs.len()
     }
 
-    fn entries(&self) -> impl Iterator<Item = (&str, &str, &Arc<Entry>)> {
-        let entries = self.entries.iter();
-        entries.map(|(handler, component, entry)| (handler.as_str(), component.as_str(), entry))
+    fn configs(&self) -> impl Iterator<Item = (&str, &str, &Arc<ComponentConfig>)> {
+        let configs = self.configs.iter();
+        configs.map(|(handler, component, config)| (handler.as_str(), component.as_str(), config))
     }
 }
 
@@ -110,7 +110,7 @@ impl Config {
         scopes
             .map(|scope| {
                 let (total, processes) = (total.clone(), processes.clone());
-                let handler = ScopeHandler::new(&scope.name, scope.entries(), total, processes)?;
+                let handler = ScopeHandler::new(&scope.name, scope.configs(), total, processes)?;
                 Ok((scope.name.clone(), handler))
             })
             .collect()
@@ -143,26 +143,27 @@ impl<'d> ConfigReader<'d> {
         let known = self.yaml.parsed(name, "a scope, as /robot", |text| {
             scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
         });
-        let mut entries = Vec::new();
+        let mut configs = Vec::new();
         for (handler, node) in self.non_empty(node, "its handlers") {
             let handler = self.name(handler, "a handler");
             for (component, node) in self.non_empty(node, "the handler's components") {
                 let component = self.name(component, "a component");
                 let wildcard = [&handler, &component].map(|name| name.as_deref() == Some(WILDCARD));
-                let entry = self.entry(node, wildcard.contains(&true));
-                if let (Some(handler), Some(component), Some(entry)) = (&handler, component, entry)
+                let config = self.component(node, wildcard.contains(&true));
+                if let (Some(handler), Some(component), Some(config)) =
+                    (&handler, component, config)
                 {
-                    entries.push((handler.clone(), component, Arc::new(entry)));
+                    configs.push((handler.clone(), component, Arc::new(config)));
                 }
             }
         }
         Some(Scope {
             name: known?,
-            entries,
+            configs,
         })
     }
 
-    fn entry(&mut self, node: &'d Node, wildcard: bool) -> Option<Entry> {
+    fn component(&mut self, node: &'d Node, wildcard: bool) -> Option<ComponentConfig> {
         let short_form = match &node.value {
             NodeValue::List(_) => LIST,
             NodeValue::Scalar { .. } if !node.is_null() => WORD,
@@ -170,7 +171,7 @@ impl<'d> ConfigReader<'d> {
         };
         let rule = &GoalRule::Any;
         let kind = short_form(self, node, None, ComponentContext { rule, wildcard })?;
-        Some(Entry {
+        Some(ComponentConfig {
             rule: kind.goal_rule(),
             at_once: kind.at_once(),
             kind,
@@ -180,7 +181,7 @@ impl<'d> ConfigReader<'d> {
     }
 
     /// A component with keys.
-    fn mapping(&mut self, node: &'d Node, wildcard: bool) -> Option<Entry> {
+    fn mapping(&mut self, node: &'d Node, wildcard: bool) -> Option<ComponentConfig> {
         let words = BUILT_INS.map(|(name, _)| name).join(", ");
         let what = format!("run: [PROGRAM, ARGUMENT, …], shell, forward, or one of: {words}");
         let mut fields = self.yaml.fields(node, &what)?;
@@ -225,7 +226,7 @@ impl<'d> ConfigReader<'d> {
                 }
             }
         }
-        Some(Entry {
+        Some(ComponentConfig {
             rule: match rule {
                 Some(rule) => rule?,
                 None => kind.goal_rule(),

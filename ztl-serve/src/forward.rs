@@ -16,7 +16,7 @@ use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
 use ztl_yaml::{Fields, Node};
 
 use crate::human::human_time;
-use crate::kind::{Effect, Kind, Outcome, Services, Start, TaskContext};
+use crate::kind::{Effect, JobContext, Kind, Outcome, Services, Start};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::thread_job;
 
@@ -84,7 +84,7 @@ pub(crate) fn read<'d>(
 }
 
 impl Kind for Forward {
-    fn start(self: Arc<Self>, task: TaskContext, _: &Services) -> Start {
+    fn start(self: Arc<Self>, task: JobContext, _: &Services) -> Start {
         thread_job::start(task, move |task, abort| self.run(task, abort))
     }
 }
@@ -101,7 +101,7 @@ impl Forward {
     }
 
     /// Runs a task there. `abort` may be set at any time.
-    fn run(&self, task: &TaskContext, abort: &AtomicBool) -> Outcome {
+    fn run(&self, task: &JobContext, abort: &AtomicBool) -> Outcome {
         let (to, call) = (&self.to, &task.call);
         let mut remote = match self.connect() {
             Ok(remote) => remote,
@@ -111,7 +111,7 @@ impl Forward {
         let component = self.component.as_deref().unwrap_or(&call.component);
         let id = match remote.trigger(handler, component, &call.goal.text) {
             Ok(started) => started.id,
-            Err(TriggerError::Refused { reason, .. }) => return Outcome::Rejected(reason),
+            Err(TriggerError::Rejected { reason, .. }) => return Outcome::Rejected(reason),
             Err(TriggerError::NeverCame | TriggerError::GivenUp) => {
                 return Outcome::Rejected(format!("{to} did not get it, and will not start it"));
             }
@@ -191,7 +191,7 @@ fn outcome(status: Status) -> Outcome {
     match status.state {
         State::Completed => Outcome::Completed(text),
         State::Aborted => Outcome::Aborted(text),
-        State::Rejected => Outcome::Failed(format!("refused there: {text}")),
+        State::Rejected => Outcome::Failed(format!("rejected there: {text}")),
         _ => Outcome::Failed(text),
     }
 }

@@ -1,4 +1,4 @@
-//! The handler of a scope: finds the entry for a task and passes the task to the supervisor.
+//! The handler of a scope: finds the component for a task and passes the task to the supervisor.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -11,14 +11,14 @@ use ztl_std::TaskRequest;
 use ztl_std::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 
 use crate::call::Call;
-use crate::entry::{Entry, TotalLimit};
+use crate::component_config::{ComponentConfig, TotalLimit};
 use crate::goal_rule::shown;
 use crate::kind::Message;
 use crate::mailbox::Mailbox;
 use crate::program::processes::ProcessRegistry;
 use crate::supervisor::Supervisor;
 
-/// Stands for each handler or component without an entry of its own.
+/// Stands for each handler or component that the file does not name.
 pub(crate) const WILDCARD: &str = "*";
 
 /// A task id for checks without a task.
@@ -30,16 +30,16 @@ const NO_TASK: TaskId = match TaskId::new(1) {
 /// Time for the outcomes to be reported once the server stops.
 const REPORTING: Duration = Duration::from_secs(1);
 
-/// The entries of a scope.
+/// The components of a scope.
 #[derive(Debug, Default)]
-struct Entries {
-    all: Vec<Arc<Entry>>,
+struct Components {
+    all: Vec<Arc<ComponentConfig>>,
     /// Indices in `all` by handler and component.
     by_name: BTreeMap<String, BTreeMap<String, usize>>,
 }
 
-impl Entries {
-    /// The index of the entry for a task, or why there is none.
+impl Components {
+    /// The index of the component for a task, or why there is none.
     fn find(&self, spec: &TaskSpec<'_>) -> Result<usize, String> {
         let (handler, component) = (spec.handler, spec.component);
         let named = |names: Vec<&String>| {
@@ -65,11 +65,13 @@ impl Entries {
 
     /// Returns, without starting anything, whether a task would be rejected.
     fn check(&self, scope: &str, spec: &TaskSpec<'_>) -> Result<(), String> {
-        let Some(entry) = self.all.get(self.find(spec)?) else {
+        let Some(component) = self.all.get(self.find(spec)?) else {
             return Ok(());
         };
-        let goal = entry.rule.check(spec.goal, entry.kind.needs_fields())?;
-        entry.kind.check(&Call {
+        let goal = component
+            .rule
+            .check(spec.goal, component.kind.needs_fields())?;
+        component.kind.check(&Call {
             id: NO_TASK,
             scope: scope.to_owned(),
             handler: spec.handler.to_owned(),
@@ -82,7 +84,7 @@ impl Entries {
 /// The handler of a scope, as [`Config::handlers`](crate::Config::handlers) makes it.
 #[derive(Debug)]
 pub struct ScopeHandler {
-    entries: Arc<Entries>,
+    components: Arc<Components>,
     scope: Arc<str>,
     supervisor: Mailbox<Message>,
     thread: Option<JoinHandle<()>>,
@@ -92,24 +94,27 @@ pub struct ScopeHandler {
 impl ScopeHandler {
     pub(crate) fn new<'e>(
         scope: &str,
-        components: impl Iterator<Item = (&'e str, &'e str, &'e Arc<Entry>)>,
+        configs: impl Iterator<Item = (&'e str, &'e str, &'e Arc<ComponentConfig>)>,
         total: TotalLimit,
         processes: ProcessRegistry,
     ) -> io::Result<Self> {
-        let mut entries = Entries::default();
-        for (handler, component, entry) in components {
-            let components = entries.by_name.entry(handler.to_owned()).or_default();
-            components.insert(component.to_owned(), entries.all.len());
-            entries.all.push(Arc::clone(entry));
+        let mut components = Components::default();
+        for (handler, name, component) in configs {
+            let names = components.by_name.entry(handler.to_owned()).or_default();
+            names.insert(name.to_owned(), components.all.len());
+            components.all.push(Arc::clone(component));
         }
-        let stop_times = entries.all.iter().map(|entry| entry.kind.stop_time());
+        let stop_times = components
+            .all
+            .iter()
+            .map(|component| component.kind.stop_time());
         let stop_time = stop_times.max().unwrap_or_default() + REPORTING;
-        let (mailbox, supervisor) = Supervisor::new(scope, &entries.all, total, processes)?;
+        let (mailbox, supervisor) = Supervisor::new(scope, &components.all, total, processes)?;
         let thread = std::thread::Builder::new()
             .name("ztl-serve".to_owned())
             .spawn(move || supervisor.run())?;
         Ok(Self {
-            entries: Arc::new(entries),
+            components: Arc::new(components),
             scope: scope.into(),
             supervisor: mailbox,
             thread: Some(thread),
@@ -120,10 +125,10 @@ impl ScopeHandler {
 
 impl TaskHandler for ScopeHandler {
     fn start(&mut self, task: TaskReporter, request: TaskRequest) {
-        match self.entries.find(&request.spec()) {
-            Ok(entry) => self.supervisor.send(Message::Start {
+        match self.components.find(&request.spec()) {
+            Ok(component_index) => self.supervisor.send(Message::Start {
                 task,
-                entry,
+                component_index,
                 handler: request.handler,
                 component: request.component,
                 goal: request.goal,
@@ -137,7 +142,7 @@ impl TaskHandler for ScopeHandler {
     }
 
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
-        let handlers = self.entries.by_name.iter();
+        let handlers = self.components.by_name.iter();
         let handlers = handlers
             .map(|(handler, components)| (handler.as_str(), components.keys().map(String::as_str)));
         let all = offered(handlers);
@@ -145,8 +150,8 @@ impl TaskHandler for ScopeHandler {
     }
 
     fn answers(&self) -> Answers {
-        let (entries, scope) = (Arc::clone(&self.entries), Arc::clone(&self.scope));
-        would_take(move |spec| entries.check(&scope, spec))
+        let (components, scope) = (Arc::clone(&self.components), Arc::clone(&self.scope));
+        would_take(move |spec| components.check(&scope, spec))
     }
 
     fn stop(&mut self) -> Duration {

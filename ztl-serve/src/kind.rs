@@ -54,7 +54,7 @@ pub(crate) trait Kind: Any + fmt::Debug + Send + Sync {
     }
 
     /// Starts a task. Must not block.
-    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start;
+    fn start(self: Arc<Self>, task: JobContext, services: &Services) -> Start;
 }
 
 /// How a task has started.
@@ -70,7 +70,7 @@ pub(crate) trait Job: Send {
     fn stop(&mut self, now: Instant, why: StopReason, effects: &mut Vec<Effect>);
 
     /// Something that the job waits for has happened.
-    fn handle_event(&mut self, _now: Instant, _event: Event, _effects: &mut Vec<Effect>) {}
+    fn handle_event(&mut self, _now: Instant, _event: JobEvent, _effects: &mut Vec<Effect>) {}
 
     /// When to call [`handle_timeout`](Self::handle_timeout) next.
     fn poll_timeout(&self) -> Option<Instant> {
@@ -145,7 +145,7 @@ impl StopReason {
 }
 
 /// What a job waits for.
-pub(crate) enum Event {
+pub(crate) enum JobEvent {
     /// The watchdog knows of the job's program.
     Confirmed,
     /// The program has been started, or could not be.
@@ -156,16 +156,16 @@ pub(crate) enum Event {
 
 /// Messages to the supervisor.
 pub(crate) enum Message {
-    /// A client starts a task of the entry with this index.
+    /// A client starts a task of the component with this index.
     Start {
         task: TaskReporter,
-        entry: usize,
+        component_index: usize,
         handler: String,
         component: String,
         goal: String,
     },
     Abort(TaskId),
-    Event(TaskId, Event),
+    Event(TaskId, JobEvent),
     Effect(TaskId, Effect),
     /// Stop all tasks and reject new ones.
     Stop,
@@ -178,19 +178,19 @@ pub(crate) struct Services {
 
 /// A task, and the way to its supervisor from any thread.
 #[derive(Clone)]
-pub(crate) struct TaskContext {
+pub(crate) struct JobContext {
     pub(crate) call: Arc<Call>,
     pub(crate) mailbox: Mailbox<Message>,
 }
 
-impl TaskContext {
+impl JobContext {
     /// Has the supervisor do this.
     pub(crate) fn effect(&self, effect: Effect) {
         self.mailbox.send(Message::Effect(self.call.id, effect));
     }
 
     /// Has the supervisor pass this to the task's job.
-    pub(crate) fn event(&self, event: Event) {
+    pub(crate) fn event(&self, event: JobEvent) {
         self.mailbox.send(Message::Event(self.call.id, event));
     }
 }

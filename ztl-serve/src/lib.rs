@@ -17,8 +17,8 @@
 //! # }
 //! ```
 //!
-//! A task goes from `handler` (finds the entry) to `supervisor` (its life cycle, on one thread for each scope), which
-//! starts a job of the entry's kind. `kind` has the traits, `kinds` the table of all kinds:
+//! A task goes from `handler` (finds the component) to `supervisor` (its life cycle, on one thread for each scope), which
+//! starts a job of the component's kind. `kind` has the traits, `kinds` the table of all kinds:
 //!
 //! | file | kind |
 //! |---|---|
@@ -31,8 +31,8 @@
 mod admission;
 mod built_in;
 mod call;
+mod component_config;
 mod config;
-mod entry;
 mod forward;
 mod goal_rule;
 mod goal_value;

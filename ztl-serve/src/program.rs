@@ -24,7 +24,7 @@ use tracing::{debug, warn};
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{
-    Effect, Event, Job, Kind, Outcome, STOP_TIME, Services, Start, StopReason, TaskContext,
+    Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start, StopReason,
 };
 use crate::log::LOG;
 use launch::{Invocation, Launch};
@@ -67,14 +67,14 @@ impl Kind for Program {
         self.run.launch(call).map(drop)
     }
 
-    fn start(self: Arc<Self>, task: TaskContext, services: &Services) -> Start {
+    fn start(self: Arc<Self>, task: JobContext, services: &Services) -> Start {
         let launch = match self.run.launch(&task.call) {
             Ok(launch) => launch,
             Err(reason) => return Start::Ended(Outcome::Rejected(reason)),
         };
         let charge = Charge::of(&self, &task.call);
         let context = task.clone();
-        let confirmed = move || context.event(Event::Confirmed);
+        let confirmed = move || context.event(JobEvent::Confirmed);
         let announcement = services.processes.announce(charge, confirmed);
         Start::Running(Box::new(ProgramJob {
             program: self,
@@ -92,7 +92,7 @@ impl Kind for Program {
 struct ProgramJob {
     program: Arc<Program>,
     processes: ProcessRegistry,
-    task: TaskContext,
+    task: JobContext,
     state: State,
 }
 
@@ -134,12 +134,12 @@ impl Job for ProgramJob {
         self.act(actions, effects);
     }
 
-    fn handle_event(&mut self, now: Instant, event: Event, effects: &mut Vec<Effect>) {
+    fn handle_event(&mut self, now: Instant, event: JobEvent, effects: &mut Vec<Effect>) {
         match event {
-            Event::Confirmed => self.on_confirmed(now, effects),
-            Event::Started(Ok(process)) => self.on_started(now, process, effects),
-            Event::Started(Err(reason)) => effects.push(Effect::End(Outcome::Rejected(reason))),
-            Event::AbortNotStarted(reason) => self.on_abort_not_started(&reason),
+            JobEvent::Confirmed => self.on_confirmed(now, effects),
+            JobEvent::Started(Ok(process)) => self.on_started(now, process, effects),
+            JobEvent::Started(Err(reason)) => effects.push(Effect::End(Outcome::Rejected(reason))),
+            JobEvent::AbortNotStarted(reason) => self.on_abort_not_started(&reason),
         }
     }
 
@@ -205,7 +205,7 @@ impl ProgramJob {
                 until,
             } if until.is_none_or(|until| now < until) => {
                 let started = self.start(launch, announcement, true, |task, started| {
-                    task.event(Event::Started(started));
+                    task.event(JobEvent::Started(started));
                 });
                 if let Err(reason) = started {
                     effects.push(Effect::End(Outcome::Rejected(reason)));
@@ -222,7 +222,7 @@ impl ProgramJob {
         launch: Launch,
         announcement: Announcement,
         piped: bool,
-        then: impl FnOnce(&TaskContext, Result<Process, String>) + Send + 'static,
+        then: impl FnOnce(&JobContext, Result<Process, String>) + Send + 'static,
     ) -> Result<(), String> {
         let task = self.task.clone();
         let thread = std::thread::Builder::new().name(format!("ztl-start-{}", task.call.id));
@@ -297,7 +297,7 @@ impl ProgramJob {
                     ended: false,
                     place,
                 }))),
-                Err(reason) => task.event(Event::AbortNotStarted(reason)),
+                Err(reason) => task.event(JobEvent::AbortNotStarted(reason)),
             },
         )
     }

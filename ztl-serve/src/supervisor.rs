@@ -15,8 +15,8 @@ use ztl_std::server::TaskReporter;
 
 use crate::admission::{Admission, Admitted};
 use crate::call::Call;
-use crate::entry::{Entry, TotalLimit};
-use crate::kind::{Effect, Job, Message, Outcome, Services, Start, StopReason, TaskContext};
+use crate::component_config::{ComponentConfig, TotalLimit};
+use crate::kind::{Effect, Job, JobContext, Message, Outcome, Services, Start, StopReason};
 use crate::log::LOG;
 use crate::mailbox::{Inbox, Mailbox};
 use crate::program::processes::ProcessRegistry;
@@ -28,7 +28,7 @@ const CHECK: Duration = Duration::from_secs(1);
 struct Task {
     reporter: TaskReporter,
     call: Arc<Call>,
-    entry: usize,
+    component_index: usize,
     accepted: bool,
     /// `None` while the task waits for others.
     job: Option<Box<dyn Job>>,
@@ -40,7 +40,7 @@ pub(crate) struct Supervisor {
     inbox: Inbox<Message>,
     mailbox: Mailbox<Message>,
     on_child: signal_hook::SigId,
-    entries: Vec<(Arc<Entry>, Admission)>,
+    components: Vec<(Arc<ComponentConfig>, Admission)>,
     tasks: BTreeMap<TaskId, Task>,
     background: Vec<Box<dyn Job>>,
     services: Services,
@@ -53,7 +53,7 @@ struct Ready {
     /// A message or a signal may have come.
     woken: bool,
     /// Nothing has happened in time.
-    idle: bool,
+    timed_out: bool,
     /// Tasks whose pipes can be read.
     readable: Vec<TaskId>,
 }
@@ -61,19 +61,21 @@ struct Ready {
 impl Supervisor {
     pub(crate) fn new(
         scope: &str,
-        entries: &[Arc<Entry>],
+        components: &[Arc<ComponentConfig>],
         total: TotalLimit,
         processes: ProcessRegistry,
     ) -> io::Result<(Mailbox<Message>, Self)> {
         let (mailbox, inbox) = Mailbox::new()?;
-        // Even if this process was started to ignore the signal: then it could not wait for its children.
+        // Register even if SIGCHLD was ignored at the start: while it is ignored, the kernel reaps children, and `wait`
+        // fails.
         let on_child = pipe::register(SIGCHLD, mailbox.waker()?)?;
-        let entries = entries
-            .iter()
-            .map(|entry| (Arc::clone(entry), Admission::new(entry.at_once, entry.busy)));
+        let components = components.iter().map(|component| {
+            let admission = Admission::new(component.at_once, component.busy);
+            (Arc::clone(component), admission)
+        });
         let supervisor = Self {
             scope: scope.to_owned(),
-            entries: entries.collect(),
+            components: components.collect(),
             inbox,
             mailbox: mailbox.clone(),
             on_child,
@@ -100,7 +102,7 @@ impl Supervisor {
                 self.handle(message);
             }
             let now = Instant::now();
-            let check = ready.woken || ready.idle;
+            let check = ready.woken || ready.timed_out;
             let ids: Vec<TaskId> = self.tasks.keys().copied().collect();
             for id in ids {
                 self.with_job(id, |job, effects| {
@@ -158,7 +160,7 @@ impl Supervisor {
         readable.dedup();
         Ready {
             woken,
-            idle: count == 0,
+            timed_out: count == 0,
             readable,
         }
     }
@@ -167,11 +169,11 @@ impl Supervisor {
         match message {
             Message::Start {
                 task,
-                entry,
+                component_index,
                 handler,
                 component,
                 goal,
-            } => self.start(task, entry, (handler, component), &goal),
+            } => self.start(task, component_index, (handler, component), &goal),
             Message::Abort(id) => self.stop(id, StopReason::Client),
             Message::Event(id, event) => self.with_job(id, |job, effects| {
                 job.handle_event(Instant::now(), event, effects);
@@ -191,21 +193,21 @@ impl Supervisor {
     fn start(
         &mut self,
         reporter: TaskReporter,
-        place: usize,
-        (handler, component): (String, String),
+        component_index: usize,
+        (handler, name): (String, String),
         goal: &str,
     ) {
         let id = reporter.id();
-        let Some((entry, admission)) = self.entries.get_mut(place) else {
+        let Some((component, admission)) = self.components.get_mut(component_index) else {
             return reporter.rejected("there is no such component");
         };
         if self.stopping {
             return reporter.rejected("the server is stopping");
         }
-        let goal = match entry.rule.check(goal, entry.kind.needs_fields()) {
+        let goal = match component.rule.check(goal, component.kind.needs_fields()) {
             Ok(goal) => goal,
             Err(reason) => {
-                return reporter.rejected(format!("{handler}:{component}: {reason}"));
+                return reporter.rejected(format!("{handler}:{name}: {reason}"));
             }
         };
         if let Err(most) = self.total.add() {
@@ -216,9 +218,9 @@ impl Supervisor {
         let admitted = admission.admit(id);
         if let Admitted::Rejected(other) = admitted {
             self.total.remove();
-            return reporter.rejected(format!("{handler}:{component} is busy with task {other}"));
+            return reporter.rejected(format!("{handler}:{name} is busy with task {other}"));
         }
-        if let Some(silence) = entry.needs_client {
+        if let Some(silence) = component.needs_client {
             reporter.needs_client(silence);
         }
         let mut task = Task {
@@ -227,10 +229,10 @@ impl Supervisor {
                 id,
                 scope: self.scope.clone(),
                 handler,
-                component,
+                component: name,
                 goal,
             }),
-            entry: place,
+            component_index,
             accepted: false,
             job: None,
         };
@@ -262,15 +264,15 @@ impl Supervisor {
         let Some(task) = self.tasks.get_mut(&id) else {
             return;
         };
-        let Some((entry, _)) = self.entries.get(task.entry) else {
+        let Some((component, _)) = self.components.get(task.component_index) else {
             return;
         };
         debug!(target: LOG, "Task {id}, {}, begins.", task.name());
-        let context = TaskContext {
+        let context = JobContext {
             call: Arc::clone(&task.call),
             mailbox: self.mailbox.clone(),
         };
-        match Arc::clone(&entry.kind).start(context, &self.services) {
+        match Arc::clone(&component.kind).start(context, &self.services) {
             Start::Running(job) => task.job = Some(job),
             Start::Ended(outcome) => self.finish(id, outcome),
         }
@@ -310,14 +312,14 @@ impl Supervisor {
         match effect {
             Effect::Accept => task.accept(),
             Effect::Progress(text) => task.reporter.progress(text),
-            Effect::RejectAbort => task.reporter.abort_refused(),
+            Effect::RejectAbort => task.reporter.abort_rejected(),
             Effect::Background(job) => self.background.push(job),
             Effect::End(outcome) => self.finish(id, outcome),
             Effect::Leave => {
                 if let Some(task) = self.tasks.remove(&id) {
                     warn!(target: LOG, "Task {id}, {}, has not confirmed that it has stopped.", task.name());
                     task.reporter.leave();
-                    self.free(id, task.entry);
+                    self.free(id, task.component_index);
                 }
             }
         }
@@ -356,14 +358,14 @@ impl Supervisor {
                 reporter.aborted(text);
             }
         }
-        self.free(id, task.entry);
+        self.free(id, task.component_index);
     }
 
     /// A task no longer counts, so that another may start.
-    fn free(&mut self, id: TaskId, entry: usize) {
+    fn free(&mut self, id: TaskId, component_index: usize) {
         self.total.remove();
-        let entry = self.entries.get_mut(entry);
-        if let Some(next) = entry.and_then(|(_, admission)| admission.ended(id)) {
+        let component = self.components.get_mut(component_index);
+        if let Some(next) = component.and_then(|(_, admission)| admission.ended(id)) {
             self.begin(next);
         }
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use crate::kind::{Effect, Job, Outcome, STOP_TIME, Start, StopReason, TaskContext};
+use crate::kind::{Effect, Job, JobContext, Outcome, STOP_TIME, Start, StopReason};
 
 struct ThreadJob {
     abort: Arc<AtomicBool>,
@@ -14,8 +14,8 @@ struct ThreadJob {
 
 /// Runs `work` on a thread. It may send progress through the context, and ends early when the flag is set.
 pub(crate) fn start(
-    task: TaskContext,
-    work: impl FnOnce(&TaskContext, &AtomicBool) -> Outcome + Send + 'static,
+    task: JobContext,
+    work: impl FnOnce(&JobContext, &AtomicBool) -> Outcome + Send + 'static,
 ) -> Start {
     let abort = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&abort);

@@ -1,4 +1,5 @@
-//! Servers by name, from the original's configuration file `zmq-remotes.yaml` (wire specification 7.7, 7.8).
+//! Servers by name, from the original's configuration file `zmq-remotes.yaml` (`docs/scripts.md`, "Where the robots
+//! are").
 //!
 //! ```
 //! use ztl_std::Remotes;

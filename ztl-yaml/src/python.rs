@@ -1,4 +1,4 @@
-//! Scalars as PyYAML reads them, by the rules of YAML 1.1 (wire specification 8.1).
+//! Scalars as PyYAML reads them, by the rules of YAML 1.1 (`docs/compatibility.md`, "YAML").
 
 mod value;
 

@@ -28,7 +28,7 @@ pub(crate) struct Check {
     #[command(flatten)]
     connecting: ConnectOptions,
 
-    /// Ask each server whether it is reachable, and servers of this package whether they accept the tasks
+    /// Ask each server whether it is reachable, and servers of this project whether they accept the tasks
     #[arg(long)]
     live: bool,
 

@@ -1,5 +1,5 @@
-//! Runs a task as the original's three clients do: start it, wait for it, abort it at the time limit (wire
-//! specification 7.2, 7.3, 7.5). Reports it in the words of each client, or as JSON.
+//! Runs a task as the original's three clients do: start it, wait for it, abort it at the time limit.
+//! Reports it in the words of each client, or as JSON.
 
 mod event;
 mod json;
@@ -23,7 +23,7 @@ use text::TextReporter;
 
 /// The end of a client's help.
 pub(crate) const AFTER_HELP: &str = "\
-With --exit-status: 0 completed, 1 refused, 3 failed, 4 aborted, 5 unknown or not started.
+With --exit-status: 0 completed, 1 rejected, 3 failed, 4 aborted, 5 unknown or not started.
 Ctrl-C aborts the task, and a second one ends the client at once; the exit code is 130 without --exit-status.
 SIGTERM aborts the task too, waits at most 2 s for the answer, and the exit code is 143.";
 
@@ -143,13 +143,13 @@ impl ClientTask<'_> {
         report: impl FnMut(ClientEvent<'_>),
     ) -> TaskOutcome {
         let outcome = match &error {
-            TriggerError::Refused { .. } => TaskOutcome::Refused,
+            TriggerError::Rejected { .. } => TaskOutcome::Rejected,
             TriggerError::NeverCame | TriggerError::GivenUp => TaskOutcome::NotStarted,
             TriggerError::Request(cause) if cause.nothing_was_sent() => TaskOutcome::NotStarted,
             _ => TaskOutcome::Unknown,
         };
         let (id, reason) = match error {
-            TriggerError::Refused { id, reason } => (Some(id), reason),
+            TriggerError::Rejected { id, reason } => (Some(id), reason),
             other => (None, format!("{other}{}", self.nameless())),
         };
         let reason = &reason;

@@ -14,7 +14,7 @@ use crate::terminal::line;
 
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub(crate) struct JournalOptions {
-    /// File of the journal, or the directory for it (docs/journal.md) [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
+    /// File of the journal, or the directory for it (docs/journal.md) [default: in $STATE_DIRECTORY, else in $XDG_STATE_HOME/ztl, else in ~/.local/state/ztl]
     #[arg(long, value_name = "FILE|DIR")]
     journal: Option<PathBuf>,
 

@@ -1,5 +1,5 @@
 //! The original's names for its tools (`ztl_task_client`, `task_client.py`), and its rules for their
-//! options (wire specification 7).
+//! options (`docs/compatibility.md`, "Command line").
 //!
 //! Python's argparse, as the original uses it, ignores what it does not know; ours says on stderr what
 //! was ignored. Beside an option of ours nothing is ignored, since `--yes --dryrun` must not move a robot.

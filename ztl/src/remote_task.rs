@@ -1,4 +1,4 @@
-//! `ztl remote-task`: runs a task on a named server, with the original's options and output (wire specification 7.3).
+//! `ztl remote-task`: runs a task on a named server, with the original's options and output.
 
 use tracing::{Level, info};
 use ztl_std::remotes::Remote;

@@ -1,5 +1,5 @@
-//! `ztl run-script`: plays the scenes of a script, with the options, output and keys of the original (wire
-//! specification 7.4 and 8).
+//! `ztl run-script`: plays the scenes of a script, with the options, output and keys of the original
+//! (`docs/compatibility.md`, "Scripts", lists the differences).
 
 mod output;
 mod plain;
@@ -51,7 +51,7 @@ pub(crate) struct RunScript {
     #[command(flatten)]
     connecting: ConnectOptions,
 
-    /// Play all scenes without asking; a step that needs a decision stops everything
+    /// Play all scenes without asking; a step that needs a decision aborts the tasks of this run and ends it
     #[arg(long)]
     yes: bool,
 
@@ -87,7 +87,7 @@ pub(crate) struct RunScript {
 const AFTER: &str =
     "Keys: on a terminal the screen lists them (docs/show.md). With --plain, Enter plays the scene, R repeats
 the last one, and any other key skips the scene.
-Ctrl-C stops all tasks started by this run, on all servers. A second Ctrl-C exits at once.
+Ctrl-C aborts the tasks of this run on all servers, and ends it. A second Ctrl-C ends it without waiting for servers.
 Exit code: 0 if all tasks completed, 1 if one failed, was stopped or is unknown.
 To write scripts, see docs/scripts.md. To check one, run `ztl check FILE`.";
 
@@ -163,7 +163,7 @@ impl RunScript {
             error_line(format_args!("{called}: warning: {note}"));
             notes.push(note);
         }
-        let (scene, from) = self.places(&script)?;
+        let (scene, from) = self.selection(&script)?;
         let mut options = PlayOptions {
             unattended: self.yes,
             scene,
@@ -247,14 +247,17 @@ impl RunScript {
     }
 
     /// The only scene to play, and the first step.
-    #[expect(clippy::type_complexity, reason = "the player takes them so")]
-    fn places(&self, script: &Script) -> Result<(Option<usize>, Option<(usize, usize)>), String> {
+    #[expect(clippy::type_complexity, reason = "matches `PlayOptions`")]
+    fn selection(
+        &self,
+        script: &Script,
+    ) -> Result<(Option<usize>, Option<(usize, usize)>), String> {
         let scene = match &self.scene {
             None => None,
             Some(name) => {
                 let scenes = script.scenes.iter().enumerate();
                 let names = scenes.map(|(at, scene)| (at, (&scene.key, &scene.name, scene.span)));
-                Some(the_one("scene", name, names)?)
+                Some(find_unique("scene", name, names)?)
             }
         };
         let from = match &self.from {
@@ -266,7 +269,7 @@ impl RunScript {
                     let steps = of.steps.iter().enumerate();
                     steps.map(move |(at, step)| ((scene, at), (&step.key, &step.name, step.span)))
                 });
-                Some(the_one("step", name, names)?)
+                Some(find_unique("step", name, names)?)
             }
         };
         Ok((scene, from))
@@ -320,37 +323,37 @@ impl RunScript {
 }
 
 /// Finds the scene or step that the user named, by its key or its name without parameters.
-fn the_one<'a, At>(
-    what: &str,
-    said: &str,
-    all: impl Iterator<Item = (At, (&'a String, &'a String, Span))>,
+fn find_unique<'a, At>(
+    kind: &str,
+    name: &str,
+    candidates: impl Iterator<Item = (At, (&'a String, &'a String, Span))>,
 ) -> Result<At, String> {
     let mut names = Vec::new();
     let (mut found, mut lines) = (None, Vec::new());
-    for (at, (key, name, span)) in all {
-        let name = name.trim();
-        names.push(name);
-        if said == key || said.trim() == name {
+    for (at, (key, candidate, span)) in candidates {
+        let candidate = candidate.trim();
+        names.push(candidate);
+        if name == key || name.trim() == candidate {
             lines.push(span.start.line.to_string());
             found.get_or_insert(at);
         }
     }
     if lines.len() > 1 {
-        let help = match what {
+        let help = match kind {
             "step" => "give --scene too, or different names",
             _ => "give them different names",
         };
         let lines = lines.join(", ");
         return Err(format!(
-            "{what} '{said}' is ambiguous: it is in lines {lines}; {help}"
+            "{kind} '{name}' is ambiguous: it is in lines {lines}; {help}"
         ));
     }
     found.ok_or_else(|| {
-        let help = match closest(said, names.iter().copied()) {
+        let help = match closest(name, names.iter().copied()) {
             Some(meant) => format!("did you mean '{meant}'?"),
             None => format!("there are: {}", names.join(", ")),
         };
-        format!("no {what} '{said}'; {help}")
+        format!("no {kind} '{name}'; {help}")
     })
 }
 

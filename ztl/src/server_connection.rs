@@ -72,7 +72,9 @@ impl ServerConnection {
                 text: task.reply,
                 server,
             },
-            Err(TriggerError::Refused { id, reason }) => ServerAnswer::Refused { id, text: reason },
+            Err(TriggerError::Rejected { id, reason }) => {
+                ServerAnswer::Rejected { id, text: reason }
+            }
             Err(error @ (TriggerError::NeverCame | TriggerError::GivenUp)) => {
                 ServerAnswer::NotStarted {
                     text: error.to_string(),
@@ -80,7 +82,7 @@ impl ServerConnection {
             }
             // The goal is too long: its author has to change it.
             Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => {
-                ServerAnswer::Refused {
+                ServerAnswer::Rejected {
                     id: Integer::MINUS_ONE.into(),
                     text: error.to_string(),
                 }

@@ -1,4 +1,4 @@
-//! `ztl simple-client`: runs a task with any payload, with the original's arguments and output (wire specification 7.5).
+//! `ztl simple-client`: runs a task with any payload, with the original's arguments and output.
 
 use tracing::Level;
 

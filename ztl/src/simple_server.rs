@@ -1,4 +1,4 @@
-//! `ztl simple-server`: the original's simplest server (wire specification 7.5). The payload of an INIT is the number
+//! `ztl simple-server`: the original's simplest server. The payload of an INIT is the number
 //! of seconds that the task takes.
 
 use std::collections::HashMap;

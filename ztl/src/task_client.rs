@@ -1,4 +1,4 @@
-//! `ztl task-client`: runs a task on a server, with the original's options and output (wire specification 7.2).
+//! `ztl task-client`: runs a task on a server, with the original's options and output.
 
 use tracing::Level;
 

@@ -1,4 +1,4 @@
-//! `ztl task-server`: the original's test server (wire specification 7.1).
+//! `ztl task-server`: the original's test server.
 
 use std::process::ExitCode;
 use std::time::Duration;

@@ -165,7 +165,7 @@ impl Model {
             TaskEvent::Completed { result } => (State::Completed, Some(result)),
             TaskEvent::Failed { reason } => (State::Failed, Some(reason)),
             TaskEvent::Aborted { result } => (State::Aborted, Some(result)),
-            TaskEvent::AbortRefused => {
+            TaskEvent::AbortRejected => {
                 self.refusing = Some(place);
                 return;
             }

@@ -351,7 +351,7 @@ fn dispatch(dispatcher: &mut Dispatcher<Memory>, input: &[u8], text: &str) {
         4 => TaskEvent::Completed { result: text },
         5 => TaskEvent::Failed { reason: text },
         6 => TaskEvent::Aborted { result: text },
-        _ => TaskEvent::AbortRefused,
+        _ => TaskEvent::AbortRejected,
     };
     dispatcher.handle_event(now(), id(), event, &mut out);
     dispatcher.handle_timeout(now(), &mut out);

@@ -29,7 +29,7 @@ pub(crate) fn many(_: &Bench) {
     let limit = format!("connections={}", count + 10);
     let mut command = ztl();
     command.args(["task-server", "-p", "0", "-s", SCOPE, "--limit", &limit]);
-    let server = Server::says_its_port(command);
+    let server = Server::start_test_server(command);
     let resident = || server.process.resident_kib() * 1024;
     let before = resident();
     let mut streams: Vec<_> = (0..count).map(|_| shake_hands(server.port)).collect();

@@ -95,7 +95,7 @@ fn our_client_meets_the_originals_suite_at_the_originals_servers() {
         let mut remote = RemoteTask::connect(&tests.endpoint(), scope).expect("an address");
         let refused = remote.trigger_payload("does not matter");
         assert!(
-            matches!(&refused, Err(ztl_std::TriggerError::Refused { id, .. }) if id.as_str() == "-1"),
+            matches!(&refused, Err(ztl_std::TriggerError::Rejected { id, .. }) if id.as_str() == "-1"),
             "{refused:?}"
         );
     }
@@ -103,7 +103,7 @@ fn our_client_meets_the_originals_suite_at_the_originals_servers() {
     let mut remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
     let refused = remote.trigger_payload("illegal payload");
     assert!(
-        matches!(&refused, Err(ztl_std::TriggerError::Refused { id, .. }) if !id.names_task()),
+        matches!(&refused, Err(ztl_std::TriggerError::Rejected { id, .. }) if !id.names_task()),
         "{refused:?}"
     );
     let task = remote.trigger_payload("60").expect("taken");

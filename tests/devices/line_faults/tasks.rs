@@ -28,7 +28,7 @@ pub fn drive(mut remote: RemoteTask, device: &str, client: usize, tasks: usize) 
         let goal = format!("0.{client}{number:06}");
         let told = match remote.run(device, "finger", &goal, Some(LIMIT)) {
             Ok(end) => Told::Ended(end.state, end.text),
-            Err(RunError::NotStarted(TriggerError::Refused { reason, .. })) => {
+            Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => {
                 Told::Rejected(reason)
             }
             other => panic!("{device}, {goal}: no end within {LIMIT:?}: {other:?}"),

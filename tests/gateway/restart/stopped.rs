@@ -61,7 +61,7 @@ fn a_suspended_gateway_moves_each_motor_once() {
                 | RunError::NotStarted(TriggerError::Request(_)),
             ) => deed == ONCE || deed == Deed::default(),
             // Its Start would have come too late.
-            Err(RunError::NotStarted(TriggerError::NeverCame | TriggerError::Refused { .. })) => {
+            Err(RunError::NotStarted(TriggerError::NeverCame | TriggerError::Rejected { .. })) => {
                 deed == Deed::default()
             }
             _ => false,

@@ -55,7 +55,7 @@ impl Peer {
     /// Its server of the original's test tasks, `test:echo:…` and `test:sleep:SECONDS`.
     #[track_caller]
     pub fn server(self) -> Server {
-        Server::told_its_port(|port| {
+        Server::start_at_reserved_port(|port| {
             let mut command = self.command();
             match self {
                 Self::Python27 | Self::OldLibzmq => command.args(["-m", "ztl.example.task_server"]),

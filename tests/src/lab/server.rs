@@ -44,7 +44,7 @@ impl Server {
         let mut command = ztl();
         command.args(["task-server", "-p", "0", "-s", SCOPE]);
         command.args(["--transport", transport]);
-        Self::says_its_port(command)
+        Self::start_test_server(command)
     }
 
     /// The same at a port of the test's own, so that another can follow it there.
@@ -52,19 +52,19 @@ impl Server {
     pub fn ours_at(port: u16) -> Self {
         let mut command = ztl();
         command.args(["task-server", "-p", &port.to_string(), "-s", SCOPE]);
-        Self::says_its_port(command)
+        Self::start_test_server(command)
     }
 
     /// The original's `ztl_task_server`, at a port of the test's own.
     #[track_caller]
     pub fn original() -> Self {
-        Self::told_its_port(original_at)
+        Self::start_at_reserved_port(original_at)
     }
 
     /// The same, unchanged, but its ids are as long as those of `uuid.uuid4().int`.
     #[track_caller]
     pub fn original_with_large_ids() -> Self {
-        Self::told_its_port(|port| {
+        Self::start_at_reserved_port(|port| {
             let mut command = Command::new(python());
             command.args(["-u", "-c", LARGE_IDS, "-p", port, "-s", SCOPE]);
             command
@@ -76,30 +76,30 @@ impl Server {
     pub fn simple_ours() -> Self {
         let mut command = ztl();
         command.args(["simple-server", "0", SCOPE]);
-        Self::says_its_port(command)
+        Self::start_test_server(command)
     }
 
     /// The original's `ztl_simple_server`.
     #[track_caller]
     pub fn simple_original() -> Self {
-        Self::told_its_port(|port| {
+        Self::start_at_reserved_port(|port| {
             let mut command = original_tool("ztl_simple_server");
             command.args([port, SCOPE]);
             command
         })
     }
 
-    /// Any command of ours that serves the original's test tasks with the original's options.
+    /// Any of our commands that serves the original's test tasks with the original's options.
     #[track_caller]
     pub fn test_server(mut command: Command) -> Self {
         // It chooses its port itself and prints it.
         command.args(["-p", "0", "-s", SCOPE]);
-        Self::says_its_port(command)
+        Self::start_test_server(command)
     }
 
-    /// Any command of ours that prints its port.
+    /// Starts one of our test servers, which print the scope and then the port.
     #[track_caller]
-    pub fn says_its_port(mut command: Command) -> Self {
+    pub fn start_test_server(mut command: Command) -> Self {
         let process = Process::start(&mut command);
         // The port is bound before this line.
         process.wait_for(REGISTERED);
@@ -107,9 +107,9 @@ impl Server {
         Self { process, port }
     }
 
-    /// A server with a given port, which another program may take first.
+    /// Starts a server at a reserved port; at another one if a program takes that first.
     #[track_caller]
-    pub(super) fn told_its_port(command: impl Fn(&str) -> Command) -> Self {
+    pub(super) fn start_at_reserved_port(command: impl Fn(&str) -> Command) -> Self {
         loop {
             let port = reserve_port();
             let process = Process::start(&mut command(&port.to_string()));
@@ -216,7 +216,7 @@ mod tests {
         let taken = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
         let taken = taken.local_addr().expect("its address").port().to_string();
         let starts = Cell::new(0);
-        let server = Server::told_its_port(|port| {
+        let server = Server::start_at_reserved_port(|port| {
             starts.set(starts.get() + 1);
             original_at(if starts.get() == 1 { &taken } else { port })
         });

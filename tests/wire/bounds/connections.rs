@@ -164,7 +164,9 @@ fn a_device_is_reached_again_beside_an_idle_crowd() {
     is_served(&mut remote);
     let crowd = idle(gateway.port, MANY);
     device.kill();
-    gateway.process.wait_for("it no longer answers");
+    gateway
+        .process
+        .wait_for("Device 'gripper': device is not answering");
     drop(device);
     let _device = power_on();
     let id = until("a task is taken", PATIENCE, || {

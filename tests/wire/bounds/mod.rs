@@ -51,7 +51,7 @@ impl Subject {
             command = with_open_files(files, &command);
         }
         let server = match kind {
-            Kind::TaskServer => Server::says_its_port(command),
+            Kind::TaskServer => Server::start_test_server(command),
             _ => Server::start(&mut command),
         };
         let task = match kind {

@@ -58,7 +58,7 @@ static void nulls(void)
     CHECK(ztl_task_end(server, 1, ZTL_FAILED, NULL) == ZTL_E_NULL);
     CHECK(ztl_task_is_aborted(NULL, 1) == 1);
     CHECK(ztl_task_sleep(NULL, 1, 1) == ZTL_E_NULL);
-    CHECK(ztl_task_refuse_abort(NULL, 1) == ZTL_E_NULL);
+    CHECK(ztl_task_reject_abort(NULL, 1) == ZTL_E_NULL);
     CHECK(ztl_task_needs_client(NULL, 1, 5000) == ZTL_E_NULL);
 
     CHECK(ztl_client_clone(NULL) == NULL);
@@ -178,7 +178,7 @@ static void wrong(void *context, ztl_server *server, const ztl_request *request)
         return;
     }
     if (strcmp(request->component, "deaf") == 0) {
-        ztl_task_refuse_abort(server, task);
+        ztl_task_reject_abort(server, task);
         while (ztl_task_sleep(server, task, 10000) == ZTL_OK)
             continue;
         return;

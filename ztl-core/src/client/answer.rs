@@ -22,8 +22,8 @@ pub enum Answer<'a> {
         /// The payload: the handler's reply or the task's result.
         text: &'a str,
     },
-    /// To an INIT: the server refused the task, and nothing was done.
-    Refused {
+    /// To an INIT: the server rejected the task, and nothing was done.
+    Rejected {
         /// The id: 0 or below.
         id: Integer<'a>,
         /// The payload: the reason.
@@ -102,7 +102,7 @@ impl<'a> Answer<'a> {
             return Some(match id.is_positive() {
                 _ if !of_scope => other_task,
                 true => Self::Accepted { id, ended, text },
-                false => Self::Refused { id, text },
+                false => Self::Rejected { id, text },
             });
         }
         Some(match (state, code.ok()?) {
@@ -120,7 +120,7 @@ impl<'a> Answer<'a> {
     pub const fn text(&self) -> &'a str {
         match *self {
             Self::Accepted { text, .. }
-            | Self::Refused { text, .. }
+            | Self::Rejected { text, .. }
             | Self::Task { text, .. }
             | Self::UnknownTask { text }
             | Self::NotTold { text, .. }
@@ -143,9 +143,9 @@ fn is_unknown_outcome(state: State, text: &str) -> bool {
     state == State::Failed && text.starts_with(UNKNOWN_OUTCOME)
 }
 
-/// Whether this text means that the server does not know the task. The original's controllers name the id, its simple
-/// server does not (wire specification 4.6, 7.5). A relay repeats the text of the server behind it, with the id that the
-/// task has there. A handler may use the same text for something else.
+/// Whether this text means that the server does not know the task. The original's controllers name the id, its
+/// simple server does not. A relay repeats the text of the server behind it, with the id that the task has
+/// there. A handler may use the same text for something else.
 fn is_unknown_task(text: &str) -> bool {
     let Some(named) = text.strip_prefix("Invalid ID") else {
         return false;
@@ -169,7 +169,7 @@ pub fn is_abort_rejected(state: State, text: &str) -> bool {
 }
 
 /// Whether a final state is about the request and not about the task: the scope does not exist (yet), the request was
-/// invalid, or the original's controller raised an exception (wire specification 4.3, cases A, B, C and H).
+/// invalid, or the original's controller raised an exception (`docs/protocol.md` [12.6]).
 fn is_about_the_request(state: State, text: &str) -> bool {
     match state {
         State::Rejected => {

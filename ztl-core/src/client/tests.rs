@@ -165,7 +165,7 @@ fn an_id_above_0_accepts_an_init_in_any_state() {
                     ended: ended.then_some(State::Completed),
                     text: "y",
                 },
-                false => Answer::Refused { id, text: "y" },
+                false => Answer::Rejected { id, text: "y" },
             };
             let said = classify(b"/lab;1;-1;x", body.as_bytes());
             assert_eq!(said, Some(answer), "{body}");
@@ -353,7 +353,7 @@ fn an_unanswered_outcome_query_can_be_repeated() {
     let heard = desk.handle_reply(asked, b"$ztl;2;-1;busy");
     assert!(
         matches!(heard, Some(Heard::Answer(_))),
-        "a refusal is an answer"
+        "a rejection is an answer"
     );
 }
 

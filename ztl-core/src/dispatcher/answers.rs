@@ -30,7 +30,7 @@ impl<M: Memory> Dispatcher<M> {
         &mut self,
         id: TaskId,
         (told, text): (State, &str),
-        abort_refused: bool,
+        abort_rejected: bool,
         out: &mut impl FnMut(M::Peer, &Reply<'_>),
     ) {
         let Some(task) = self.memory.tasks().get(id) else {
@@ -55,7 +55,7 @@ impl<M: Memory> Dispatcher<M> {
         if ended || decided && !kept {
             due.kinds |= kind(Awaited::EarlyEnd);
         }
-        if ended || abort_refused {
+        if ended || abort_rejected {
             due.kinds |= kind(Awaited::Abort);
         }
         if ended {

@@ -9,7 +9,7 @@ use crate::memory::Scope;
 pub enum Body<'a> {
     /// One frame, as every client sends it.
     One(&'a [u8]),
-    /// Several frames, which is invalid (wire specification 2.4).
+    /// Several frames, which is invalid (`docs/protocol.md` [1.4]).
     Several,
 }
 
@@ -27,7 +27,7 @@ pub enum Action<'a> {
         /// The INIT's payload, unchanged.
         payload: &'a str,
     },
-    /// Abort this task, or refuse to.
+    /// Abort this task, or reject the ABORT.
     Abort {
         /// The task.
         id: TaskId,
@@ -51,8 +51,8 @@ pub enum TaskEvent<'a> {
         /// What is wrong, and what would be right.
         reason: &'a str,
     },
-    /// The task is rejected in the form in which the original reports an exception of its controller (case
-    /// H): state 3 and `Controller threw exception: …`.
+    /// The task is rejected in the form in which the original reports an exception of its controller: state
+    /// 3 and `Controller threw exception: …`.
     Threw {
         /// The exception's message.
         message: &'a str,
@@ -78,5 +78,5 @@ pub enum TaskEvent<'a> {
         result: &'a str,
     },
     /// The task cannot be aborted and continues.
-    AbortRefused,
+    AbortRejected,
 }

@@ -1,4 +1,4 @@
-//! The decision table of the wire specification (4.3, 4.4, 11), as traces.
+//! The table of `docs/protocol.md` [4.1], and the scope `$ztl` (section 11), as traces.
 
 mod places;
 
@@ -212,7 +212,7 @@ fn a_refused_abort_is_reported_and_the_task_continues() {
     let mut desk = Desk::new();
     desk.accepted(1);
     desk.ask(2, "/test;3;1;");
-    desk.event(1, TaskEvent::AbortRefused);
+    desk.event(1, TaskEvent::AbortRejected);
     desk.told(&[(2, "/test;1;1;False")]);
 }
 
@@ -244,7 +244,7 @@ fn a_final_state_and_its_result_never_change() {
             TaskEvent::Progress { text: "p" },
             TaskEvent::Accepted { reply: "r" },
             TaskEvent::Rejected { reason: "j" },
-            TaskEvent::AbortRefused,
+            TaskEvent::AbortRejected,
         ]) {
             desk.event(1, later);
         }

@@ -22,9 +22,9 @@
 //!
 //! # What is read
 //!
-//! The original's clients send Python's `str` of a value that was YAML (wire specification 6); people type
-//! YAML in flow style. This module reads both in one dialect. Where the two disagree about a text, **Python's
-//! `repr` wins**, because nearly every goal comes from it, **or the text is an error**.
+//! The original's clients send Python's `str` of a value that was YAML; people type YAML in flow style. This
+//! module reads both in one dialect. Where the two disagree about a text, **Python's `repr` wins**, because
+//! nearly every goal comes from it, **or the text is an error**.
 //!
 //! If the target is a text, the goal is always taken unchanged: `hello, world: it's`,
 //! `'tis`, `[draft]`, and the empty text. That is how `str` writes a text. For every other target, and for

@@ -267,7 +267,7 @@ impl Pair {
         self.note(format!("{event:?}"));
         match event {
             LinkEvent::Accepted(id) => *self.accepted.entry(id).or_default() += 1,
-            LinkEvent::Rejected(id, reason) => {
+            LinkEvent::TaskRejected(id, reason) => {
                 assert!(!self.accepted.contains_key(&id), "{id} rejected after all");
                 let again = self.rejected.insert(id, reason);
                 assert_eq!(again, None, "{id} rejected twice");
@@ -434,7 +434,7 @@ fn without_a_device_a_task_is_rejected_in_time_and_never_starts() {
     lab.pass(Duration::from_millis(999));
     assert!(lab.rejected.is_empty());
     lab.pass(Duration::from_millis(2));
-    assert_eq!(lab.rejected[&id], "the device is not answering");
+    assert_eq!(lab.rejected[&id], "device is not answering");
     lab.pass(Duration::from_secs(10));
     lab.check();
 }

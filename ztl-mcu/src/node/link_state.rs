@@ -5,7 +5,7 @@ use ztl_core::link::LinkId;
 
 use super::frame_out::FrameOut;
 use super::refusal::Refusal;
-use super::runner::Runner;
+use super::runner::TaskRunner;
 
 /// Statistics of the line since boot; the counts wrap around.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -83,6 +83,6 @@ pub(super) struct LinkState<'a, C, const TASKS: usize, const FRAME: usize> {
     pub(super) name: &'a str,
     pub(super) firmware: &'a str,
     pub(super) boot: u32,
-    pub(super) runner: Runner<C, TASKS>,
+    pub(super) runner: TaskRunner<C, TASKS>,
     pub(super) frame_out: FrameOut<FRAME>,
 }

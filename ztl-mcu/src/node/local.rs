@@ -4,10 +4,10 @@ use ztl_core::link::LinkId;
 use ztl_core::{Instant, State, TaskId};
 
 use super::refusal::Refusal;
-use super::runner::Runner;
+use super::runner::TaskRunner;
 use crate::component::Components;
 
-impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
+impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Starts a task on the component with this index.
     ///
     /// # Errors

@@ -8,7 +8,7 @@ pub type Reason = heapless::String<99>;
 /// Why a node refuses a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Refusal {
-    /// The component refused the goal and wrote the reason into [`Runner::reason`](super::runner::Runner).
+    /// The component refused the goal and wrote the reason into [`TaskRunner::reason`](super::runner::TaskRunner).
     ByComponent,
     /// The gateway speaks another version of the link.
     OtherVersion,

@@ -15,7 +15,7 @@ const REPLACED: &str = "replaced by a later task";
 // this saves 108 bytes in `microbit-quiet`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[repr(C)]
-pub(crate) struct Runner<C, const TASKS: usize> {
+pub(crate) struct TaskRunner<C, const TASKS: usize> {
     pub(super) stopped: bool,
     /// Whether components that carry on without a link go to the safe state too.
     pub(super) all_to_safety: bool,
@@ -28,7 +28,7 @@ pub(crate) struct Runner<C, const TASKS: usize> {
     pub(super) tasks: Table<TASKS>,
 }
 
-impl<C, const TASKS: usize> Runner<C, TASKS> {
+impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
     /// The state after a reset.
     #[cfg(feature = "zmtp")]
     pub(crate) const fn new(components: C) -> Self {
@@ -59,7 +59,7 @@ impl<C, const TASKS: usize> Runner<C, TASKS> {
     }
 }
 
-impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
+impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Polls the components that have a task and the idle ones that are going to the safe state. Then starts
     /// waiting tasks.
     #[cfg_attr(target_os = "none", inline(never))]
@@ -106,7 +106,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
             };
             task.set_end(end, now, why);
         }
-        // Ends, because each of these tasks starts or fails.
+        // The loop terminates: each pass starts or fails one waiting task.
         while let Some(task) = self.tasks.next_in_turn() {
             let goal = core::mem::take(&mut task.text);
             let mut why = Report::new(&mut task.text);
@@ -123,7 +123,7 @@ impl<C: Components, const TASKS: usize> Runner<C, TASKS> {
         }
     }
 
-    /// Makes the components safe that do not carry on without a link.
+    /// Sends every component except `CarryOn` ones to its safe state.
     pub(super) fn on_link_lost(&mut self, now: Instant) {
         self.make_safe(now, false);
     }

@@ -11,7 +11,7 @@ use ztl_core::{Event, Instant, State, TaskId};
 
 use crate::component::Components;
 use crate::node::utf8::push_utf8;
-use crate::node::{Identity, Runner};
+use crate::node::{Identity, TaskRunner};
 use ztl_zmtp::{Connection, Content, Fault, Rep};
 
 /// Longest stored text of a task, in bytes.
@@ -87,7 +87,7 @@ pub struct Server<
 > {
     name: &'a str,
     dispatcher: Dispatcher<Fixed<Peer, 1, TASKS, TEXT, CLIENTS>>,
-    tasks: Runner<C, TASKS>,
+    tasks: TaskRunner<C, TASKS>,
     peers: [Connection<Rep, [u8; BUFFER]>; PEERS],
     /// A copy of the current request, so that every client can be answered meanwhile; then the text of its
     /// reply.
@@ -117,7 +117,7 @@ impl<
                 Fixed::new([scope]),
                 Config::new(first_id(identity.boot), identity.boot),
             ),
-            tasks: Runner::new(components),
+            tasks: TaskRunner::new(components),
             peers: [const { Connection::new([0; BUFFER]) }; PEERS],
             request: Words::new(),
         }
@@ -333,7 +333,7 @@ fn answer<const PEERS: usize, const BUFFER: usize>(
 fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     now: Instant,
     name: &str,
-    tasks: &mut Runner<C, TASKS>,
+    tasks: &mut TaskRunner<C, TASKS>,
     id: TaskId,
     spec: Result<&[u8], DecodeError>,
     said: &'t mut Words<BUFFER>,
@@ -346,7 +346,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     };
     let spec = match spec {
         Ok(spec) => spec,
-        // Uses the original's texts where it has them (wire specification 4.6).
+        // Uses the original's texts where it has them (`docs/protocol.md` [5.3]).
         Err(error) => {
             let message = match error {
                 SpecError::NoComponent => "'component'",
@@ -376,7 +376,7 @@ fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
 fn try_start<C: Components, const TASKS: usize>(
     now: Instant,
     name: &str,
-    tasks: &mut Runner<C, TASKS>,
+    tasks: &mut TaskRunner<C, TASKS>,
     id: TaskId,
     spec: &TaskSpec<'_>,
     sink: &mut dyn Sink,

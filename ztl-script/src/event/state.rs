@@ -71,7 +71,7 @@ pub enum TaskState {
     Asked,
     /// Not started: the server is not configured, not reachable, or never received the request.
     NotStarted,
-    /// The server refused the INIT.
+    /// The server rejected the INIT.
     Refused,
     /// The server accepted the INIT; its handler has not decided yet.
     Initiated,

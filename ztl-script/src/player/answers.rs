@@ -74,7 +74,7 @@ impl Player {
         };
         let (state, id, text) = match answer {
             ServerAnswer::Started { id, text, .. } => (State::Accepted, id.clone(), text),
-            ServerAnswer::Refused { id, text } => (State::Failed, id.clone(), text),
+            ServerAnswer::Rejected { id, text } => (State::Failed, id.clone(), text),
             ServerAnswer::Task { state, text } | ServerAnswer::CannotStop { state, text } => {
                 (*state, task_id(), text)
             }
@@ -156,7 +156,9 @@ impl Player {
                     self.abort(now, number);
                 }
             }
-            ServerAnswer::Refused { text, .. } => self.set_state(number, TaskState::Refused, &text),
+            ServerAnswer::Rejected { text, .. } => {
+                self.set_state(number, TaskState::Refused, &text)
+            }
             ServerAnswer::NotStarted { text } | ServerAnswer::Nothing { sent: false, text } => {
                 task.absent = true;
                 self.set_state(number, TaskState::NotStarted, &text);

@@ -23,7 +23,8 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(60);
 /// What is played of a script, and how.
 #[derive(Debug, Clone, Default)]
 pub struct PlayOptions {
-    /// No operator: each scene is played, and a decision that needs a person stops everything.
+    /// No operator: each scene is played, and a decision that needs a person aborts the tasks of
+    /// this run and ends it.
     pub unattended: bool,
     /// Play only this scene.
     pub scene: Option<usize>,

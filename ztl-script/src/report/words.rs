@@ -16,7 +16,7 @@ pub(super) fn command(run: &ReportedRun, command: RunCommand) -> String {
         RunCommand::GoOn => "go on anyway",
         RunCommand::StopScene => "stop the scene",
         RunCommand::StopAll => "stop everything, and stay",
-        RunCommand::Stop => "stop everything",
+        RunCommand::Stop => "abort the tasks of this run, and end it",
         RunCommand::Leave => "leave",
     };
     word.to_owned()

@@ -17,26 +17,26 @@ fn parse(text: &str) -> Result<Config, Diagnostics> {
     Config::read(&document, Path::new("/"))
 }
 
-/// The only entry of a file.
+/// The only component of a file.
 #[track_caller]
-fn entry_of(text: &str) -> Arc<Entry> {
+fn component_of(text: &str) -> Arc<ComponentConfig> {
     let text = format!("scopes: {{/r: {{h: {{c: {text}}}}}}}");
     let config = parse(&text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let scope = config.scopes.first().expect("a scope");
-    let entry = scope.entries().next().expect("an entry");
-    Arc::clone(entry.2)
+    let component = scope.configs().next().expect("a component");
+    Arc::clone(component.2)
 }
 
 #[track_caller]
-fn kind_of<K: Clone + 'static>(entry: &Entry) -> K {
-    let kind: &dyn Any = &*entry.kind;
+fn kind_of<K: Clone + 'static>(component: &ComponentConfig) -> K {
+    let kind: &dyn Any = &*component.kind;
     let kind = kind.downcast_ref::<K>();
-    kind.unwrap_or_else(|| panic!("{entry:?}")).clone()
+    kind.unwrap_or_else(|| panic!("{component:?}")).clone()
 }
 
 #[track_caller]
 fn program_of(text: &str) -> Program {
-    kind_of(&entry_of(text))
+    kind_of(&component_of(text))
 }
 
 const WHOLE: &str = "\
@@ -51,13 +51,13 @@ scopes:
         directory: /tmp
         environment: {LANG: C, EMPTY: , QUOTED: ''}
         user: root
-        dashes: refused
+        dashes: rejected
         limit: 30 s
         output: 4 KiB
         at-once: 2
         busy: queue 3
         goal: {fields: {text: {longest: 80}, speed: {type: whole, least: 0, most: 9, default: 5}}}
-        refused-by: [2, 64]
+        rejected-by: [2, 64]
         decide: 500 ms
         progress: '@ '
         result: json
@@ -72,9 +72,9 @@ scopes:
 fn every_key_is_read() {
     let config = parse(WHOLE).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     assert_eq!((config.listen.port, config.at_once), (Some(12345), 20));
-    let entries: Vec<_> = config.scopes[0].entries().collect();
-    let [("tts", "say", say), ("far", "*", far)] = entries.as_slice() else {
-        panic!("{entries:?}");
+    let configs: Vec<_> = config.scopes[0].configs().collect();
+    let [("tts", "say", say), ("far", "*", far)] = configs.as_slice() else {
+        panic!("{configs:?}");
     };
     assert_eq!((say.at_once, say.busy), (2, BusyPolicy::Queue(3)));
     assert!(say.kind.needs_fields());
@@ -138,18 +138,21 @@ fn short_forms_have_the_default_settings() {
         AbortBy::Signal("INT", _)
     ));
     assert!(!program_of("{run: [sh], abort: no}").abort.allowed);
-    assert_eq!(kind_of::<BuiltIn>(&entry_of("echo")), BuiltIn::Echo);
-    let sleep = entry_of("{built-in: sleep, at-once: 3}");
+    assert_eq!(kind_of::<BuiltIn>(&component_of("echo")), BuiltIn::Echo);
+    let sleep = component_of("{built-in: sleep, at-once: 3}");
     assert_eq!(sleep.at_once, 3);
     assert_eq!(sleep.rule.to_string(), "a number of at least 0");
     assert_eq!(
-        entry_of("{run: [sh], goal: number}").rule.to_string(),
+        component_of("{run: [sh], goal: number}").rule.to_string(),
         "a number"
     );
     let bounds = "{run: [sh], goal: {least: 0, most: 1.5}}";
-    assert_eq!(entry_of(bounds).rule.to_string(), "a number from 0 to 1.5");
+    assert_eq!(
+        component_of(bounds).rule.to_string(),
+        "a number from 0 to 1.5"
+    );
     let words = "{run: [sh], goal: {one-of: [left, right]}}";
-    assert_eq!(entry_of(words).rule.to_string(), "left or right");
+    assert_eq!(component_of(words).rule.to_string(), "left or right");
 }
 
 #[test]
@@ -178,8 +181,8 @@ fn arguments_that_a_client_may_begin_with_a_dash_are_guarded() {
     assert_eq!(guarded("{run: [sh, 'x{goal}']}"), Some(false));
     assert_eq!(guarded("{run: [sh, '{component}']}"), Some(false));
     let wild = parse("scopes: {/r: {h: {'*': [sh, '{component}']}}}").expect("it is right");
-    let entry = wild.scopes[0].entries().next().expect("an entry").2;
-    let program: Program = kind_of(entry);
+    let component = wild.scopes[0].configs().next().expect("a component").2;
+    let program: Program = kind_of(component);
     assert!(program.run.arguments[1].guarded);
 }
 
@@ -199,7 +202,7 @@ scopes:
       six: {run: [sh, '{goal.y}'], goal: {fields: {x: number}}}
       seven: {run: [sh], goal: {least: 2, most: 1}}
       eight: {run: [sh], goal: {type: numbre}, busy: queue}
-      nine: {run: [sh], user: nobody-is-called-so, refused-by: 0}
+      nine: {run: [sh], user: nobody-is-called-so, rejected-by: 0}
       ten: ehco
       eleven: {forward: {to: 10.0.0.7, scope: /cob, key: a}}
       twelve: {run: [sh], output: 2 GiB, decide: 1 s}
@@ -230,12 +233,12 @@ scopes:
         "robot.yaml:13:39: 'numbre' is not known here; did you mean 'number'?",
         "robot.yaml:13:54: 'queue' is not refuse, replace, or queue with how many may wait, as queue 3",
         "robot.yaml:14:31: there is no user 'nobody-is-called-so' on this machine",
-        "robot.yaml:14:64: '0' is not an exit code from 1 to 255, or a list of them",
+        "robot.yaml:14:65: '0' is not an exit code from 1 to 255, or a list of them",
         "robot.yaml:15:12: 'ehco' is not known here; did you mean 'echo'?",
         "robot.yaml:16:30: '10.0.0.7' is not an address, as tcp://10.0.0.7:12345",
         "robot.yaml:16:58: an encrypted connection needs both: key: robot.key_secret, server-key: far.key",
         "robot.yaml:17:35: '2 GiB' is not a size from 1 byte to 1000 KiB, as 64 KiB",
-        "robot.yaml:17:50: decide needs exit codes that refuse: refused-by: [2]",
+        "robot.yaml:17:50: decide needs exit codes that reject: rejected-by: [2]",
         "robot.yaml:18:46: busy: replace aborts tasks; remove abort: no",
         "robot.yaml:19:54: needs-client aborts tasks; remove abort: no",
         "robot.yaml:20:48: this must be at least 1s, better 5s: a client that waits asks every second",
@@ -340,8 +343,8 @@ fn a_file_without_components_is_a_mistake() {
 
 #[test]
 fn a_goal_in_a_shells_command_is_a_warning() {
-    let warnings = |entry: &str| {
-        let config = parse(&format!("scopes: {{/r: {{h: {{c: {entry}}}}}}}"));
+    let warnings = |component: &str| {
+        let config = parse(&format!("scopes: {{/r: {{h: {{c: {component}}}}}}}"));
         config.expect("it is right").warnings.len()
     };
     assert_eq!(warnings("[sh, -c, 'say {goal}']"), 1);

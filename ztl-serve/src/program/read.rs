@@ -90,7 +90,7 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
             self.user = self.user(node);
         }
         if let Some(node) = fields.optional("dashes") {
-            let known = [("allowed", true), ("refused", false)];
+            let known = [("allowed", true), ("rejected", false)];
             self.dashes = self.one_of(node, &known).unwrap_or_default();
         }
         let run = run(&mut self);
@@ -124,7 +124,7 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
             ];
             settings.result = self.one_of(node, &known).unwrap_or(settings.result);
         }
-        let codes = fields.optional("refused-by");
+        let codes = fields.optional("rejected-by");
         for node in codes.map(one_or_more).unwrap_or_default() {
             let what = "an exit code from 1 to 255, or a list of them";
             let code = self.reader.yaml.parsed(node, what, |text| {
@@ -135,7 +135,10 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
         }
         let decide = fields.optional("decide");
         if let (Some(node), None) = (decide, codes) {
-            self.wrong(node, "decide needs exit codes that refuse: refused-by: [2]");
+            self.wrong(
+                node,
+                "decide needs exit codes that reject: rejected-by: [2]",
+            );
         }
         let decide = decide.and_then(|node| self.reader.time(node, LONGEST_DECIDE));
         settings.decide = decide.unwrap_or(settings.decide);

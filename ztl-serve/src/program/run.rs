@@ -174,13 +174,15 @@ impl Run {
         self.err.end(|_| false);
         self.decide_by_progress(before, actions);
         let code = status.and_then(|status| status.code());
-        let refused = code.and_then(|code| u8::try_from(code).ok());
-        let refused = refused.is_some_and(|code| self.program.rejected_by.contains(&code));
+        let rejected = code.and_then(|code| u8::try_from(code).ok());
+        let rejected = rejected.is_some_and(|code| self.program.rejected_by.contains(&code));
         let undecided = self.undecided.take().is_some();
-        if undecided && refused {
+        if undecided && rejected {
             let why = self.last_line();
             let code = code.unwrap_or_default();
-            return Outcome::Rejected(why.unwrap_or_else(|| format!("refused (exit code {code})")));
+            return Outcome::Rejected(
+                why.unwrap_or_else(|| format!("rejected (exit code {code})")),
+            );
         }
         if undecided {
             actions.push(Action::Accept);

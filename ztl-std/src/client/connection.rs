@@ -145,7 +145,7 @@ impl Connection {
         let keys = self.keys.as_ref();
         let socket = Socket::open(self.transport, &self.endpoint, keys, self.longest_answer);
         socket.map_err(|error| match error.kind() {
-            // From a name that is none, or an address of another kind.
+            // The endpoint is not a valid address, or its kind is unsupported.
             io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported => RequestError::Endpoint {
                 endpoint: self.endpoint.clone(),
                 why: error.to_string(),
@@ -162,7 +162,9 @@ impl Connection {
             // Sent at any length, because its reply reports the longest message.
             let envelope = self.client.probe(now(), &mut sink);
             let said = self.exchange(wanted, envelope, &body);
-            if let Reply::Task(Status { text, .. }) = said.map_err(|unanswered| unanswered.error)? {
+            if let ClientReply::Task(Status { text, .. }) =
+                said.map_err(|unanswered| unanswered.error)?
+            {
                 self.version = version_of(&text);
             }
             self.probed = true;
@@ -201,7 +203,7 @@ impl Connection {
     }
 
     /// Asks what became of the last INIT.
-    pub(super) fn ask_outcome(&mut self) -> Result<Reply, Unanswered> {
+    pub(super) fn ask_outcome(&mut self) -> Result<ClientReply, Unanswered> {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         match self.client.outcome(now(), &mut sink) {
@@ -214,7 +216,7 @@ impl Connection {
     pub(super) fn ask(
         &mut self,
         request: impl FnOnce(&mut Client, &mut dyn Sink) -> Envelope,
-    ) -> Result<Reply, Unanswered> {
+    ) -> Result<ClientReply, Unanswered> {
         self.ask_while(None, request)
     }
 
@@ -223,7 +225,7 @@ impl Connection {
         &mut self,
         wanted: Wanted<'_>,
         request: impl FnOnce(&mut Client, &mut dyn Sink) -> Envelope,
-    ) -> Result<Reply, Unanswered> {
+    ) -> Result<ClientReply, Unanswered> {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
         let envelope = request(&mut self.client, &mut sink);
@@ -248,7 +250,7 @@ impl Connection {
         wanted: Wanted<'_>,
         envelope: Envelope,
         body: &[u8],
-    ) -> Result<Reply, Unanswered> {
+    ) -> Result<ClientReply, Unanswered> {
         let start = Instant::now();
         let mut socket = match self.socket.take() {
             Some(socket) => socket,
@@ -285,7 +287,7 @@ impl Connection {
         start: Instant,
         envelope: Envelope,
         asked: &[u8],
-    ) -> Result<Reply, Unanswered> {
+    ) -> Result<ClientReply, Unanswered> {
         if self.ready(wanted, socket, Wait::ToSend)? != Ready::Yes {
             return Err(Unanswered::from(RequestError::NotConnected {
                 endpoint: self.endpoint.clone(),
@@ -300,7 +302,7 @@ impl Connection {
                 Ready::Late => break,
                 Ready::Unwanted => {
                     return Err(Unanswered {
-                        outcome: true,
+                        can_ask_outcome: true,
                         error: self.no_answer(start),
                     });
                 }
@@ -323,47 +325,58 @@ impl Connection {
         }
         let late = self.client.handle_timeout(now());
         Err(Unanswered {
-            outcome: late == Late::AskOutcome,
+            can_ask_outcome: late == Late::AskOutcome,
             error: self.no_answer(start),
         })
     }
 
-    fn reply(&self, heard: Heard<'_>, body: &[u8], start: Instant) -> Result<Reply, Unanswered> {
+    fn reply(
+        &self,
+        heard: Heard<'_>,
+        body: &[u8],
+        start: Instant,
+    ) -> Result<ClientReply, Unanswered> {
         let answer = match heard {
             Heard::Answer(answer) => answer,
-            Heard::NeverStarted => return Ok(Reply::NeverStarted),
+            Heard::NeverStarted => return Ok(ClientReply::NeverStarted),
             Heard::OutcomeUnknown => return Err(self.no_answer(start).into()),
             Heard::Unreadable => {
                 let answer = String::from_utf8_lossy(body).into_owned();
-                return Ok(Reply::Unclear(RequestError::Unreadable { answer }));
+                return Ok(ClientReply::Unclear(RequestError::Unreadable { answer }));
             }
         };
         let text = answer.text().to_owned();
         Ok(match answer {
-            Answer::Accepted { id, ended, .. } => Reply::Accepted {
+            Answer::Accepted { id, ended, .. } => ClientReply::Accepted {
                 id: id.into(),
                 ended,
                 text,
             },
-            Answer::Refused { id, .. } => Reply::Refused {
+            Answer::Rejected { id, .. } => ClientReply::Rejected {
                 id: id.into(),
                 text,
             },
-            Answer::Task { state, .. } => Reply::Task(Status { state, text }),
-            Answer::UnknownTask { .. } => Reply::UnknownTask { text },
-            Answer::UnknownOutcome { .. } => Reply::Unclear(RequestError::UnknownOutcome { text }),
+            Answer::Task { state, .. } => ClientReply::Task(Status { state, text }),
+            Answer::UnknownTask { .. } => ClientReply::UnknownTask { text },
+            Answer::UnknownOutcome { .. } => {
+                ClientReply::Unclear(RequestError::UnknownOutcome { text })
+            }
             Answer::OtherTask {
                 state, scope, id, ..
-            } => Reply::Unclear(RequestError::OtherTask {
+            } => ClientReply::Unclear(RequestError::OtherTask {
                 state,
                 about: format!("task '{id}' of scope '{scope}'"),
                 text,
             }),
-            Answer::NotTold { state, .. } => Reply::Unclear(RequestError::NotTold { state, text }),
-            Answer::UndefinedState { state, .. } => Reply::Unclear(RequestError::UndefinedState {
-                state: state.into(),
-                text,
-            }),
+            Answer::NotTold { state, .. } => {
+                ClientReply::Unclear(RequestError::NotTold { state, text })
+            }
+            Answer::UndefinedState { state, .. } => {
+                ClientReply::Unclear(RequestError::UndefinedState {
+                    state: state.into(),
+                    text,
+                })
+            }
         })
     }
 
@@ -380,7 +393,7 @@ impl Connection {
         let sent = wait == Wait::ForAnswer;
         loop {
             let unwanted = wanted.is_some_and(|wanted| !wanted());
-            // The original sends a task's id only in this reply.
+            // Keep waiting: the original sends a task's id only in this reply, so leaving would lose the task.
             if unwanted && !(sent && self.client.server() == Server::Original) {
                 return Ok(Ready::Unwanted);
             }
@@ -416,14 +429,14 @@ enum Ready {
 }
 
 /// What a server's answer says.
-pub(super) enum Reply {
+pub(super) enum ClientReply {
     /// To an INIT.
     Accepted {
         id: RemoteId,
         ended: Option<State>,
         text: String,
     },
-    Refused {
+    Rejected {
         id: RemoteId,
         text: String,
     },
@@ -441,14 +454,14 @@ pub(super) enum Reply {
 pub(super) struct Unanswered {
     pub(super) error: RequestError,
     /// Whether the server can be asked for the outcome.
-    pub(super) outcome: bool,
+    pub(super) can_ask_outcome: bool,
 }
 
 impl From<RequestError> for Unanswered {
     fn from(error: RequestError) -> Self {
         Self {
             error,
-            outcome: false,
+            can_ask_outcome: false,
         }
     }
 }

@@ -269,7 +269,7 @@ impl From<io::Error> for RequestError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TriggerError {
     /// The server rejected it; nothing was done.
-    Refused {
+    Rejected {
         /// The id in the answer: 0 or below.
         id: RemoteId,
         /// The server's reason.
@@ -287,7 +287,7 @@ pub enum TriggerError {
 impl std::fmt::Display for TriggerError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Refused { reason, .. } => write!(f, "refused: {reason}"),
+            Self::Rejected { reason, .. } => write!(f, "rejected: {reason}"),
             Self::NeverCame => f.write_str("it never reached the server and was not started"),
             Self::GivenUp => f.write_str("it was cancelled before it was sent"),
             Self::Request(cause) if cause.nothing_was_sent() => {
@@ -301,7 +301,7 @@ impl std::fmt::Display for TriggerError {
 impl std::error::Error for TriggerError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Self::Refused { .. } | Self::NeverCame | Self::GivenUp => None,
+            Self::Rejected { .. } | Self::NeverCame | Self::GivenUp => None,
             Self::Request(cause) => Some(cause),
         }
     }

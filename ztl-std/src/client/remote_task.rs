@@ -9,7 +9,7 @@ use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State};
 
-use super::connection::{Connection, Reply, Wanted};
+use super::connection::{ClientReply, Connection, Wanted};
 use super::error::{RequestError, RunError, TriggerError, WaitError};
 use super::status::{ServerInfo, Status, Triggered};
 use crate::keys::{KeyPair, PublicKey};
@@ -205,7 +205,7 @@ impl RemoteTask {
         let scope = &self.scope;
         let mut answer = connection.ask_while(wanted, |client, body| request(client, scope, body));
         if let Err(unanswered) = &answer
-            && unanswered.outcome
+            && unanswered.can_ask_outcome
         {
             // Only an answer settles the outcome. If the question cannot be sent, because the server hangs or is
             // gone, the outcome stays unknown: the INIT was sent.
@@ -213,17 +213,17 @@ impl RemoteTask {
             answer = outcome.map_or(answer, Ok);
         }
         match answer.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
-            Reply::NeverStarted => Err(TriggerError::NeverCame),
-            Reply::Accepted { id, ended, text } => {
+            ClientReply::NeverStarted => Err(TriggerError::NeverCame),
+            ClientReply::Accepted { id, ended, text } => {
                 let status = ended.map(|state| Status {
                     state,
                     text: text.clone(),
                 });
                 Ok((Triggered { id, reply: text }, status))
             }
-            Reply::Refused { id, text } => Err(TriggerError::Refused { id, reason: text }),
-            Reply::Unclear(error) => Err(TriggerError::Request(error)),
-            Reply::Task(Status { text, .. }) | Reply::UnknownTask { text } => {
+            ClientReply::Rejected { id, text } => Err(TriggerError::Rejected { id, reason: text }),
+            ClientReply::Unclear(error) => Err(TriggerError::Request(error)),
+            ClientReply::Task(Status { text, .. }) | ClientReply::UnknownTask { text } => {
                 Err(TriggerError::Request(unexpected(text)))
             }
         }
@@ -307,11 +307,11 @@ impl RemoteTask {
         let connection = &mut self.connection;
         let answer = connection.ask(|client, body| client.ask(now(), question, body));
         match answer.map_err(|unanswered| unanswered.error)? {
-            Reply::Task(Status {
+            ClientReply::Task(Status {
                 state: State::Completed,
                 text,
             }) => Ok(Some(text)),
-            Reply::Unclear(error @ RequestError::Unreadable { .. }) => Err(error),
+            ClientReply::Unclear(error @ RequestError::Unreadable { .. }) => Err(error),
             _ => Ok(None),
         }
     }
@@ -409,14 +409,16 @@ impl RemoteTask {
         let answer = connection
             .ask(|client, body| client.request(now(), request, scope, id.integer(), payload, body));
         match answer.map_err(|unanswered| unanswered.error)? {
-            Reply::Task(status) => Ok(status),
-            Reply::UnknownTask { text } => Err(RequestError::UnknownTask {
+            ClientReply::Task(status) => Ok(status),
+            ClientReply::UnknownTask { text } => Err(RequestError::UnknownTask {
                 id: id.clone(),
                 text,
             }),
-            Reply::Unclear(error) => Err(error),
-            Reply::Accepted { text, .. } | Reply::Refused { text, .. } => Err(unexpected(text)),
-            Reply::NeverStarted => Err(unexpected(String::new())),
+            ClientReply::Unclear(error) => Err(error),
+            ClientReply::Accepted { text, .. } | ClientReply::Rejected { text, .. } => {
+                Err(unexpected(text))
+            }
+            ClientReply::NeverStarted => Err(unexpected(String::new())),
         }
     }
 }

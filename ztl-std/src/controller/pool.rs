@@ -25,7 +25,7 @@ pub(super) trait Job: Send + 'static {
     fn run(self);
 
     /// The system has no more threads.
-    fn refuse(self);
+    fn reject(self);
 }
 
 /// The pool. Dropping it discards the waiting jobs; running ones continue.
@@ -111,9 +111,9 @@ fn call<J: Job>(shared: &Arc<Shared<J>>, mut state: MutexGuard<'_, State<J>>) {
     if spawned.is_err() {
         let mut state = shared.lock();
         state.called = false;
-        let refused = std::mem::take(&mut state.waiting);
+        let rejected = std::mem::take(&mut state.waiting);
         drop(state);
-        refused.into_iter().for_each(J::refuse);
+        rejected.into_iter().for_each(J::reject);
     }
 }
 
@@ -203,7 +203,7 @@ mod tests {
             (self.0)();
         }
 
-        fn refuse(self) {}
+        fn reject(self) {}
     }
 
     fn begin(pool: &Pool<Work>, work: impl FnOnce() + Send + 'static) {

@@ -10,11 +10,11 @@ use ztl_core::TaskId;
 use super::pool::{Job, Pool};
 use super::task::{AbortRequest, TaskContext, TaskController};
 use crate::offers::offered;
-use crate::server::{AbortRefusal, TaskHandler, TaskReporter, TaskServer, WakeBatch};
+use crate::server::{AbortRejection, TaskHandler, TaskReporter, TaskServer, WakeBatch};
 use crate::task_request::TaskRequest;
 
 /// The tasks that have not ended, with what an ABORT needs.
-type Running = Arc<Mutex<HashMap<TaskId, (Arc<AbortRequest>, AbortRefusal)>>>;
+type Running = Arc<Mutex<HashMap<TaskId, (Arc<AbortRequest>, AbortRejection)>>>;
 
 /// Runs each task of a controller on a thread of its own.
 struct Threads<C: TaskController> {
@@ -56,7 +56,7 @@ impl<C: TaskController> Job for NewTask<C> {
         lock(&self.running).remove(&id);
     }
 
-    fn refuse(self) {
+    fn reject(self) {
         lock(&self.running).remove(&self.reporter.id());
         self.reporter
             .rejected("the system has no more threads; run fewer tasks at a time");
@@ -75,7 +75,7 @@ impl<C: TaskController> TaskHandler for Threads<C> {
 
     fn start(&mut self, task: TaskReporter, request: TaskRequest) {
         let abort = Arc::new(AbortRequest::default());
-        lock(&self.running).insert(task.id(), (Arc::clone(&abort), task.abort_refusal()));
+        lock(&self.running).insert(task.id(), (Arc::clone(&abort), task.abort_rejection()));
         self.new.push(NewTask {
             controller: Arc::clone(&self.controller),
             running: Arc::clone(&self.running),
@@ -94,12 +94,12 @@ impl<C: TaskController> TaskHandler for Threads<C> {
 
     fn abort(&mut self, id: TaskId) {
         let running = lock(&self.running);
-        let Some((abort, refusal)) = running.get(&id) else {
+        let Some((abort, rejection)) = running.get(&id) else {
             return;
         };
         let mut state = abort.lock();
         if state.can_abort == Some(false) {
-            refusal.send();
+            rejection.send();
         } else {
             state.requested = true;
             abort.changed.notify_all();
@@ -140,7 +140,7 @@ fn run(
         return task.aborted("aborted before it began");
     }
     if aborted_already {
-        task.abort_refused();
+        task.abort_rejected();
     }
     let context = TaskContext {
         reporter: task,

@@ -94,7 +94,7 @@ impl Devices {
         if map.served.contains_key(name) {
             return Err(AddError::Served);
         }
-        map.retired.retain(|_, device| !device.is_idle());
+        map.retired.retain(|_, device| !device.is_unused());
         let opener = endpoint.into();
         let device = match map.retired.remove(name) {
             Some(mut device) => {

@@ -29,7 +29,7 @@ pub(super) struct Engine {
     pub(super) mailbox: Mailbox,
     pub(super) inbox: Inbox,
     pub(super) clients: ClientLiveness,
-    /// Open claims by the time at which their tasks are rejected, with the reason.
+    /// INITs to reject at this time, with this reason, unless the gateway journals them before.
     pub(super) claims: BTreeMap<(Instant, TaskId), (Claim, &'static str)>,
     /// Limits to be applied in the next turn.
     pub(super) next_limits: Arc<Mutex<Option<Limits>>>,

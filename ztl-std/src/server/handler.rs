@@ -21,7 +21,7 @@ pub trait TaskHandler: Send {
     fn start(&mut self, task: TaskReporter, request: TaskRequest);
 
     /// The same with the payload as it was sent. Default: decodes it and calls [`start`](Self::start), or
-    /// refuses the task as the original does.
+    /// rejects the task as the original does.
     fn start_payload(&mut self, task: TaskReporter, payload: &str) {
         match TaskRequest::decode(task.id(), payload) {
             Ok(request) => self.start(task, request),

@@ -25,7 +25,7 @@ const SUBSCRIBERS: usize = 64;
 /// Most connections at a time, if the system allows as many.
 const CONNECTIONS: usize = 4096;
 
-/// Limits of a [`TaskServer`](super::TaskServer). What exceeds a limit is refused with the reason, if there
+/// Limits of a [`TaskServer`](super::TaskServer). What exceeds a limit is rejected with the reason, if there
 /// is a client to be told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
@@ -39,7 +39,7 @@ pub struct Limits {
     /// 10,000.
     pub remembered: usize,
     /// Bytes of goals (of running tasks), results (of ended ones) and answers to INITs (for a minute) together. New results replace the
-    /// oldest ones. A task is refused while everything but results takes half of it. Default 64 MiB.
+    /// oldest ones. A task is rejected while everything but results takes half of it. Default 64 MiB.
     pub memory: usize,
     /// How long a task is kept after its end. Default 1 h.
     pub keep: Duration,

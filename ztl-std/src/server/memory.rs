@@ -319,7 +319,7 @@ mod tests {
         let later = start + (KEEP_INIT - Duration::from_secs(1));
         assert!(!init(later, 2, 2), "there is room for one");
         let later = start + (KEEP_INIT + Duration::from_secs(1));
-        assert!(!init(later, 2, 2), "it was refused before");
+        assert!(!init(later, 2, 2), "it was rejected before");
         assert!(init(later + KEEP_INIT, 3, 2));
     }
 }

@@ -41,7 +41,7 @@ pub(crate) use limit_text::LIMITS;
 #[cfg(feature = "config")]
 pub use limit_text::bytes;
 pub use limits::{KEEP, Limits, MAX_MESSAGE};
-pub(crate) use reporter::AbortRefusal;
+pub(crate) use reporter::AbortRejection;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
 pub use reporter::TaskReporter;

@@ -22,7 +22,7 @@ pub(super) enum Report {
     Completed(String),
     Failed(String),
     Aborted(String),
-    AbortRefused,
+    AbortRejected,
     /// Abort the task when this client is silent for so long.
     NeedsClient(ClientId, Duration),
     /// Reject the task with this reason unless it is claimed within this time.
@@ -53,7 +53,7 @@ impl Report {
             Self::Completed(result) => tell(TaskEvent::Completed { result: &result }),
             Self::Failed(reason) => tell(TaskEvent::Failed { reason: &reason }),
             Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
-            Self::AbortRefused => tell(TaskEvent::AbortRefused),
+            Self::AbortRejected => tell(TaskEvent::AbortRejected),
             // The server itself applies these.
             Self::NeedsClient(..) | Self::NeedsClaim(..) => {}
         }
@@ -213,15 +213,15 @@ impl TaskReporter {
     /// with the id after 1.5 s.
     #[cfg(feature = "gateway")]
     #[must_use = "an unclaimed task is rejected"]
-    pub(crate) fn refuse_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
+    pub(crate) fn reject_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
         let claim = Claim::default();
         self.post(Report::NeedsClaim(claim.clone(), within, reason));
         claim
     }
 
     /// Answers an ABORT: the task cannot be stopped and continues.
-    pub fn abort_refused(&self) {
-        self.post(Report::AbortRefused);
+    pub fn abort_rejected(&self) {
+        self.post(Report::AbortRejected);
     }
 
     /// The task is rejected; nothing was done.
@@ -232,7 +232,7 @@ impl TaskReporter {
     /// The task is rejected in the form in which the original reports an exception of its controller.
     pub fn threw(self, message: impl Into<String>) {
         let message = message.into();
-        // Logged like the original (wire specification 7.1).
+        // The original's server logs the exception's message, too, with this logger.
         error!(target: "root", "{message}");
         self.end(Report::Threw(message));
     }
@@ -257,9 +257,9 @@ impl TaskReporter {
         self.mailbox.waker.batch()
     }
 
-    /// Refuses an ABORT on behalf of the reporter, which is elsewhere.
-    pub(crate) fn abort_refusal(&self) -> AbortRefusal {
-        AbortRefusal(self.id, self.mailbox.clone())
+    /// Rejects an ABORT on behalf of the reporter, which is elsewhere.
+    pub(crate) fn abort_rejection(&self) -> AbortRejection {
+        AbortRejection(self.id, self.mailbox.clone())
     }
 
     fn post(&self, report: Report) {
@@ -272,13 +272,13 @@ impl TaskReporter {
     }
 }
 
-/// Refuses an ABORT on behalf of a reporter that is elsewhere.
-pub(crate) struct AbortRefusal(TaskId, Mailbox);
+/// Rejects an ABORT on behalf of a reporter that is elsewhere.
+pub(crate) struct AbortRejection(TaskId, Mailbox);
 
-impl AbortRefusal {
+impl AbortRejection {
     /// The task cannot be stopped and continues.
     pub(crate) fn send(&self) {
-        self.1.post(self.0, Report::AbortRefused);
+        self.1.post(self.0, Report::AbortRejected);
     }
 }
 

@@ -99,7 +99,7 @@ impl Engine {
     }
 }
 
-/// Logs a request that cannot be used, like the original (wire specification 7.1).
+/// Logs a request that cannot be used, in the words of the original's server.
 fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
     match reply.refusal_of() {
         Some(RefusalOf::Scope) => {

@@ -16,7 +16,7 @@ use super::incoming::Received;
 use super::reporter::Report;
 use crate::log_targets::TASKS;
 
-/// Requests taken before reports are, and the other way round.
+/// Most requests, and most reports, handled per turn.
 const BATCH: usize = 64;
 
 /// How long a server keeps answering after its handlers stopped tasks, so that clients that ask every 100 ms
@@ -34,7 +34,7 @@ impl Engine {
         self.stop_handlers()
     }
 
-    /// Waits for something to do, at most for `longest`, and does it; returns whether there may be more.
+    /// Waits for something to do, at most for `longest`, and does it; returns whether there may be more reports.
     fn turn(&mut self, longest: Duration) -> io::Result<bool> {
         let mut next = self.wait(longest)?;
         self.waker.on_awake();
@@ -107,7 +107,7 @@ impl Engine {
         let mut handlers = std::mem::take(&mut self.handlers);
         let longest = handlers.iter_mut().map(|handler| handler.stop()).max();
         let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
-        // If there is no thread, they were dropped here.
+        // If no thread could be started, the handlers were dropped on this one.
         let Ok(stopping) = stopping else {
             return Ok(());
         };

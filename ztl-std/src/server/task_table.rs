@@ -38,7 +38,7 @@ impl Text for HeapText {
 
 /// A task in the table.
 #[derive(Debug)]
-struct Entry {
+struct TableSlot {
     task: Task<Scope, HeapText>,
     /// The request, for the list of tasks.
     summary: Option<Summary>,
@@ -57,7 +57,7 @@ struct Summary {
 #[derive(Debug)]
 pub(super) struct TaskTable {
     limits: Limits,
-    tasks: HashMap<TaskId, Entry>,
+    tasks: HashMap<TaskId, TableSlot>,
     /// Ends, sorted by time. New ones are added at or near the back.
     ends: VecDeque<(Instant, TaskId)>,
     /// Bytes of the goals of running tasks.
@@ -101,7 +101,7 @@ impl TaskTable {
         self.hidden.contains(&scope)
     }
 
-    /// Counts the bytes of an answer to an INIT that is entry.
+    /// Counts the bytes of an answer to an INIT that is kept.
     pub(super) fn count_answer(&mut self, bytes: usize) {
         self.answers += bytes;
     }
@@ -114,13 +114,13 @@ impl TaskTable {
     /// Keeps what a task was asked for. While the task runs, its handler keeps the whole payload, so all of
     /// it counts.
     pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
-        if let Some(entry) = self.tasks.get_mut(&id) {
-            entry.summary = Some(Summary {
+        if let Some(slot) = self.tasks.get_mut(&id) {
+            slot.summary = Some(Summary {
                 payload: task_list::cut_payload(payload).to_owned(),
                 at: now,
             });
-            if !entry.task.state.is_final() {
-                entry.bytes = payload.len();
+            if !slot.task.state.is_final() {
+                slot.bytes = payload.len();
                 self.goals += payload.len();
             }
         }
@@ -133,8 +133,8 @@ impl TaskTable {
         scope_name: impl Fn(Scope) -> &'t str + 't,
     ) -> impl Iterator<Item = ListedTask> + 't {
         let shown = self.tasks.iter();
-        let shown = shown.filter(|(_, entry)| !self.hides(entry.task.extra));
-        shown.map(move |(id, Entry { task, summary, .. })| {
+        let shown = shown.filter(|(_, slot)| !self.hides(slot.task.extra));
+        shown.map(move |(id, TableSlot { task, summary, .. })| {
             let summary = summary.as_ref();
             ListedTask {
                 id: (*id).into(),
@@ -167,11 +167,11 @@ impl Tasks for TaskTable {
     type Text = HeapText;
 
     fn get(&self, id: TaskId) -> Option<&Task<Scope, HeapText>> {
-        self.tasks.get(&id).map(|entry| &entry.task)
+        self.tasks.get(&id).map(|slot| &slot.task)
     }
 
     fn get_mut(&mut self, id: TaskId) -> Option<&mut Task<Scope, HeapText>> {
-        self.tasks.get_mut(&id).map(|entry| &mut entry.task)
+        self.tasks.get_mut(&id).map(|slot| &mut slot.task)
     }
 
     fn may_run(&self) -> bool {
@@ -195,24 +195,24 @@ impl Tasks for TaskTable {
         id: TaskId,
         task: Task<Scope, HeapText>,
     ) -> Option<&mut Task<Scope, HeapText>> {
-        let entry = Entry {
+        let slot = TableSlot {
             task,
             summary: None,
             bytes: 0,
         };
-        let entry = self.tasks.entry(id).insert_entry(entry);
-        Some(&mut entry.into_mut().task)
+        let slot = self.tasks.entry(id).insert_entry(slot);
+        Some(&mut slot.into_mut().task)
     }
 
     fn remove(&mut self, id: TaskId) {
-        let Some(entry) = self.tasks.remove(&id) else {
+        let Some(slot) = self.tasks.remove(&id) else {
             return;
         };
-        match entry.task.ended {
-            Instant::NEVER => self.goals -= entry.bytes,
-            _ => self.results -= entry.bytes,
+        match slot.task.ended {
+            Instant::NEVER => self.goals -= slot.bytes,
+            _ => self.results -= slot.bytes,
         }
-        let end = (entry.task.ended, id);
+        let end = (slot.task.ended, id);
         // Usually the oldest is evicted.
         if self.ends.front() == Some(&end) {
             self.ends.pop_front();
@@ -222,11 +222,11 @@ impl Tasks for TaskTable {
     }
 
     fn on_ended(&mut self, id: TaskId) {
-        if let Some(entry) = self.tasks.get_mut(&id) {
-            let result = entry.task.text.as_ref().len();
-            self.goals -= std::mem::replace(&mut entry.bytes, result);
+        if let Some(slot) = self.tasks.get_mut(&id) {
+            let result = slot.task.text.as_ref().len();
+            self.goals -= std::mem::replace(&mut slot.bytes, result);
             self.results += result;
-            let end = (entry.task.ended, id);
+            let end = (slot.task.ended, id);
             let later = self.ends.iter().rev().take_while(|other| **other > end);
             self.ends.insert(self.ends.len() - later.count(), end);
             self.forget_surplus(id);
@@ -238,7 +238,7 @@ impl Tasks for TaskTable {
     }
 
     fn iter(&self) -> impl Iterator<Item = (TaskId, &Task<Scope, HeapText>)> {
-        let tasks = self.tasks.iter().map(|(id, entry)| (*id, &entry.task));
+        let tasks = self.tasks.iter().map(|(id, slot)| (*id, &slot.task));
         tasks.filter(|(_, task)| !self.hides(task.extra))
     }
 }

@@ -1,4 +1,4 @@
-//! Values as PyYAML reads them, and the text that Python sends for them (wire specification 6).
+//! Values as PyYAML reads them, and the text that Python sends for them.
 
 use std::fmt::{self, Display, Write as _};
 

@@ -6,7 +6,7 @@ use ztl_std::{RemoteId, RequestError, State, Status};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum TaskOutcome {
     Completed,
-    Refused,
+    Rejected,
     Failed,
     Aborted,
     /// The task may run, or have any final state.
@@ -20,7 +20,7 @@ impl TaskOutcome {
     pub(crate) const fn of(state: State) -> Self {
         match state {
             State::Completed => Self::Completed,
-            State::Rejected => Self::Refused,
+            State::Rejected => Self::Rejected,
             State::Failed => Self::Failed,
             State::Aborted => Self::Aborted,
             State::Initiated | State::Accepted => Self::Unknown,
@@ -31,7 +31,7 @@ impl TaskOutcome {
     pub(crate) const fn code(self) -> u8 {
         match self {
             Self::Completed => 0,
-            Self::Refused => 1,
+            Self::Rejected => 1,
             Self::Failed => 3,
             Self::Aborted => 4,
             Self::Unknown | Self::NotStarted => 5,

@@ -40,7 +40,7 @@ enum Line<'a> {
     Over {
         /// `None` if no task is known to have started.
         id: Option<&'a RemoteId>,
-        fate: &'static str,
+        outcome: &'static str,
         /// The exit code with `--exit-status`.
         exit_status: u8,
         /// Result or reason.
@@ -113,7 +113,7 @@ fn end<'a>(last: &'a LastEvent<'a>) -> Line<'a> {
     let outcome = last.outcome();
     Line::Over {
         id,
-        fate: name(outcome),
+        outcome: name(outcome),
         exit_status: outcome.code(),
         text,
     }
@@ -122,7 +122,7 @@ fn end<'a>(last: &'a LastEvent<'a>) -> Line<'a> {
 const fn name(outcome: TaskOutcome) -> &'static str {
     match outcome {
         TaskOutcome::Completed => "completed",
-        TaskOutcome::Refused => "refused",
+        TaskOutcome::Rejected => "rejected",
         TaskOutcome::Failed => "failed",
         TaskOutcome::Aborted => "aborted",
         TaskOutcome::Unknown => "unknown",

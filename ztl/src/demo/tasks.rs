@@ -96,7 +96,7 @@ impl<'a> TaskLine<'a> {
                 self.id = Some(task.id);
                 self.accepted = Some(self.asked.elapsed());
             }
-            Err(TriggerError::Refused { reason, .. }) => {
+            Err(TriggerError::Rejected { reason, .. }) => {
                 self.end = Some(format!("REJECTED: {reason}"));
             }
             Err(other) => self.end = Some(format!("UNKNOWN: {other}")),

@@ -1,4 +1,4 @@
-//! The plain view: the output and keys of the original (wire specification 8.4 to 8.6).
+//! The plain view: the output and keys of the original's `ztl_run_script` (`docs/compatibility.md`, "Scripts").
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
@@ -264,7 +264,7 @@ impl<'s> PlainView<'s> {
                 error!(target: LOG, "Interrupted, exiting.");
             }
             RunCommand::Stop if by == DecidedBy::Script => {
-                error!(target: LOG, "Everything is stopped: the script requires it, or there is no operator to decide.");
+                error!(target: LOG, "The tasks of this run are aborted, and it ends: the script requires it, or there is no operator to decide.");
             }
             _ => {}
         }
@@ -359,10 +359,10 @@ fn prompt(question: Question, choices: &[RunCommand]) -> &'static str {
         }
         Question::End => "PRESS <A> TO RESTART THE SCRIPT OR ANY OTHER KEY TO EXIT",
         Question::Step { .. } if can(RunCommand::Retry) => {
-            "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
+            "PRESS <G> TO GO ON ANYWAY, <T> TO TRY AGAIN WHAT FAILED, <S> TO SKIP THE REST OF THE SCENE OR <X> TO ABORT ALL TASKS OF THIS RUN AND END IT"
         }
         Question::Step { .. } => {
-            "PRESS <G> TO GO ON ANYWAY, <S> TO SKIP THE REST OF THE SCENE OR <X> TO STOP EVERYTHING"
+            "PRESS <G> TO GO ON ANYWAY, <S> TO SKIP THE REST OF THE SCENE OR <X> TO ABORT ALL TASKS OF THIS RUN AND END IT"
         }
         Question::Pause => "PRESS ANY KEY TO GO ON",
     }

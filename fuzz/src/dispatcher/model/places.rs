@@ -35,7 +35,7 @@ impl Places {
         highest.is_some_and(|(highest, _)| below(*highest)) && !self.lost.contains(&client)
     }
 
-    /// Whether no client of ours would send this. Numbers increase, so only an INIT may arrive again after
+    /// Whether no client of this project would send this. Numbers increase, so only an INIT may arrive again after
     /// the server has dropped the client's record.
     pub(super) fn is_impossible(&self, envelope: Envelope) -> bool {
         let highest = self.heard.get(&envelope.client);

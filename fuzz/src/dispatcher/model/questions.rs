@@ -14,7 +14,7 @@ const NUMBER_TAKEN: &str = "another INIT has this number";
 const RESERVED: &str = "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
 
 impl Model {
-    /// The decision table (wire specification 4.3), and the time limit of the reply.
+    /// The decision table (`docs/protocol.md` [4.1]), and the time limit of the reply.
     pub(super) fn asked(
         &self,
         envelope: Option<Envelope>,

@@ -140,7 +140,7 @@ impl Person {
             Heard::Answer(Answer::Accepted { id, ended, text }) => {
                 // Our servers assign no other ids.
                 let id = id.value().and_then(|id| u32::try_from(id).ok());
-                let id = id.and_then(TaskId::new).expect("an id of ours");
+                let id = id.and_then(TaskId::new).expect("a task id");
                 match ended {
                     Some(state) => Known::Ended(id, state, text.to_owned()),
                     None => {

@@ -188,7 +188,7 @@ impl Gateway {
                 let reply = self.replies.get(id).cloned().unwrap_or_default();
                 self.report(now, *id, TaskEvent::Accepted { reply: &reply });
             }
-            LinkEvent::Rejected(id, reason) => {
+            LinkEvent::TaskRejected(id, reason) => {
                 self.replies.remove(id);
                 self.report(now, *id, TaskEvent::Rejected { reason });
             }

@@ -68,7 +68,7 @@ impl Books {
     /// Checks an event of a session.
     pub(super) fn on_event(&mut self, event: &LinkEvent, truth: &Truth) -> Result<(), String> {
         let (id, state, text) = match event {
-            LinkEvent::Rejected(id, text) => (*id, State::Rejected, text),
+            LinkEvent::TaskRejected(id, text) => (*id, State::Rejected, text),
             LinkEvent::Ended(id, state, text) => (*id, *state, text),
             _ => return Ok(()),
         };
@@ -113,7 +113,10 @@ impl Books {
         }
         match &known {
             Known::Never(_) => {
-                let begun = truth.tasks.get(task).is_some_and(|fate| fate.begun > 0);
+                let begun = truth
+                    .tasks
+                    .get(task)
+                    .is_some_and(|execution| execution.begun > 0);
                 if begun {
                     return wrong(6, ", but it was begun");
                 }
@@ -132,7 +135,7 @@ impl Books {
 
     /// What must be true at any time.
     pub(super) fn judge(&self, truth: &Truth) -> Result<(), String> {
-        if let Some(task) = truth.tasks.iter().position(|fate| fate.begun > 1) {
+        if let Some(task) = truth.tasks.iter().position(|execution| execution.begun > 1) {
             return Err(format!("promise 1: task {task} is begun twice"));
         }
         for (task, _) in truth.moving() {
@@ -180,11 +183,11 @@ impl Books {
     /// Checks that every task has ended, after a long time without faults.
     pub(super) fn settled(&self, truth: &Truth) -> Result<(), String> {
         for (task, book) in self.tasks.iter().enumerate() {
-            let fate = truth.tasks.get(task).copied().unwrap_or_default();
+            let execution = truth.tasks.get(task).copied().unwrap_or_default();
             match &book.known {
                 Known::Asked => return Err(format!("task {task}: its INIT is never answered")),
                 Known::Open(_) => return Err(format!("promise 2: task {task} never ends")),
-                Known::Never(why) if fate.begun > 0 => {
+                Known::Never(why) if execution.begun > 0 => {
                     return Err(format!(
                         "promise 6: task {task} was refused ({why}) and begun"
                     ));
@@ -208,7 +211,7 @@ impl Books {
 
     pub(super) fn summary(&self, truth: &Truth) -> Summary {
         let mut summary = Summary {
-            begun: truth.tasks.iter().map(|fate| fate.begun).sum(),
+            begun: truth.tasks.iter().map(|execution| execution.begun).sum(),
             ..Summary::default()
         };
         for book in &self.tasks {
@@ -225,7 +228,7 @@ impl Books {
 
 /// Checks a reported final state against the truth.
 fn judge_end(task: usize, state: State, text: &str, truth: &Truth) -> Result<(), String> {
-    let fate = truth.tasks.get(task).copied().unwrap_or_default();
+    let execution = truth.tasks.get(task).copied().unwrap_or_default();
     let lie = |promise: u8, why: &str| {
         Err(format!(
             "promise {promise}: task {task} is told {state} ({text}), {why}"
@@ -235,11 +238,11 @@ fn judge_end(task: usize, state: State, text: &str, truth: &Truth) -> Result<(),
         return lie(4, "and moves");
     }
     match state {
-        State::Rejected if fate.begun > 0 => lie(6, "and was begun"),
-        State::Completed if fate.came_to != Some(State::Completed) => {
+        State::Rejected if execution.begun > 0 => lie(6, "and was begun"),
+        State::Completed if execution.came_to != Some(State::Completed) => {
             lie(2, "and did not come to its goal")
         }
-        State::Aborted if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {
+        State::Aborted if execution.begun > 0 && execution.came_to != Some(State::Aborted) => {
             lie(2, "and was not stopped")
         }
         _ => Ok(()),

@@ -12,7 +12,7 @@ use crate::plan::MotorPlan;
 
 /// What really happened to a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Fate {
+pub(super) struct Execution {
     /// How often it was started.
     pub(super) begun: u32,
     /// Its final state at the motor.
@@ -34,7 +34,7 @@ pub(super) struct Condition {
 #[derive(Debug, Default)]
 pub(super) struct Truth {
     /// By number of the task.
-    pub(super) tasks: Vec<Fate>,
+    pub(super) tasks: Vec<Execution>,
     /// The motors of each device.
     pub(super) motors: Vec<[Condition; 2]>,
 }
@@ -60,15 +60,15 @@ impl Truth {
         motors.filter_map(|motor| Some((motor.task?, motor)))
     }
 
-    fn fate(&mut self, task: usize) -> &mut Fate {
+    fn execution(&mut self, task: usize) -> &mut Execution {
         if self.tasks.len() <= task {
-            self.tasks.resize(task + 1, Fate::default());
+            self.tasks.resize(task + 1, Execution::default());
         }
         &mut self.tasks[task]
     }
 
     fn begin(&mut self, (device, motor): (usize, usize), task: usize) {
-        self.fate(task).begun += 1;
+        self.execution(task).begun += 1;
         let motor = &mut self.motors[device][motor];
         assert!(!motor.to_safety, "started before it is safe");
         motor.task = Some(task);
@@ -77,7 +77,7 @@ impl Truth {
 
     pub(super) fn end(&mut self, (device, motor): (usize, usize), state: Option<State>) {
         if let Some(task) = self.motors[device][motor].task.take() {
-            self.fate(task).came_to = state;
+            self.execution(task).came_to = state;
         }
     }
 

@@ -37,7 +37,7 @@ impl LinkModel {
     pub(super) fn on_event(&mut self, event: LinkEvent) -> Result<(), String> {
         let (id, told, text) = match event {
             LinkEvent::Accepted(id) => (id, Told::Accepted, String::new()),
-            LinkEvent::Rejected(id, text) => (id, Told::Rejected, text),
+            LinkEvent::TaskRejected(id, text) => (id, Told::Rejected, text),
             LinkEvent::Ended(id, state, text) => (id, Told::Ended(state), text),
             _ => return Ok(()),
         };
@@ -61,7 +61,7 @@ impl LinkModel {
     /// Checks a reported state against the truth.
     fn judge_end(&self, task: usize, told: Told, text: &str) -> Result<(), String> {
         let client = self.clients[task];
-        let fate = self.truth.tasks[task];
+        let execution = self.truth.tasks[task];
         let lie = |promise: u8, why: &str| {
             Err(format!(
                 "promise {promise}: task {task} is told {told:?} ({text}), {why}"
@@ -71,14 +71,16 @@ impl LinkModel {
             return Ok(());
         };
         match (state, text) {
-            (State::Completed, _) if fate.came_to != Some(State::Completed) => {
+            (State::Completed, _) if execution.came_to != Some(State::Completed) => {
                 lie(2, "but its motor did not come to its goal")
             }
             // Another gateway has aborted it, or its `Start` never arrived: the gateway cannot know more.
             (State::Failed, "the device no longer holds the task") if self.gateways.len() == 1 => {
                 lie(2, "but it does until that is known here")
             }
-            (State::Aborted, _) if fate.begun > 0 && fate.came_to != Some(State::Aborted) => {
+            (State::Aborted, _)
+                if execution.begun > 0 && execution.came_to != Some(State::Aborted) =>
+            {
                 lie(2, "but its motor was not stopped by that")
             }
             (State::Failed, "device was reset") if client.boot == self.boot => {
@@ -97,11 +99,11 @@ impl LinkModel {
 
     /// Checks what must hold at any time.
     pub(super) fn judge(&self) -> Result<(), String> {
-        for (task, (fate, client)) in self.truth.tasks.iter().zip(&self.clients).enumerate() {
-            if fate.begun > 1 {
+        for (task, (execution, client)) in self.truth.tasks.iter().zip(&self.clients).enumerate() {
+            if execution.begun > 1 {
                 return Err(format!("promise 1: task {task} is begun twice"));
             }
-            if client.told == Told::Rejected && fate.begun > 0 {
+            if client.told == Told::Rejected && execution.begun > 0 {
                 return Err(format!("promise 6: task {task} was rejected and moves"));
             }
             if client.told.is_final() && self.truth.moves(task) {

@@ -13,7 +13,7 @@ pub(super) const TASKS: usize = 4;
 
 /// What really happened to a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Fate {
+pub(super) struct Execution {
     /// How often a motor started it.
     pub(super) begun: u8,
     /// Its final state at the motor.
@@ -23,7 +23,7 @@ pub(super) struct Fate {
 /// What really happened, including before a reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Truth {
-    pub(super) tasks: [Fate; TASKS],
+    pub(super) tasks: [Execution; TASKS],
     /// The task that each motor runs.
     pub(super) moving: [Option<u8>; 2],
     /// Whether each motor is under power, which is not its safe state.
@@ -55,7 +55,7 @@ impl Truth {
 
 thread_local! {
     /// The truth of the current model; the node does not expose its components.
-    static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Fate { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
+    static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Execution { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
 }
 
 /// Lets `act` change the truth.

@@ -106,7 +106,7 @@ fn an_impossible_task_is_rejected_with_the_reason() {
     );
 }
 
-/// Wire specification 4.3, 4.4 and 11.
+/// `docs/protocol.md`, sections 4 and 11.
 #[test]
 fn each_kind_of_request_is_answered_as_specified() {
     let mut desk = desk();

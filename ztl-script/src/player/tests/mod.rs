@@ -311,7 +311,7 @@ fn a_step_can_retry_by_itself_and_a_successful_retry_is_no_failure() {
         let script =
             "s: {a (on_failure=retry 2): {robot: {base: 1, arm: 1}}, b: {robot: {head: 1}}}";
         let mut world = World::new(script, unattended());
-        world.machine("robot").refusals.insert("arm", times);
+        world.machine("robot").rejections.insert("arm", times);
         world.begin();
         world.run(on);
         let expected = if times <= 2 {
@@ -332,7 +332,7 @@ fn a_step_can_retry_by_itself_and_a_successful_retry_is_no_failure() {
 #[test]
 fn a_failure_can_stop_everything_at_once() {
     let mut world = failing("on_failure=stop", "1 fail", PlayOptions::default());
-    world.machine("robot").refusals.insert("arm", 0);
+    world.machine("robot").rejections.insert("arm", 0);
     world.run(|_, question| match question {
         Question::Scene { .. } => Some(RunCommand::Start),
         _ => panic!("there is no question"),

@@ -36,8 +36,8 @@ pub(super) struct Machine {
     pub(super) pauses: Vec<(Instant, Instant)>,
     /// When it restarts.
     pub(super) restarts: Vec<Instant>,
-    /// How many INITs it refuses, by component.
-    pub(super) refusals: BTreeMap<&'static str, u32>,
+    /// How many INITs it rejects, by component.
+    pub(super) rejections: BTreeMap<&'static str, u32>,
     /// No server listens at its address.
     pub(super) missing: bool,
     /// The times of its probes.
@@ -151,7 +151,7 @@ impl World {
                 tasks: BTreeMap::new(),
                 pauses: Vec::new(),
                 restarts: Vec::new(),
-                refusals: BTreeMap::new(),
+                rejections: BTreeMap::new(),
                 missing: false,
                 probed: Vec::new(),
             };
@@ -465,11 +465,11 @@ impl World {
 
 impl Machine {
     fn init(&mut self, now: Instant, component: &str, goal: &str) -> ServerAnswer {
-        if let Some(times) = self.refusals.get_mut(component)
+        if let Some(times) = self.rejections.get_mut(component)
             && *times > 0
         {
             *times -= 1;
-            return ServerAnswer::Refused {
+            return ServerAnswer::Rejected {
                 id: Integer::MINUS_ONE.into(),
                 text: "not now".to_owned(),
             };

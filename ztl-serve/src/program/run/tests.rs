@@ -109,8 +109,8 @@ fn a_program_that_cannot_reject_is_accepted_when_it_starts() {
 
 #[test]
 fn a_program_that_can_reject_is_accepted_at_its_first_progress_or_in_time() {
-    let refuses = |program: &mut Program| program.rejected_by = vec![2];
-    let mut stage = Stage::new(refuses);
+    let rejects = |program: &mut Program| program.rejected_by = vec![2];
+    let mut stage = Stage::new(rejects);
     stage.wants(&[]);
     stage.says("no progress\n");
     stage.wants(&[]);
@@ -121,13 +121,13 @@ fn a_program_that_can_reject_is_accepted_at_its_first_progress_or_in_time() {
         Outcome::Failed("exit code 2: no progress".to_owned())
     );
 
-    let mut stage = Stage::new(refuses);
+    let mut stage = Stage::new(rejects);
     stage.until(299);
     stage.wants(&[]);
     stage.until(300);
     stage.wants(&[Action::Accept]);
 
-    let mut stage = Stage::new(refuses);
+    let mut stage = Stage::new(rejects);
     stage
         .run
         .handle_error_output(b"the arm is locked\n", |_| {});
@@ -135,12 +135,12 @@ fn a_program_that_can_reject_is_accepted_at_its_first_progress_or_in_time() {
         stage.ends(code(2)),
         (Outcome::Rejected("the arm is locked".to_owned()), vec![])
     );
-    let stage = Stage::new(refuses);
+    let stage = Stage::new(rejects);
     assert_eq!(
         stage.ends(code(2)).0,
-        Outcome::Rejected("refused (exit code 2)".to_owned())
+        Outcome::Rejected("rejected (exit code 2)".to_owned())
     );
-    let stage = Stage::new(refuses);
+    let stage = Stage::new(rejects);
     assert_eq!(
         stage.ends(code(0)),
         (Outcome::Completed(String::new()), vec![Action::Accept])

@@ -36,7 +36,7 @@ pub(super) struct Device {
     status: SharedStatus,
     log: DeviceLog,
     has_journal: bool,
-    idle: Arc<AtomicBool>,
+    unused: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -57,7 +57,7 @@ impl Device {
         let session = Session::with_journal(journal, gateway, baud, random::nonzero);
         let mut worker = Worker::new(name, opener, session, inputs.clone(), awaited, observers);
         let (url, status, log) = (worker.url().to_owned(), worker.status(), worker.log());
-        let idle = worker.idle();
+        let unused = worker.unused();
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
@@ -67,7 +67,7 @@ impl Device {
             status,
             log,
             has_journal,
-            idle,
+            unused,
             thread: Some(thread),
         })
     }
@@ -88,7 +88,7 @@ impl Device {
         let mut request = DeviceRequest::from(request);
         request.claim = self
             .has_journal
-            .then(|| task.refuse_unless_claimed(DECIDED, UNWRITTEN));
+            .then(|| task.reject_unless_claimed(DECIDED, UNWRITTEN));
         // If the thread has ended, dropping the reporter informs the client.
         let _ = self.inputs.send(Input::Start(task, request));
     }
@@ -102,7 +102,7 @@ impl Device {
         let _ = self.inputs.send(Input::Abort(id));
     }
 
-    /// Aborts all tasks and rejects new ones. The device is idle when all have ended.
+    /// Aborts all tasks and rejects new ones. The device is unused when all have ended.
     pub(super) fn retire(&self) {
         let _ = self.inputs.send(Input::Retire);
     }
@@ -114,8 +114,8 @@ impl Device {
     }
 
     /// Whether the device has neither a line nor tasks.
-    pub(super) fn is_idle(&self) -> bool {
-        self.idle.load(Ordering::Acquire)
+    pub(super) fn is_unused(&self) -> bool {
+        self.unused.load(Ordering::Acquire)
     }
 
     /// Begins to end the thread; dropping the device waits for it.

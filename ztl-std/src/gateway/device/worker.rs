@@ -32,12 +32,14 @@ use crate::time::now;
 /// First and longest pause before a line is reopened. Looking for a port is cheap, and a person who plugs a
 /// device in wants it at once.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(500));
-/// Longest pause before a connection is made again, which is not cheap.
+/// Longest pause before a TCP line is reopened.
 const RETRY_HALF_OPEN: Duration = Duration::from_secs(2);
 /// Link timeouts without an answer after which a line that may be half open is reopened.
 const SILENCES: u32 = 5;
-/// Opening a line that takes longer is logged.
+/// Log a warning if opening a line takes longer.
 const OPENING: Duration = Duration::from_secs(3);
+/// What is wrong with a device that does not answer.
+const NOT_ANSWERING: &str = "device is not answering";
 /// How long a stopping gateway waits for its tasks to stop.
 const STOP: Duration = Duration::from_secs(1);
 /// Inputs handled before deadlines are checked.
@@ -45,7 +47,7 @@ const BATCH: usize = 64;
 
 /// The state of the line.
 enum LineState {
-    /// Is opened at this time.
+    /// Closed; opened again at `retry`.
     Closed { retry: Instant },
     /// A thread is opening it.
     Opening {
@@ -84,7 +86,7 @@ pub(super) struct Worker {
     retired: bool,
     /// The line at which the device is served again after that.
     next: Option<Opener>,
-    idle: Arc<AtomicBool>,
+    unused: Arc<AtomicBool>,
     status: SharedStatus,
     observers: Observers,
     firmware_log: DeviceLog,
@@ -117,7 +119,7 @@ impl Worker {
             stopping: None,
             retired: false,
             next: None,
-            idle: Arc::default(),
+            unused: Arc::default(),
             status: SharedStatus::default(),
             observers,
             firmware_log: DeviceLog::default(),
@@ -133,8 +135,8 @@ impl Worker {
     }
 
     /// Set while the device has neither a line nor tasks.
-    pub(super) fn idle(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.idle)
+    pub(super) fn unused(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.unused)
     }
 
     /// Runs until it receives the request to stop.
@@ -169,8 +171,8 @@ impl Worker {
             self.log.handle_timeout(now());
             self.status
                 .update(now(), &self.session, self.trouble.as_ref());
-            let idle = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
-            self.idle.store(idle, Ordering::Release);
+            let unused = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
+            self.unused.store(unused, Ordering::Release);
             if let Some(end) = self.stopping
                 && (self.tasks.is_empty() || now() >= end)
             {
@@ -437,17 +439,22 @@ impl Worker {
                     task.accepted(&request.reply);
                 }
             }
-            LinkEvent::Rejected(id, reason) => {
+            LinkEvent::TaskRejected(id, reason) => {
                 if let Some(journal) = self.session.journal_mut() {
                     journal.forget(id);
                 }
                 if let Some((task, request)) = self.tasks.remove(&id) {
-                    let trouble = match &self.trouble {
-                        Some(trouble) if !self.session.is_up() => format!(" ({trouble})"),
-                        _ => String::new(),
+                    let reason = match &self.trouble {
+                        Some(trouble) if !self.session.is_up() => {
+                            match trouble.ends_with(&reason) {
+                                true => trouble.clone(),
+                                false => format!("{reason} ({trouble})"),
+                            }
+                        }
+                        _ => reason,
                     };
-                    self.log_task(id, &request, &format!("was refused: {reason}{trouble}"));
-                    task.rejected(format!("{} refused: {reason}{trouble}", request.shown));
+                    self.log_task(id, &request, &format!("was refused: {reason}"));
+                    task.rejected(format!("{} refused: {reason}", request.shown));
                 }
             }
             LinkEvent::Progress(id, text) => {
@@ -469,7 +476,6 @@ impl Worker {
             LinkEvent::Up => self.on_up(),
             LinkEvent::Silent => {
                 self.silences += 1;
-                let trouble = "nothing there answers";
                 let opener = self.opener.as_ref();
                 let half_open = opener.is_some_and(|opener| opener.may_be_half_open);
                 // The device was unplugged and plugged in again, and its path has another target now.
@@ -477,15 +483,15 @@ impl Worker {
                 let moved = target.is_some() && target != self.target;
                 if moved || (half_open && self.silences >= SILENCES) {
                     let kind = io::ErrorKind::TimedOut;
-                    return self.on_closed(&io::Error::new(kind, trouble));
+                    return self.on_closed(&io::Error::new(kind, NOT_ANSWERING));
                 }
-                self.set_trouble(format!("{}: {trouble}", self.url()));
+                self.set_trouble(format!("{}: {NOT_ANSWERING}", self.url()));
             }
-            LinkEvent::Lost => self.set_trouble("it no longer answers".to_owned()),
+            LinkEvent::Lost => self.set_trouble(NOT_ANSWERING.to_owned()),
             LinkEvent::Reset => self
                 .log
                 .log(now(), Severity::Warn, " was reset.".to_owned()),
-            LinkEvent::Refused(reason) => self.set_trouble(reason),
+            LinkEvent::DeviceUnusable(reason) => self.set_trouble(reason),
             LinkEvent::Log { lost, bytes } => {
                 let boot = self.session.device().map_or(0, |device| device.boot);
                 self.firmware_log.put(boot, lost, bytes);

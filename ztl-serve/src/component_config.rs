@@ -10,7 +10,7 @@ use crate::kind::Kind;
 
 /// A component: what does its tasks, and under which rules.
 #[derive(Debug)]
-pub(crate) struct Entry {
+pub(crate) struct ComponentConfig {
     pub(crate) kind: Arc<dyn Kind>,
     pub(crate) rule: GoalRule,
     pub(crate) at_once: usize,
