@@ -15,7 +15,7 @@ use std::rc::Rc;
 use ztl_core::Instant;
 use ztl_zmtp::curve::{Keys, public_key};
 use ztl_zmtp::session::{BEFORE, ENVELOPES, Inbound, Outbound, Security, Step};
-use ztl_zmtp::{Dealer, Fault, Pub, Router, Socket};
+use ztl_zmtp::{Dealer, Fault, Pub, Router, Socket, Sub};
 
 /// The longest frame, and the longest message with the headers of its frames.
 const MOST: usize = 600;
@@ -23,18 +23,6 @@ const TOTAL: usize = MOST + ENVELOPES;
 
 /// From here on, the second byte means the whole handshake.
 const WHOLE: u8 = 200;
-
-/// A subscriber, the good peer of a PUB.
-struct Sub;
-
-impl Socket for Sub {
-    const NAME: &'static [u8] = b"SUB";
-    const CODE: u8 = 2;
-    const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03SUB";
-    const PARTNERS: &'static [(&'static [u8], u8)] = &[(Pub::NAME, 1)];
-    const ERROR: &'static [u8] = b"\x04\x10\x05ERROR\x09takes-PUB";
-    const BINDS: bool = false;
-}
 
 /// Any input.
 pub fn zmtp_session(input: &[u8]) {

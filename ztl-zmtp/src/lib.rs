@@ -29,4 +29,6 @@ mod wire;
 pub use connection::Connection;
 pub use fault::Fault;
 pub use message::{Content, Frames, Message, envelope};
-pub use wire::{Dealer, GREETING, HANDSHAKE, Pub, Rep, Req, Router, SIGNATURE, SKIPPED, Socket};
+pub use wire::{
+    Dealer, GREETING, HANDSHAKE, Pub, Rep, Req, Router, SIGNATURE, SKIPPED, Socket, Sub,
+};

@@ -76,11 +76,25 @@ pub struct Router;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Pub;
 
+/// Receives messages of the topics that it subscribed to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Sub;
+
+impl Socket for Sub {
+    const NAME: &'static [u8] = b"SUB";
+    const CODE: u8 = 2;
+    const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03SUB";
+    const PARTNERS: &'static [(&'static [u8], u8)] = &[(Pub::NAME, 1), (b"XPUB", 9)];
+    const ERROR: &'static [u8] = b"\x04\x19\x05ERROR\x12SUB-takes-PUB,XPUB";
+    const BINDS: bool = false;
+}
+
 impl Socket for Pub {
     const NAME: &'static [u8] = b"PUB";
     const CODE: u8 = 1;
     const READY: &'static [u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03PUB";
-    const PARTNERS: &'static [(&'static [u8], u8)] = &[(b"SUB", 2), (b"XSUB", 10)];
+    const PARTNERS: &'static [(&'static [u8], u8)] = &[(Sub::NAME, 2), (b"XSUB", 10)];
     const ERROR: &'static [u8] = b"\x04\x19\x05ERROR\x12PUB-takes-SUB,XSUB";
     const BINDS: bool = true;
 }

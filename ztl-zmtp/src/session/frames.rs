@@ -38,6 +38,21 @@ impl<'a> Message<'a> {
         let only = frames.next().filter(|_| frames.next().is_none());
         Some((envelope, only))
     }
+
+    /// The frames before the last one, as on the wire, and the last one.
+    #[must_use]
+    pub fn split_last(self) -> (&'a [u8], &'a [u8]) {
+        let mut at = 0;
+        while let Ok(Some((length, size))) = header(self.bytes.get(at..).unwrap_or_default()) {
+            let end = at + length + size;
+            if end >= self.bytes.len() {
+                let last = self.bytes.get(at + length..).unwrap_or_default();
+                return (self.bytes.get(..at).unwrap_or_default(), last);
+            }
+            at = end;
+        }
+        (self.bytes, &[])
+    }
 }
 
 /// The lengths of the header and the body of the frame that begins here; `None` if the header is not complete.
