@@ -25,6 +25,7 @@ mod task_id;
 pub mod tasks;
 mod text;
 pub mod time;
+pub mod topic;
 
 pub use lifecycle::{Event, Request, State};
 pub use message::Message;
