@@ -4,6 +4,7 @@
 //! |---|---|
 //! | serve tasks | [`TaskServer`] with a [`TaskController`], whose tasks run on threads |
 //! | run tasks | [`RemoteTask`] |
+//! | publish values, or subscribe to them | [`Publisher`], [`Subscriber`] |
 //! | serve microcontrollers | [`gateway::Gateway`] |
 //! | restrict access | [`Access`], [`keys`] and [`Limits`] |
 //! | write a handler without threads | [`server::TaskHandler`] |
@@ -71,6 +72,8 @@ pub mod listen;
 mod log_targets;
 mod native;
 mod offers;
+#[cfg(feature = "publish")]
+pub mod publish;
 mod random;
 mod rate_limit;
 mod remote_id;
@@ -92,6 +95,8 @@ pub use client::{
 pub use client::{Description, ServerTask, ServerTasks};
 pub use controller::{Aborted, ExecutableTask, TaskContext, TaskController, TaskError};
 pub use offers::Offers;
+#[cfg(feature = "publish")]
+pub use publish::{Publisher, Subscriber};
 pub use remote_id::RemoteId;
 #[cfg(feature = "config")]
 pub use remotes::Remotes;

@@ -17,6 +17,8 @@ pub struct Listen {
     pub port: Option<u16>,
     /// Address; `*` means every interface of this machine.
     pub bind: Option<String>,
+    /// Port at which events of tasks and readings are published, if they are.
+    pub publish: Option<u16>,
     /// Networks of clients; if empty, every network.
     pub allow: Vec<IpNet>,
     /// File of the server's secret key, if it encrypts.
@@ -56,7 +58,7 @@ pub const LOG_FORMATS: [(&str, LogFormat); 2] =
     [("text", LogFormat::Text), ("json", LogFormat::Json)];
 
 /// What a port is, for messages.
-pub(crate) const PORT: &str = "a port, a whole number from 0 to 65535";
+const PORT: &str = "a port, a whole number from 0 to 65535";
 
 impl Listen {
     /// Reads these settings from a file; paths are relative to `base`.
@@ -64,6 +66,9 @@ impl Listen {
         let mut listen = Self::default();
         if let Some(node) = fields.optional("port") {
             listen.port = reading.whole(node, PORT);
+        }
+        if let Some(node) = fields.optional("publish") {
+            listen.publish = reading.whole(node, PORT);
         }
         if let Some(node) = fields.optional("bind") {
             let what = "an address of this machine, as 127.0.0.1, or '*' for every interface";

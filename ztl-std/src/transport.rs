@@ -1,5 +1,10 @@
 //! How ZMTP is spoken.
 
+use std::time::Duration;
+
+/// Shortest and longest pause of a client before it connects again.
+pub(crate) const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_secs(1));
+
 /// How a server or client speaks ZMTP.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]

@@ -27,9 +27,6 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest accepted answer in bytes. The original's client takes any, but memory is limited.
 const LONGEST_ANSWER: usize = 64 << 20;
 
-/// Shortest and longest pause before connecting again.
-pub(crate) const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_secs(1));
-
 /// How often `wanted` is called: soon enough for a person who has pressed Ctrl-C.
 const ASK_WANTED: Duration = Duration::from_millis(50);
 

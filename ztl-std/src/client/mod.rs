@@ -17,7 +17,6 @@ mod tasks;
 
 pub use abort_on_drop::AbortOnDrop;
 pub use background::BackgroundTask;
-pub(crate) use connection::RETRY;
 #[cfg(feature = "config")]
 pub use description::Description;
 pub use error::{RequestError, RunError, TriggerError, WaitError};

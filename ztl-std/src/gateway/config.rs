@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::endpoint::{BAUD_WANTED, Endpoint, ParseEndpoint};
-use crate::listen::{Listen, PORT};
+use crate::listen::Listen;
 use crate::scope;
 use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading};
 
@@ -15,8 +15,6 @@ pub struct Config {
     pub scope: Option<String>,
     /// The settings that every server has.
     pub listen: Listen,
-    /// Port at which readings are published, if they are.
-    pub publish: Option<u16>,
     /// Location of the journal.
     pub journal: Option<JournalPlace>,
     /// The devices in the file's order.
@@ -93,9 +91,6 @@ fn config<'d>(
         });
     }
     config.listen = Listen::read(reading, &mut fields, base);
-    if let Some(node) = fields.optional("publish") {
-        config.publish = reading.whole(node, PORT);
-    }
     if let Some(node) = fields.optional("journal") {
         let what = "a file or a directory, or off";
         config.journal = reading.parsed(node, what, |text| match text {
@@ -242,6 +237,7 @@ mod tests {
         let expected = Config {
             scope: Some("/lab".to_owned()),
             listen: Listen {
+                publish: Some(12346),
                 port: Some(12345),
                 bind: Some("*".to_owned()),
                 allow: vec![
@@ -255,7 +251,6 @@ mod tests {
                 log: Some(tracing::Level::DEBUG),
                 log_format: Some(LogFormat::Json),
             },
-            publish: Some(12346),
             journal: Some(JournalPlace::At(PathBuf::from("/lab/state"))),
             devices: vec![
                 DeviceConfig::new("gripper", serial("/dev/serial/by-id/usb-x", 9600)),

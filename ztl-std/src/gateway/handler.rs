@@ -155,7 +155,7 @@ impl Gateway {
     ///
     /// # Errors
     /// [`BindError`].
-    pub fn publish(&self, server: &TaskServer, endpoint: &str) -> Result<String, BindError> {
+    pub fn publish(&self, server: &mut TaskServer, endpoint: &str) -> Result<String, BindError> {
         self.observe(PUBLISHED).publish(server, endpoint)
     }
 }

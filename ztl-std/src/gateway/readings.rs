@@ -8,6 +8,7 @@ use tracing::warn;
 
 use super::ring::{Empty, RingIn, RingOut, ring};
 use crate::log_targets::GATEWAY;
+use crate::native::publisher::PubMessage;
 use crate::server::{BindError, TaskServer};
 
 /// A reading of a device.
@@ -72,8 +73,12 @@ impl Readings {
     }
 
     /// Publishes the readings; see [`Gateway::publish`](super::Gateway::publish).
-    pub(super) fn publish(self, server: &TaskServer, endpoint: &str) -> Result<String, BindError> {
-        let publisher = server.bind_publisher(endpoint)?;
+    pub(super) fn publish(
+        self,
+        server: &mut TaskServer,
+        endpoint: &str,
+    ) -> Result<String, BindError> {
+        let publisher = server.publish_at(endpoint)?;
         let endpoint = publisher.endpoint().to_owned();
         let publish = move || {
             loop {
@@ -81,8 +86,9 @@ impl Readings {
                 match self.0.take(Duration::MAX) {
                     Ok(reading) => {
                         // Never waits for a slow subscriber.
-                        let queued =
-                            publisher.publish(reading.topic.clone(), reading.bytes.clone());
+                        let message =
+                            PubMessage::new(&reading.topic, "", &reading.bytes, false).for_all();
+                        let queued = publisher.publish(message);
                         dropped += u64::from(!queued);
                     }
                     Err(Empty::Now) => {}

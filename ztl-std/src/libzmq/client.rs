@@ -5,8 +5,8 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use super::{io_error, sockets};
-use crate::client::RETRY;
 use crate::keys::{KeyPair, PublicKey};
+use crate::transport::RETRY;
 
 /// Most answers that wait to be read: one to the current request, and one that came too late.
 const ANSWERS: i32 = 2;

@@ -1,5 +1,5 @@
-//! A client's connection without libzmq: a session of [`ztl_zmtp`] on a TCP stream. It has no thread: it connects, and
-//! connects again, while it is waited for.
+//! A client's or subscriber's connection without libzmq: a session of [`ztl_zmtp`] on a TCP stream. It has no thread: it
+//! connects, and connects again, while it is waited for.
 
 use std::collections::VecDeque;
 use std::io::{self, Read as _, Write as _};
@@ -9,37 +9,45 @@ use std::time::{Duration, Instant};
 
 use mio::{Events, Poll, Token};
 use ztl_zmtp::session::{Inbound, Obstacle, Outbound, Security, Step};
-use ztl_zmtp::{Dealer, Fault, HANDSHAKE};
+use ztl_zmtp::{Dealer, Fault, HANDSHAKE, Socket};
 
-use super::streams::{Endpoint, Stream};
-use crate::client::RETRY;
+use super::sockets::{Endpoint, Stream};
 use crate::time::now;
+use crate::transport::RETRY;
 
 /// Bytes read at once.
 const PIECE: usize = 64 * 1024;
 /// While so many messages wait to be received, no more is read: one answers the current request, and one came too late.
 const WAITING: usize = 2;
 
+/// Most frames of a message. One with more is received as one without any, which means nothing: each small frame takes
+/// many times its length.
+const FRAMES: usize = 16;
+
 /// Pauses before connecting again.
 const SHORTEST: Duration = RETRY.0;
 const LONGEST: Duration = RETRY.1;
 
 /// A connection that is being made, or open.
-struct Open {
+struct Open<S> {
     stream: Stream,
-    inbound: Inbound<Dealer>,
+    inbound: Inbound<S>,
     out: Outbound,
 }
 
-/// A connection to one server.
-pub(crate) struct Dialer {
+/// A connection to one server or publisher, as a socket of type `S`.
+pub(crate) struct Dialer<S = Dealer> {
     endpoint: Endpoint,
     security: Security,
     /// Longest accepted message in bytes.
     longest: usize,
     poll: Poll,
     events: Events,
-    open: Option<Open>,
+    open: Option<Open<S>>,
+    /// Messages that are sent first on each connection.
+    first: Vec<Vec<u8>>,
+    /// How many connections were lost after the handshake.
+    lost: u64,
     /// When to connect again, and how long to wait the next time.
     again: Instant,
     pause: Duration,
@@ -53,7 +61,7 @@ pub(crate) struct Dialer {
     obstacle: Option<Obstacle>,
 }
 
-impl Dialer {
+impl<S: Socket> Dialer<S> {
     pub(crate) fn new(endpoint: Endpoint, security: Security, longest: usize) -> io::Result<Self> {
         Ok(Self {
             endpoint,
@@ -62,6 +70,8 @@ impl Dialer {
             poll: Poll::new()?,
             events: Events::with_capacity(4),
             open: None,
+            first: Vec::new(),
+            lost: 0,
             again: Instant::now(),
             pause: SHORTEST,
             received: VecDeque::new(),
@@ -70,6 +80,19 @@ impl Dialer {
             lookup: None,
             obstacle: None,
         })
+    }
+
+    /// Sends these messages first on each connection.
+    #[cfg(feature = "publish")]
+    pub(crate) fn with_first(mut self, messages: Vec<Vec<u8>>) -> Self {
+        self.first = messages;
+        self
+    }
+
+    /// How many connections were lost after the handshake.
+    #[cfg(feature = "publish")]
+    pub(crate) const fn lost(&self) -> u64 {
+        self.lost
     }
 
     /// Connects if needed, at most for `limit`; returns whether a message can be sent.
@@ -130,8 +153,8 @@ impl Dialer {
         self.obstacle
     }
 
-    fn is_ready(&self) -> bool {
-        let ready = |open: &Open| open.inbound.is_ready();
+    pub(crate) fn is_ready(&self) -> bool {
+        let ready = |open: &Open<S>| open.inbound.is_ready();
         self.open.as_ref().is_some_and(ready)
     }
 
@@ -248,16 +271,24 @@ impl Dialer {
                 Ok(Step::Asks) => {
                     open.inbound.accept(&mut open.out);
                     self.pause = SHORTEST;
+                    for message in &self.first {
+                        open.out.message(b"", message);
+                    }
                     self.obstacle = None;
                 }
                 Ok(Step::Subscription(..)) => {}
                 Ok(Step::Message(message)) => {
                     let frames = message.frames().map(<[u8]>::to_vec);
-                    self.received.push_back(frames.collect());
+                    let mut frames: Vec<_> = frames.take(FRAMES + 1).collect();
+                    if frames.len() > FRAMES {
+                        frames.clear();
+                    }
+                    self.received.push_back(frames);
                 }
                 Err(fault) => return self.close(Some(fault)),
             }
         }
+        open.inbound.on_heard(now());
         self.more = count == PIECE;
         self.flush();
     }
@@ -265,6 +296,7 @@ impl Dialer {
     /// Closes the connection after a fault, or because the server or the system closed it.
     fn close(&mut self, fault: Option<Fault>) {
         if let Some(mut open) = self.open.take() {
+            self.lost += u64::from(open.inbound.is_ready());
             self.obstacle = open.inbound.obstacle(fault);
             open.stream.deregister(self.poll.registry());
         }

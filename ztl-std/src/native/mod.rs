@@ -4,8 +4,8 @@
 
 pub(crate) mod dialer;
 pub(crate) mod peers;
-#[cfg(feature = "gateway")]
+#[cfg(feature = "publish")]
 pub(crate) mod publisher;
-mod streams;
+mod sockets;
 
-pub(crate) use streams::Endpoint;
+pub(crate) use sockets::Endpoint;

@@ -15,6 +15,8 @@ mod turns;
 use std::collections::VecDeque;
 use std::io::{self, Write as _};
 use std::net::IpAddr;
+#[cfg(feature = "publish")]
+use std::sync::Arc;
 use std::time::Duration;
 
 use mio::{Events, Interest, Poll, Token};
@@ -26,7 +28,7 @@ pub(crate) use self::peer::{Incoming, PeerId};
 use self::peer::{Peer, Served};
 use self::places::Places;
 use self::ready::Ready;
-use super::streams::{Endpoint, Listener};
+use super::sockets::{Endpoint, Listener};
 use crate::log_targets::TASKS;
 use crate::rate_limit::RateLimit;
 use crate::time::now;
@@ -219,8 +221,26 @@ impl<S: Served> Peers<S> {
         self.count(to.slot);
     }
 
+    /// Sends a message that others get, too: its frames as they are on the wire. It goes with the next
+    /// [`flush`](Self::flush).
+    #[cfg(feature = "publish")]
+    pub(super) fn put_shared(&mut self, to: PeerId, message: &Arc<Vec<u8>>) {
+        let Some(Some(peer)) = self.slots.get_mut(to.slot) else {
+            return;
+        };
+        if peer.number != to.number {
+            return;
+        }
+        peer.out.shared(message);
+        if !peer.is_unsent {
+            peer.is_unsent = true;
+            self.unsent.push(to.slot);
+        }
+        self.count(to.slot);
+    }
+
     /// How many bytes wait to be sent to a peer; `None` if it is gone.
-    #[cfg(feature = "gateway")]
+    #[cfg(feature = "publish")]
     pub(super) fn waiting(&self, peer: PeerId) -> Option<usize> {
         let found = self.slots.get(peer.slot).and_then(Option::as_ref);
         let found = found.filter(|found| found.number == peer.number);
@@ -228,7 +248,7 @@ impl<S: Served> Peers<S> {
     }
 
     /// Sends what can be sent without waiting.
-    fn flush(&mut self) {
+    pub(super) fn flush(&mut self) {
         if self.unsent.is_empty() {
             return;
         }
@@ -274,8 +294,14 @@ impl<S: Served> Peers<S> {
             let Some(Some(peer)) = self.slots.get(slot) else {
                 continue;
             };
-            let unread = peer.out.waiting() >= UNSENT || peer.is_leaving;
-            let deadline = peer.inbound.deadline();
+            // What subscribers do not read takes no more memory.
+            let unread = peer.out.waiting() >= UNSENT && !S::SUBSCRIBED || peer.is_leaving;
+            // A subscriber with too many unread messages is not read from, and so not heard.
+            let is_full = S::SUBSCRIBED && peer.out.waiting() >= UNSENT;
+            let deadline = match is_full {
+                true => Instant::NEVER,
+                false => peer.inbound.deadline(),
+            };
             let why = match unread {
                 true if now.since(peer.took) >= UNREAD => Some("it does not read its answers"),
                 _ if deadline <= now => Some("it was silent for too long"),

@@ -1,37 +1,145 @@
 //! Publishes messages to those who subscribed to their topics: a PUB socket, on a thread of its own.
+//!
+//! A subscriber that reads too slowly delays nobody: its messages wait in a queue of limited size, which drops the oldest
+//! ones. Messages that wait for several subscribers are in memory once.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io;
-use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
-use tracing::warn;
+use tracing::{info, warn};
 use ztl_zmtp::Pub;
 
 use super::peers::{PeerId, Peers, Rules, UNSENT};
-use super::streams::Endpoint;
+use super::sockets::Endpoint;
 use crate::keys::PublicKey;
-use crate::log_targets::TASKS;
-use crate::server::CurrentAccess;
+use crate::log_targets::{PUBLISHER, TASKS};
+use crate::server::{Access, CurrentAccess};
 
-/// Messages that wait for the thread. Further ones are dropped.
-const QUEUE: usize = 1000;
+/// Bytes of messages that wait for the thread. Above, nothing more is published.
+const QUEUE: usize = 32 << 20;
+/// Bytes of messages that wait for one subscriber. Above, the oldest one is dropped.
+const BEHIND: usize = 8 << 20;
+/// Bytes of the newest messages, which late subscribers get.
+const NEWEST: usize = 32 << 20;
+/// What a message takes in a queue besides its bytes, roughly.
+const ENTRY: usize = 128;
 
-/// Most subscriptions of one subscriber, and their bytes.
-const SUBSCRIPTIONS: usize = 1000;
+/// Bytes of the subscriptions of one subscriber, and of all together. Further ones are ignored.
 const TOPICS: usize = 64 * 1024;
+const ALL_TOPICS: usize = 32 << 20;
+/// Subscriptions that are taken at once, before messages are published again.
+const AT_ONCE: usize = 64;
+/// The longest message of a subscriber.
+const SUBSCRIPTION: usize = 4096;
+/// How long what waits is still sent after the socket was dropped.
+const LINGER: Duration = Duration::from_secs(1);
 
-/// The topic and what is published.
-type Published = (String, Vec<u8>);
+/// Topics below this one are only for those who subscribe to them by name (`docs/streams.md`).
+const RESERVED: &[u8] = b"$ztl/";
+/// Tells a subscriber how many messages it has missed.
+pub(crate) const MISSED: &str = "$ztl/missed";
 
-/// A publisher. It closes when it is dropped.
+/// A message for subscribers: a topic and a body, as on the wire. Clones share the bytes.
+#[derive(Debug, Clone)]
+pub(crate) struct PubMessage {
+    wire: Arc<Vec<u8>>,
+    topic: Range<usize>,
+    /// How much of the topic is the scope.
+    scope: usize,
+    /// Whether it replaces the one before it with the same topic.
+    is_state: bool,
+    /// Whether every subscriber may hear it; otherwise those that may use its scope.
+    is_for_all: bool,
+}
+
+impl PubMessage {
+    /// The topic is `scope` and `path`. `is_state`: only the newest one of its topic counts.
+    pub(crate) fn new(scope: &str, path: &str, body: &[u8], is_state: bool) -> Self {
+        let length = scope.len() + path.len();
+        let mut wire = Vec::with_capacity(length + body.len() + 18);
+        put_header(1, length, &mut wire);
+        let begin = wire.len();
+        wire.extend_from_slice(scope.as_bytes());
+        wire.extend_from_slice(path.as_bytes());
+        let topic = begin..wire.len();
+        put_header(0, body.len(), &mut wire);
+        wire.extend_from_slice(body);
+        Self {
+            wire: Arc::new(wire),
+            topic,
+            scope: scope.len(),
+            is_state,
+            is_for_all: false,
+        }
+    }
+
+    /// The same for every subscriber: its topic does not begin with a scope.
+    #[cfg(feature = "gateway")]
+    pub(crate) fn for_all(mut self) -> Self {
+        self.is_for_all = true;
+        self
+    }
+
+    fn topic(&self) -> &[u8] {
+        self.wire.get(self.topic.clone()).unwrap_or_default()
+    }
+
+    fn scope(&self) -> &[u8] {
+        self.topic().get(..self.scope).unwrap_or_default()
+    }
+
+    /// Bytes that it takes in a queue.
+    fn held(&self) -> usize {
+        self.wire.len() + ENTRY
+    }
+}
+
+/// The header of a frame, as on the wire.
+fn put_header(flags: u8, size: usize, out: &mut Vec<u8>) {
+    match u8::try_from(size) {
+        Ok(size) => out.extend_from_slice(&[flags, size]),
+        Err(_) => {
+            out.push(flags | 2);
+            out.extend_from_slice(&(size as u64).to_be_bytes());
+        }
+    }
+}
+
+/// What waits for the thread.
+#[derive(Debug, Default)]
+struct Queue {
+    messages: VecDeque<PubMessage>,
+    held: usize,
+    /// Whether the thread was woken, and has not looked since.
+    is_awake: bool,
+    is_closed: bool,
+    /// Messages that subscribers have missed.
+    missed: u64,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    queue: Mutex<Queue>,
+    subscribers: AtomicUsize,
+}
+
+impl Shared {
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A PUB socket. When it is dropped, it sends what waits, at most for [`LINGER`], and closes.
 #[derive(Debug)]
-pub(crate) struct Publisher {
+pub(crate) struct PubSocket {
     endpoint: String,
-    /// `None` once it is to end.
-    queue: Option<SyncSender<Published>>,
-    waker: Arc<mio::Waker>,
+    shared: Arc<Shared>,
+    waker: mio::Waker,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -39,45 +147,57 @@ pub(crate) struct Publisher {
 struct Worker {
     peers: Peers<Pub>,
     access: CurrentAccess,
-    queue: Receiver<Published>,
+    shared: Arc<Shared>,
     subscribers: BTreeMap<PeerId, Subscriber>,
+    /// Bytes that the topics of all subscribers take.
+    topics: usize,
+    /// The newest state of each topic, and the bytes of all.
+    newest: BTreeMap<Vec<u8>, PubMessage>,
+    newest_held: usize,
+    /// Whether joining and leaving is logged, like by the original.
+    logs_subscribers: bool,
+    missed: u64,
 }
 
-/// The topics of one subscriber; each counts as often as it was subscribed to.
-#[derive(Default)]
-struct Subscriber {
-    topics: BTreeMap<Vec<u8>, usize>,
-    count: usize,
-    bytes: usize,
-}
-
-impl Publisher {
+impl PubSocket {
     /// Publishes there, to those whom `access` admits.
     pub(crate) fn bind(
         endpoint: &Endpoint,
         rules: Rules,
         access: CurrentAccess,
+        logs_subscribers: bool,
     ) -> io::Result<Self> {
+        let rules = Rules {
+            message: SUBSCRIPTION,
+            // What waits for a subscriber is limited here.
+            memory: usize::MAX,
+            ..rules
+        };
         let peers = Peers::bind(endpoint, rules)?;
         let endpoint = peers.endpoint()?;
-        let waker = Arc::new(peers.waker()?);
-        let (queue, queued) = sync_channel(QUEUE);
+        let waker = peers.waker()?;
+        let shared = Arc::<Shared>::default();
         let worker = Worker {
             peers,
             access,
-            queue: queued,
+            shared: Arc::clone(&shared),
             subscribers: BTreeMap::new(),
+            topics: 0,
+            newest: BTreeMap::new(),
+            newest_held: 0,
+            logs_subscribers,
+            missed: 0,
         };
         let thread = std::thread::Builder::new()
             .name("ztl-publisher".to_owned())
             .spawn(move || {
                 if let Err(error) = worker.run() {
-                    warn!(target: TASKS, "nothing is published any more: {error}");
+                    warn!(target: TASKS, "publishing has stopped: {error}");
                 }
             })?;
         Ok(Self {
             endpoint,
-            queue: Some(queue),
+            shared,
             waker,
             thread: Some(thread),
         })
@@ -88,21 +208,37 @@ impl Publisher {
         &self.endpoint
     }
 
-    /// Publishes without waiting; returns whether there was room. For a subscriber that does not read, messages are
-    /// dropped.
-    pub(crate) fn publish(&self, topic: String, bytes: Vec<u8>) -> bool {
-        let Some(queue) = &self.queue else {
-            return false;
-        };
-        let queued = queue.try_send((topic, bytes));
-        let _ = self.waker.wake();
-        !matches!(queued, Err(TrySendError::Full(_)))
+    /// How many peers have subscribed.
+    pub(crate) fn subscribers(&self) -> usize {
+        self.shared.subscribers.load(Ordering::Relaxed)
+    }
+
+    /// Messages that subscribers have missed, in all.
+    pub(crate) fn missed(&self) -> u64 {
+        self.shared.queue().missed
+    }
+
+    /// Publishes without waiting. Returns whether there was room.
+    pub(crate) fn publish(&self, message: PubMessage) -> bool {
+        let mut queue = self.shared.queue();
+        let held = queue.held + message.held();
+        let has_room = held <= QUEUE || queue.messages.is_empty();
+        if has_room {
+            queue.held = held;
+            queue.messages.push_back(message);
+        }
+        let wake = !std::mem::replace(&mut queue.is_awake, true);
+        drop(queue);
+        if wake {
+            let _ = self.waker.wake();
+        }
+        has_room
     }
 }
 
-impl Drop for Publisher {
+impl Drop for PubSocket {
     fn drop(&mut self) {
-        self.queue = None;
+        self.shared.queue().is_closed = true;
         let _ = self.waker.wake();
         if let Some(thread) = self.thread.take() {
             // A panic there has been printed already.
@@ -114,181 +250,290 @@ impl Drop for Publisher {
 impl Worker {
     /// Runs until the publisher is dropped.
     fn run(mut self) -> io::Result<()> {
-        use std::sync::mpsc::TryRecvError;
         loop {
             self.peers.wait(None)?;
-            let access = &self.access;
-            let mut admit = |address, key: Option<[u8; 32]>| {
-                access.admits(address, key.map(PublicKey::from_bytes))
+            self.take_subscriptions();
+            let (messages, is_closed) = {
+                let mut queue = self.shared.queue();
+                queue.is_awake = false;
+                queue.held = 0;
+                let messages = std::mem::take(&mut queue.messages);
+                (messages, queue.is_closed)
             };
-            while let Some(message) = self.peers.next(&mut admit) {
-                let body = message.body.unwrap_or_default();
-                if let Some((begins @ 0..=1, topic)) = body.split_first() {
-                    let subscriber = self.subscribers.entry(message.peer).or_default();
-                    subscriber.change(*begins == 1, topic);
+            for message in messages {
+                self.publish(&message);
+            }
+            self.pump();
+            self.shared.queue().missed = self.missed;
+            if is_closed {
+                return self.linger();
+            }
+        }
+    }
+
+    /// Sends what waits.
+    fn linger(mut self) -> io::Result<()> {
+        let end = Instant::now() + LINGER;
+        let is_waiting = |worker: &Self| {
+            let mut subscribers = worker.subscribers.iter();
+            subscribers.any(|(peer, subscriber)| {
+                !subscriber.queue.is_empty() || worker.peers.waiting(*peer) > Some(0)
+            })
+        };
+        while is_waiting(&self) {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                break;
+            }
+            self.peers.wait(Some(left))?;
+            self.take_subscriptions();
+            self.pump();
+        }
+        Ok(())
+    }
+
+    /// Reads what subscribers ask for, and notes who has left.
+    fn take_subscriptions(&mut self) {
+        let access = &self.access;
+        let mut admit =
+            |address, key: Option<[u8; 32]>| access.admits(address, key.map(PublicKey::from_bytes));
+        for _ in 0..AT_ONCE {
+            let Some(message) = self.peers.next(&mut admit) else {
+                break;
+            };
+            let body = message.body.unwrap_or_default();
+            if let Some((begins @ 0..=1, topic)) = body.split_first() {
+                let subscriber = self.subscribers.entry(message.peer).or_default();
+                subscriber.key = message.key.map(PublicKey::from_bytes);
+                if *begins == 1 && self.topics >= ALL_TOPICS {
+                    continue;
+                }
+                let before = subscriber.bytes;
+                let is_new = subscriber.change(*begins == 1, topic);
+                self.topics = self.topics + subscriber.bytes - before;
+                if is_new {
+                    let newest = self.newest.range(topic.to_vec()..);
+                    let newest = newest.take_while(|(known, _)| known.starts_with(topic));
+                    let access = access.read();
+                    for (_, message) in newest {
+                        if subscriber.gets(message, &access) && !subscriber.has(message) {
+                            subscriber.push(message.clone());
+                        }
+                    }
                 }
             }
-            let peers = &self.peers;
-            self.subscribers
-                .retain(|peer, _| peers.waiting(*peer).is_some());
-            loop {
-                match self.queue.try_recv() {
-                    Ok((topic, bytes)) => self.publish(&topic, &bytes),
-                    Err(TryRecvError::Empty) => break,
-                    Err(TryRecvError::Disconnected) => {
-                        // What was published last is on its way.
-                        return self.peers.wait(Some(std::time::Duration::ZERO));
-                    }
+        }
+        let peers = &self.peers;
+        let topics = &mut self.topics;
+        self.subscribers.retain(|peer, subscriber| {
+            let is_there = peers.waiting(*peer).is_some();
+            if !is_there {
+                *topics -= subscriber.bytes;
+            }
+            is_there
+        });
+        let count = self.subscribers.len();
+        let before = self.shared.subscribers.swap(count, Ordering::Relaxed);
+        if self.logs_subscribers {
+            for total in before + 1..=count {
+                info!(target: PUBLISHER, "Subscriber joined! Total connected: {total}");
+            }
+            for total in (count..before).rev() {
+                info!(target: PUBLISHER, "Subscriber left! Total connected: {total}");
+            }
+        }
+    }
+
+    fn publish(&mut self, message: &PubMessage) {
+        if message.is_state {
+            self.keep(message);
+        }
+        let access = self.access.read();
+        for (peer, subscriber) in &mut self.subscribers {
+            if !subscriber.gets(message, &access) {
+                continue;
+            }
+            if subscriber.queue.is_empty() && has_room(&self.peers, *peer, message) {
+                self.peers.put_shared(*peer, &message.wire);
+            } else {
+                subscriber.push(message.clone());
+                if subscriber.held > BEHIND {
+                    self.peers.flush();
+                    subscriber.fill(*peer, &mut self.peers);
+                    self.missed += subscriber.drop_oldest();
                 }
             }
         }
     }
 
-    fn publish(&mut self, topic: &str, bytes: &[u8]) {
-        let frame = frame(topic.as_bytes());
-        for (peer, subscriber) in &self.subscribers {
-            let room = self.peers.waiting(*peer).is_some_and(|waiting| {
-                waiting == 0 || waiting + frame.len() + bytes.len() < UNSENT
-            });
-            if room && subscriber.wants(topic.as_bytes()) {
-                self.peers.send(*peer, &frame, bytes);
+    /// Keeps the newest state of a topic for late subscribers.
+    fn keep(&mut self, message: &PubMessage) {
+        let topic = message.topic().to_vec();
+        self.newest_held += message.held();
+        if let Some(before) = self.newest.insert(topic, message.clone()) {
+            self.newest_held -= before.held();
+        }
+        while self.newest_held > NEWEST
+            && let Some((_, dropped)) = self.newest.pop_first()
+        {
+            self.newest_held -= dropped.held();
+        }
+    }
+
+    /// Sends what waits, until the subscribers' connections are full.
+    fn pump(&mut self) {
+        loop {
+            // First: a connection that can take bytes again does not say so a second time.
+            self.peers.flush();
+            let mut moved = false;
+            for (peer, subscriber) in &mut self.subscribers {
+                moved |= subscriber.fill(*peer, &mut self.peers);
+            }
+            if !moved {
+                return;
             }
         }
     }
 }
 
+/// Whether a subscriber's connection can take a message.
+fn has_room(peers: &Peers<Pub>, peer: PeerId, message: &PubMessage) -> bool {
+    let fits = |waiting| waiting == 0 || waiting + message.wire.len() < UNSENT;
+    peers.waiting(peer).is_some_and(fits)
+}
+
+/// What one subscriber wants, and what waits for it.
+#[derive(Default)]
+struct Subscriber {
+    key: Option<PublicKey>,
+    /// Its topics; each counts as often as it was subscribed to.
+    topics: BTreeMap<Vec<u8>, usize>,
+    /// Bytes that these take, roughly.
+    bytes: usize,
+    queue: VecDeque<PubMessage>,
+    /// Bytes in `queue`.
+    held: usize,
+    /// The number of the first one in `queue`, and the numbers of the states in it.
+    first: u64,
+    states: BTreeMap<Vec<u8>, u64>,
+    /// Messages that it missed; how many of them it was told.
+    missed: u64,
+    told: u64,
+}
+
 impl Subscriber {
-    fn change(&mut self, begins: bool, topic: &[u8]) {
+    /// Begins or ends a subscription. Returns whether a topic is new.
+    fn change(&mut self, begins: bool, topic: &[u8]) -> bool {
         if begins {
-            if self.count == SUBSCRIPTIONS || self.bytes + topic.len() > TOPICS {
-                return;
+            if self.bytes + topic.len() + ENTRY > TOPICS {
+                return false;
             }
-            self.count += 1;
-            self.bytes += topic.len();
-            *self.topics.entry(topic.to_vec()).or_default() += 1;
-        } else if let Some(count) = self.topics.get_mut(topic) {
-            self.count -= 1;
-            self.bytes -= topic.len();
+            self.bytes += topic.len() + ENTRY;
+            let count = self.topics.entry(topic.to_vec()).or_default();
+            *count += 1;
+            return *count == 1;
+        }
+        if let Some(count) = self.topics.get_mut(topic) {
+            self.bytes -= topic.len() + ENTRY;
             *count -= 1;
             if *count == 0 {
                 self.topics.remove(topic);
             }
         }
+        false
     }
 
-    /// Whether a topic begins with one of its topics.
+    /// Whether it wants a message, and may have it.
+    fn gets(&self, message: &PubMessage, access: &Access) -> bool {
+        let may_hear = || access.may_hear(self.key.as_ref(), message.scope());
+        self.wants(message.topic()) && (message.is_for_all || may_hear())
+    }
+
+    /// Whether a topic begins with one of its topics. It has fewer beginnings than a subscriber may have topics.
     fn wants(&self, topic: &[u8]) -> bool {
-        self.topics.keys().any(|wanted| topic.starts_with(wanted))
+        let shortest = if topic.starts_with(RESERVED) {
+            RESERVED.len()
+        } else {
+            0
+        };
+        let begins = |length| {
+            let begin = topic.get(..length);
+            begin.is_some_and(|begin| self.topics.contains_key(begin))
+        };
+        (shortest..=topic.len()).any(begins)
+    }
+
+    /// Whether a message of this topic waits.
+    fn has(&self, message: &PubMessage) -> bool {
+        self.states.contains_key(message.topic())
+    }
+
+    /// Adds a message at the end; a state takes the place of the one before it.
+    fn push(&mut self, message: PubMessage) {
+        self.held += message.held();
+        if message.is_state {
+            let number = self.first + self.queue.len() as u64;
+            let known = self.states.entry(message.topic().to_vec());
+            let at = *known.or_insert(number);
+            let index = usize::try_from(at - self.first).unwrap_or(usize::MAX);
+            if let Some(before) = self.queue.get_mut(index) {
+                self.held -= before.held();
+                *before = message;
+                return;
+            }
+        }
+        self.queue.push_back(message);
+    }
+
+    fn pop(&mut self) -> Option<PubMessage> {
+        let message = self.queue.pop_front()?;
+        self.first += 1;
+        self.held -= message.held();
+        if message.is_state {
+            self.states.remove(message.topic());
+        }
+        if self.queue.is_empty() {
+            self.queue = VecDeque::new();
+        }
+        Some(message)
+    }
+
+    /// Drops the oldest messages above the limit, and returns how many. One always stays.
+    fn drop_oldest(&mut self) -> u64 {
+        let before = self.missed;
+        while self.held > BEHIND && self.queue.len() > 1 {
+            self.pop();
+            self.missed += 1;
+        }
+        self.missed - before
+    }
+
+    /// Passes on what its connection can take. Returns whether that was anything.
+    fn fill(&mut self, peer: PeerId, peers: &mut Peers<Pub>) -> bool {
+        let mut moved = false;
+        if self.missed > self.told && self.wants(MISSED.as_bytes()) {
+            let told = PubMessage::new(MISSED, "", &pickled(self.missed), false);
+            if has_room(peers, peer, &told) {
+                peers.put_shared(peer, &told.wire);
+                self.told = self.missed;
+            }
+        }
+        while let Some(next) = self.queue.front()
+            && has_room(peers, peer, next)
+        {
+            peers.put_shared(peer, &next.wire);
+            self.pop();
+            moved = true;
+        }
+        moved
     }
 }
 
-/// A frame that announces another, as on the wire.
-fn frame(body: &[u8]) -> Vec<u8> {
-    let mut frame = match u8::try_from(body.len()) {
-        Ok(length) => vec![1, length],
-        Err(_) => [&[3][..], &(body.len() as u64).to_be_bytes()].concat(),
-    };
-    frame.extend_from_slice(body);
-    frame
-}
-
-#[cfg(test)]
-mod tests {
-    use ztl_zmtp::HANDSHAKE;
-    use ztl_zmtp::session::Security;
-
-    use super::*;
-    use crate::Access;
-
-    fn publisher() -> Publisher {
-        let rules = Rules {
-            security: Security::Null,
-            message: 1 << 20,
-            connections: 50,
-            handshake: HANDSHAKE,
-            memory: 8 << 20,
-        };
-        let endpoint = Endpoint::parse("tcp://127.0.0.1:*").unwrap();
-        Publisher::bind(&endpoint, rules, CurrentAccess::new(Access::everybody())).unwrap()
+/// A count as a pickle: protocol 2, an integer of eight bytes and a sign.
+pub(crate) fn pickled(count: u64) -> [u8; 14] {
+    let mut pickle = *b"\x80\x02\x8a\x09\0\0\0\0\0\0\0\0\0.";
+    for (to, from) in pickle.iter_mut().skip(4).zip(count.to_le_bytes()) {
+        *to = from;
     }
-
-    /// A subscriber of libzmq that holds few messages.
-    fn subscriber(publisher: &Publisher, topics: &[&str]) -> zmq::Socket {
-        let socket = zmq::Context::new().socket(zmq::SUB).unwrap();
-        socket.set_linger(0).unwrap();
-        socket.set_rcvhwm(1).unwrap();
-        socket.set_rcvtimeo(20_000).unwrap();
-        for topic in topics {
-            socket.set_subscribe(topic.as_bytes()).unwrap();
-        }
-        socket.connect(publisher.endpoint()).unwrap();
-        socket
-    }
-
-    /// What a subscriber gets before the first message of this topic. That one is published until it arrives.
-    fn before(publisher: &Publisher, socket: &zmq::Socket, topic: &str) -> Vec<String> {
-        let mut topics = Vec::new();
-        for _ in 0..2_000 {
-            publisher.publish(topic.to_owned(), vec![7; 3]);
-            while socket.poll(zmq::POLLIN, 10).unwrap() > 0 {
-                let frames = socket.recv_multipart(0).unwrap();
-                let got = String::from_utf8(frames[0].clone()).unwrap();
-                if got == topic {
-                    assert_eq!(frames[1..], [vec![7; 3]]);
-                    return topics;
-                }
-                topics.push(got);
-            }
-        }
-        panic!("{topic} does not arrive");
-    }
-
-    #[test]
-    fn a_subscriber_gets_its_topics_until_it_unsubscribes() {
-        let publisher = publisher();
-        let socket = subscriber(&publisher, &["arm/", "head/pan", "begin", "done"]);
-        before(&publisher, &socket, "begin");
-        let long = "arm/".to_owned() + &"x".repeat(300);
-        let publish_all = || {
-            for topic in ["arm/1", "leg/1", "head/tilt", "head/pan", &long, "ar"] {
-                publisher.publish(topic.to_owned(), vec![1]);
-            }
-        };
-        let heard = || {
-            publish_all();
-            let mut heard = before(&publisher, &socket, "done");
-            heard.retain(|topic| topic != "begin" && topic != "done");
-            heard
-        };
-        assert_eq!(heard(), ["arm/1", "head/pan", &long]);
-        socket.set_unsubscribe(b"arm/").unwrap();
-        let ended = (0..2_000).any(|_| heard() == ["head/pan"]);
-        assert!(ended, "the topic still arrives");
-    }
-
-    #[test]
-    fn a_subscriber_that_does_not_read_loses_messages_and_delays_nobody() {
-        const MESSAGES: u32 = 3_000;
-        let publisher = publisher();
-        let [slow, quick] = [(); 2].map(|()| subscriber(&publisher, &[""]));
-        for socket in [&slow, &quick] {
-            before(&publisher, socket, "begin");
-        }
-        for number in 0..MESSAGES {
-            let bytes = [&number.to_be_bytes()[..], &[0; 10_000]].concat();
-            assert!(publisher.publish("data".to_owned(), bytes), "{number}");
-            // What was sent for the other's begin comes first.
-            let frames = loop {
-                let frames = quick.recv_multipart(0).unwrap();
-                if frames[0] == b"data" {
-                    break frames;
-                }
-            };
-            assert_eq!(frames[1][..4], number.to_be_bytes());
-        }
-        let heard = before(&publisher, &slow, "end");
-        let heard = heard.iter().filter(|topic| *topic == "data").count();
-        // 30 MB; the system holds some.
-        assert!((1..MESSAGES as usize).contains(&heard), "{heard} messages");
-    }
+    pickle
 }

@@ -125,6 +125,19 @@ impl Access {
         }
     }
 
+    /// Whether a subscriber may hear what is published under a scope: if it may use that scope.
+    #[cfg(feature = "publish")]
+    pub(crate) fn may_hear(&self, subscriber: Option<&PublicKey>, scope: &[u8]) -> bool {
+        match (&self.keys, subscriber) {
+            (None, _) => true,
+            (Some(_), None) => false,
+            (Some(_), Some(subscriber)) => {
+                let scope = str::from_utf8(scope);
+                scope.is_ok_and(|scope| self.may_use(subscriber, scope))
+            }
+        }
+    }
+
     pub(super) fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
         let of_scope = self.clients_of.get(scope);
         self.clients.contains(client) || of_scope.is_some_and(|clients| clients.contains(client))

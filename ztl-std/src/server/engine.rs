@@ -13,6 +13,8 @@ use super::limits::Limits;
 use super::memory::ServerMemory;
 use super::reporter::{Claim, Inbox, Mailbox};
 use super::router::Router;
+#[cfg(feature = "publish")]
+use super::task_events::TaskEvents;
 use super::waker::Waker;
 use crate::rate_limit::RateLimit;
 
@@ -34,6 +36,9 @@ pub(super) struct Engine {
     /// Limits to be applied in the next turn.
     pub(super) next_limits: Arc<Mutex<Option<Limits>>>,
     pub(super) observer: Option<Observer>,
+    /// Publishes what happens to tasks.
+    #[cfg(feature = "publish")]
+    pub(super) events: Option<TaskEvents>,
     pub(super) dropped: DroppedLog,
     /// Limits the log lines about refused requests, because anyone can send any number of them.
     pub(super) refusals: RateLimit,

@@ -19,7 +19,7 @@ const OTHER_FILES: usize = 128;
 const FEWEST: usize = 16;
 
 /// Subscribers of a publisher that are allowed even if its server takes all other connections.
-#[cfg(feature = "gateway")]
+#[cfg(feature = "publish")]
 const SUBSCRIBERS: usize = 64;
 
 /// Most connections at a time, if the system allows as many.
@@ -111,12 +111,12 @@ impl Limits {
     }
 
     /// Limits of a publisher beside a server with these limits. Its subscribers have what the server leaves of the files.
-    #[cfg(feature = "gateway")]
+    #[cfg(feature = "publish")]
     pub(super) fn of_publisher(&self) -> Self {
         self.beside_with_files(open_files())
     }
 
-    #[cfg(feature = "gateway")]
+    #[cfg(feature = "publish")]
     fn beside_with_files(&self, files: Option<usize>) -> Self {
         let (taken, _) = self.with_files(files);
         let left = connections_of(files).saturating_sub(taken);
@@ -209,7 +209,7 @@ mod tests {
         assert_eq!(limits.with_files(None), (10_000, None));
         assert_eq!(limits.with_files(Some(10)).0, FEWEST);
         assert_eq!(with(128).with_files(Some(256)), (128, None));
-        #[cfg(feature = "gateway")]
+        #[cfg(feature = "publish")]
         for (connections, files, left) in [
             (128, Some(256), SUBSCRIBERS),
             (50, Some(256), 78),

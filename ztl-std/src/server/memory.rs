@@ -61,7 +61,7 @@ impl ServerMemory {
     }
 
     /// The present limits.
-    #[cfg(feature = "gateway")]
+    #[cfg(feature = "publish")]
     pub(super) const fn limits(&self) -> &Limits {
         &self.limits
     }

@@ -23,13 +23,15 @@ mod reporter;
 mod requests;
 mod rounds;
 mod router;
+#[cfg(feature = "publish")]
+mod task_events;
 mod task_server;
 mod task_table;
 mod waker;
 
 pub use crate::offers::offered;
 pub use access::Access;
-#[cfg(any(feature = "gateway", feature = "libzmq"))]
+#[cfg(any(feature = "publish", feature = "libzmq"))]
 pub(crate) use access::CurrentAccess;
 #[cfg(feature = "libzmq")]
 pub(crate) use access::Sender;
@@ -45,5 +47,7 @@ pub(crate) use reporter::AbortRejection;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
 pub use reporter::TaskReporter;
+#[cfg(feature = "publish")]
+pub(crate) use router::{rules, to_bind};
 pub use task_server::{ServerBuilder, TaskServer};
 pub(crate) use waker::WakeBatch;

@@ -80,6 +80,11 @@ impl Engine {
                     .memory_mut()
                     .note_payload(id, payload, now());
                 let client = envelope.map(|envelope| envelope.client);
+                #[cfg(feature = "publish")]
+                if let Some(events) = &mut self.events {
+                    let scope = self.dispatcher.memory().scope_name(scope);
+                    events.on_asked(scope, id, payload, client);
+                }
                 let task = TaskReporter::new(id, self.mailbox.clone(), client);
                 match self.handlers.get_mut(usize::from(scope.0)) {
                     Some(handler) => {

@@ -5,10 +5,14 @@ use std::sync::PoisonError;
 use std::time::Duration;
 
 use tracing::warn;
-use ztl_core::Instant;
+#[cfg(feature = "publish")]
+use ztl_core::State;
 use ztl_core::dispatcher::TaskEvent;
 use ztl_core::memory::Memory;
+#[cfg(feature = "publish")]
+use ztl_core::memory::Scope;
 use ztl_core::tasks::Tasks;
+use ztl_core::{Instant, TaskId};
 
 use super::clock::now;
 use super::engine::Engine;
@@ -67,24 +71,18 @@ impl Engine {
                 handler.all_started();
             }
         }
-        let Self {
-            dispatcher,
-            router,
-            claims,
-            ..
-        } = self;
         let now = now();
-        while let Some(claim) = claims.first_entry()
+        while let Some(claim) = self.claims.first_entry()
             && claim.key().0 <= now
         {
             let ((_, id), (claim, reason)) = claim.remove_entry();
             if claim.reject() {
-                let refused = TaskEvent::Rejected { reason };
-                dispatcher.handle_event(now, id, refused, &mut |peer, reply| {
-                    router.answer(peer, reply);
-                });
+                self.on_event(now, id, TaskEvent::Rejected { reason });
             }
         }
+        let Self {
+            dispatcher, router, ..
+        } = self;
         dispatcher.handle_timeout(now, &mut |peer, reply| router.answer(peer, reply));
         self.abort_tasks_of_gone_clients(now);
         Ok(more)
@@ -144,33 +142,84 @@ impl Engine {
 
     /// Takes a bounded number of reports; returns whether there may be more.
     fn take_reports(&mut self) -> bool {
-        let Self {
-            dispatcher,
-            router,
-            inbox,
-            clients,
-            claims,
-            ..
-        } = self;
         let mut taken = 0;
         let now = now();
         while taken < BATCH
-            && let Some((id, report)) = inbox.next()
+            && let Some((id, report)) = self.inbox.next()
         {
             taken += 1;
             match report {
-                Report::NeedsClient(client, silence) => clients.watch(now, client, id, silence),
-                Report::NeedsClaim(claim, within, reason) => {
-                    claims.insert((now + within, id), (claim, reason));
+                Report::NeedsClient(client, silence) => {
+                    self.clients.watch(now, client, id, silence);
                 }
-                report => report.handle(|event| {
-                    dispatcher.handle_event(now, id, event, &mut |peer, reply| {
-                        router.answer(peer, reply);
-                    });
-                }),
+                Report::NeedsClaim(claim, within, reason) => {
+                    self.claims.insert((now + within, id), (claim, reason));
+                }
+                report => report.handle(|event| self.on_event(now, id, event)),
             }
         }
         self.reported = taken > 0;
         taken == BATCH
     }
+
+    /// Passes on what happened to a task.
+    fn on_event(&mut self, now: Instant, id: TaskId, event: TaskEvent<'_>) {
+        #[cfg(feature = "publish")]
+        let before = self.before(id, &event);
+        let router = &mut self.router;
+        self.dispatcher
+            .handle_event(now, id, event, &mut |peer, reply| {
+                router.answer(peer, reply);
+            });
+        #[cfg(feature = "publish")]
+        if let Some(before) = before {
+            self.publish_change(id, before);
+        }
+    }
+
+    /// What is needed to publish an event, if events are published.
+    #[cfg(feature = "publish")]
+    fn before(&self, id: TaskId, event: &TaskEvent<'_>) -> Option<BeforeEvent> {
+        self.events.as_ref()?;
+        let task = self.dispatcher.memory().tasks().get(id)?;
+        Some(BeforeEvent {
+            scope: task.extra,
+            state: task.state,
+            is_progress: matches!(event, TaskEvent::Progress { .. }),
+            rejection: match event {
+                TaskEvent::Rejected { reason } => Some((*reason).to_owned()),
+                TaskEvent::Threw { message } => Some((*message).to_owned()),
+                _ => None,
+            },
+        })
+    }
+
+    /// Publishes a task's state if it has changed, or its progress.
+    #[cfg(feature = "publish")]
+    fn publish_change(&mut self, id: TaskId, before: BeforeEvent) {
+        let Some(events) = &mut self.events else {
+            return;
+        };
+        let memory = self.dispatcher.memory();
+        let scope = memory.scope_name(before.scope);
+        match (memory.tasks().get(id), before.rejection) {
+            (Some(task), _)
+                if task.state != before.state || before.is_progress && !task.state.is_final() =>
+            {
+                events.on_changed(scope, id, task.state, task.text.as_ref());
+            }
+            // The table forgets what was rejected.
+            (None, Some(reason)) => events.on_changed(scope, id, State::Rejected, &reason),
+            _ => {}
+        }
+    }
+}
+
+/// A task before something happened to it.
+#[cfg(feature = "publish")]
+struct BeforeEvent {
+    scope: Scope,
+    state: State,
+    is_progress: bool,
+    rejection: Option<String>,
 }

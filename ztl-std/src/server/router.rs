@@ -134,7 +134,7 @@ fn accessible(endpoint: &str) -> Result<(), BindError> {
 }
 
 /// An endpoint to listen at.
-pub(super) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
+pub(crate) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
     let invalid = |why| BindError::Endpoint {
         endpoint: endpoint.to_owned(),
         why,
@@ -148,7 +148,7 @@ pub(super) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
 }
 
 /// What applies to each connection of a server.
-pub(super) fn rules(access: &Access, limits: &Limits) -> Rules {
+pub(crate) fn rules(access: &Access, limits: &Limits) -> Rules {
     let (connections, warning) = limits.possible_connections();
     if let Some(warning) = warning {
         warn!(target: TASKS, "{warning}");

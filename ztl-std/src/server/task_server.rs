@@ -23,13 +23,15 @@ use super::limits::Limits;
 use super::memory::{ScopeInfo, ServerMemory};
 use super::reporter::{Mailbox, TaskReporter};
 use super::router::Router;
-#[cfg(feature = "gateway")]
+#[cfg(feature = "publish")]
 use super::router::{rules, to_bind};
+#[cfg(feature = "publish")]
+use super::task_events::TaskEvents;
 use super::task_table::HeapText;
 use super::waker::Waker;
 use crate::log_targets::TASKS;
-#[cfg(feature = "gateway")]
-use crate::native::publisher::Publisher;
+#[cfg(feature = "publish")]
+use crate::native::publisher::PubSocket;
 use crate::random;
 use crate::rate_limit::RateLimit;
 use crate::transport::Transport;
@@ -108,6 +110,8 @@ impl ServerBuilder {
                 claims: BTreeMap::new(),
                 next_limits: Arc::default(),
                 observer: None,
+                #[cfg(feature = "publish")]
+                events: None,
                 dropped: DroppedLog::new(now()),
                 refusals: RateLimit::new(REFUSALS.0, REFUSALS.1, now()),
                 logged_used_up: false,
@@ -152,14 +156,28 @@ impl TaskServer {
         ServerBuilder::default()
     }
 
-    /// A publisher for the clients of this server.
-    #[cfg(feature = "gateway")]
-    pub(crate) fn bind_publisher(&self, endpoint: &str) -> Result<Publisher, BindError> {
+    /// Publishes what happens to tasks, for those who may use the server (`docs/streams.md`). Returns the endpoint, with
+    /// the port that was chosen.
+    ///
+    /// # Errors
+    /// [`BindError`].
+    #[cfg(feature = "publish")]
+    pub fn publish_events(&mut self, endpoint: &str) -> Result<String, BindError> {
+        let socket = self.publish_at(endpoint)?;
+        Ok(socket.endpoint().to_owned())
+    }
+
+    /// As [`publish_events`](Self::publish_events). A handler publishes at the same socket.
+    #[cfg(feature = "publish")]
+    pub(crate) fn publish_at(&mut self, endpoint: &str) -> Result<Arc<PubSocket>, BindError> {
         let access = self.engine.router.access();
         let limits = self.engine.dispatcher.memory().limits().of_publisher();
         let rules = rules(&access.read(), &limits);
-        Publisher::bind(&to_bind(endpoint)?, rules, access.clone())
-            .map_err(|error| BindError::at_endpoint(endpoint, &error))
+        let socket = PubSocket::bind(&to_bind(endpoint)?, rules, access.clone(), false)
+            .map_err(|error| BindError::at_endpoint(endpoint, &error))?;
+        let socket = Arc::new(socket);
+        self.engine.events = Some(TaskEvents::new(Arc::clone(&socket)));
+        Ok(socket)
     }
 
     /// Where it listens, with the port that was chosen.

@@ -14,7 +14,7 @@ use super::peer::{Peer, PeerId, Served};
 use super::places::Room;
 use super::{CHECK, Peers};
 use crate::log_targets::TASKS;
-use crate::native::streams::Stream;
+use crate::native::sockets::Stream;
 
 /// How many connections are accepted in a round, so that known clients do not wait for many.
 const ACCEPTED: usize = 8;

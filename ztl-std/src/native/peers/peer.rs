@@ -8,7 +8,7 @@ use ztl_zmtp::session::{Inbound, Message, Outbound};
 use ztl_zmtp::{Pub, Router};
 
 use super::UNSENT;
-use crate::native::streams::Stream;
+use crate::native::sockets::Stream;
 
 /// A socket type whose messages come from many peers.
 pub(crate) trait Served: ztl_zmtp::Socket {
