@@ -44,9 +44,9 @@ impl TransportOption {
     }
 }
 
-/// Options for how a client connects.
+/// Options for the keys of an encrypted connection.
 #[derive(Debug, Clone, Default, clap::Args)]
-pub(crate) struct ConnectOptions {
+pub(crate) struct KeyOptions {
     /// The client's secret key, for a server that encrypts (see `ztl keys`)
     #[arg(long, value_name = "NAME.key_secret", requires = "server_key")]
     key: Option<PathBuf>,
@@ -54,6 +54,27 @@ pub(crate) struct ConnectOptions {
     /// The public key of the server
     #[arg(long, value_name = "NAME.key", requires = "key")]
     server_key: Option<PathBuf>,
+}
+
+impl KeyOptions {
+    /// Our own keys and the server's. Those of the configuration file go before those of the options.
+    pub(crate) fn read(
+        &self,
+        of_server: Option<&KeyFiles>,
+    ) -> Result<Option<(KeyPair, PublicKey)>, KeyError> {
+        let (own, server) = match (of_server, &self.key, &self.server_key) {
+            (Some(KeyFiles { own, server }), ..) | (None, Some(own), Some(server)) => (own, server),
+            _ => return Ok(None),
+        };
+        Ok(Some((own_keys(own)?, PublicKey::read(server)?)))
+    }
+}
+
+/// Options for how a client connects.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct ConnectOptions {
+    #[command(flatten)]
+    keys: KeyOptions,
 
     #[command(flatten)]
     transport: TransportOption,
@@ -68,10 +89,9 @@ impl ConnectOptions {
         of_server: Option<&KeyFiles>,
     ) -> Result<RemoteTask, Box<dyn std::error::Error>> {
         let remote = remote.with_transport(self.transport.get()?)?;
-        let (own, server) = match (of_server, &self.key, &self.server_key) {
-            (Some(KeyFiles { own, server }), ..) | (None, Some(own), Some(server)) => (own, server),
-            _ => return Ok(remote),
-        };
-        Ok(remote.with_keys(own_keys(own)?, PublicKey::read(server)?)?)
+        match self.keys.read(of_server)? {
+            Some((own, server)) => Ok(remote.with_keys(own, server)?),
+            None => Ok(remote),
+        }
     }
 }

@@ -41,7 +41,7 @@ impl Gateway {
 impl Plan {
     /// Checks all that [`serve`](Self::serve) needs, except the devices.
     fn check(&self) -> CheckFindings {
-        let mut findings = self.place.check(self.publish);
+        let mut findings = self.place.check();
         self.journal
             .check(self.place.port, &self.scope, &mut findings);
         findings
@@ -61,9 +61,8 @@ impl Plan {
                 devices.devices().read_log(&device.name, elf)?;
             }
         }
-        if let Some(port) = self.publish {
-            let endpoint = format!("tcp://{}:{port}", place.bind);
-            let endpoint = devices.publish(&server, &endpoint)?;
+        if let Some(endpoint) = place.publish_endpoint() {
+            let endpoint = devices.publish(&mut server, &endpoint)?;
             line(format_args!("Publishing readings at {endpoint}."));
         }
         let watch = devices.devices();

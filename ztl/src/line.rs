@@ -8,6 +8,7 @@ use clap::ValueEnum;
 use ztl_sim::line::{Cable, Counts, End, Faults, FaultyLine};
 
 use crate::exit::Done;
+use crate::option_values::duration;
 use crate::signals;
 use crate::terminal::{is_live, line, rewrite};
 
@@ -30,7 +31,7 @@ pub(crate) struct Line {
     baud: Option<u32>,
 
     /// Delay of each byte
-    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time)]
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = duration)]
     latency: Duration,
 
     /// Probability that a bit is flipped, such as 1e-4
@@ -50,7 +51,7 @@ pub(crate) struct Line {
     stall: f64,
 
     /// Longest stall; each has a random length
-    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = time)]
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = duration)]
     stall_for: Duration,
 
     /// Lose all bytes in this direction
@@ -58,11 +59,11 @@ pub(crate) struct Line {
     cut: Option<Cut>,
 
     /// Cut only after this time
-    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time, requires = "cut")]
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = duration, requires = "cut")]
     cut_after: Duration,
 
     /// Cut only for this time [default: until the end]
-    #[arg(long, value_name = "TIME", value_parser = time, requires = "cut")]
+    #[arg(long, value_name = "TIME", value_parser = duration, requires = "cut")]
     cut_for: Option<Duration>,
 
     /// Seed of the random numbers: the same seed and bytes have the same faults [default: random]
@@ -70,7 +71,7 @@ pub(crate) struct Line {
     seed: Option<u64>,
 
     /// End after this time [default: at Ctrl-C]
-    #[arg(long = "for", value_name = "TIME", value_parser = time)]
+    #[arg(long = "for", value_name = "TIME", value_parser = duration)]
     limit: Option<Duration>,
 }
 
@@ -98,11 +99,6 @@ fn probability(text: &str) -> Result<f64, &'static str> {
     number
         .filter(|number| (0.0..=1.0).contains(number))
         .ok_or("expected a number from 0 to 1, such as 0.001 or 1e-4")
-}
-
-fn time(text: &str) -> Result<Duration, &'static str> {
-    humantime::parse_duration(text)
-        .map_err(|_| "expected a number with a unit, such as 500ms, 2s or 1m")
 }
 
 impl Line {
@@ -190,10 +186,10 @@ mod tests {
 
     #[test]
     fn times_have_a_unit() {
-        assert_eq!(time("500ms"), Ok(Duration::from_millis(500)));
-        assert_eq!(time("2m"), Ok(Duration::from_secs(120)));
+        assert_eq!(duration("500ms"), Ok(Duration::from_millis(500)));
+        assert_eq!(duration("2m"), Ok(Duration::from_secs(120)));
         for wrong in ["", "2", "s", "-1s", "1e9s", "99999999999999999999s"] {
-            assert!(time(wrong).is_err(), "{wrong}");
+            assert!(duration(wrong).is_err(), "{wrong}");
         }
     }
 

@@ -21,6 +21,7 @@ use crate::terminal::{error_line, line};
 pub(crate) const MISCONFIGURED: u8 = 2;
 
 /// A mistake in the configuration.
+#[derive(Debug)]
 pub(crate) enum ConfigError {
     File(Diagnostics),
     Whole(String),
@@ -58,6 +59,10 @@ pub(crate) struct ListenOptions {
     #[arg(long, value_name = "ADDR", value_parser = bind)]
     bind: Option<String>,
 
+    /// Publish what happens to tasks, and a gateway's readings, at this port for ZeroMQ subscribers (docs/streams.md)
+    #[arg(long, value_name = "PORT", value_parser = port)]
+    publish: Option<u16>,
+
     #[command(flatten)]
     access: AccessOptions,
 
@@ -76,7 +81,7 @@ pub(crate) struct ListenOptions {
     log_format: Option<LogFormat>,
 }
 
-fn bind(text: &str) -> Result<String, String> {
+pub(crate) fn bind(text: &str) -> Result<String, String> {
     bind_mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
 }
 
@@ -112,24 +117,20 @@ impl ListenOptions {
         {
             return Err(ConfigError::File(mistake.into()));
         }
-        if access.key.is_none()
-            && let Some(client) = access.client_key.first()
-        {
-            let mistake = format!(
-                "--client-key {client}: clients can have keys only if the server has one; give --key, or `key` in a configuration file"
-            );
-            return Err(ConfigError::Whole(mistake));
-        }
         let Some(port) = self.port.or(file.port) else {
             return Ok(None);
         };
-        let (access, warnings) = access
-            .access()
-            .map_err(|mistake| ConfigError::Whole(mistake.to_string()))?;
+        let publish = self.publish.or(file.publish);
+        if publish == Some(port) && port != 0 {
+            let mistake = format!("port {port} is for tasks; publish at another port");
+            return Err(ConfigError::Whole(mistake));
+        }
+        let (access, warnings) = access.access()?;
         Ok(Some(ListenPlace {
             limits: self.limits.over(file.limits),
             transport: self.transport.get().map_err(ConfigError::Whole)?,
             port,
+            publish,
             bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
             access,
             warnings,
@@ -142,6 +143,8 @@ impl ListenOptions {
 /// Where a server listens, for whom, and what it logs.
 pub(crate) struct ListenPlace {
     pub(crate) port: u16,
+    /// Where events of tasks and readings are published, if they are.
+    pub(crate) publish: Option<u16>,
     pub(crate) bind: String,
     pub(crate) access: Access,
     /// What may not be intended in the options for `access`.
@@ -181,10 +184,10 @@ impl ListenPlace {
         warnings
     }
 
-    /// Checks whether a server could listen here and at a second port.
-    pub(crate) fn check(&self, further: Option<u16>) -> CheckFindings {
+    /// Checks whether a server could listen and publish here.
+    pub(crate) fn check(&self) -> CheckFindings {
         let mut findings = CheckFindings::default();
-        let ports = [Some(self.port), further].into_iter().flatten();
+        let ports = [Some(self.port), self.publish].into_iter().flatten();
         for port in ports {
             let tried = self.builder().check(&self.bind, port);
             match tried {
@@ -203,6 +206,12 @@ impl ListenPlace {
     pub(crate) fn listen(&self) -> Result<TaskServer, BindError> {
         let endpoint = format!("tcp://{}:{}", self.bind, self.port);
         self.builder().bind(&endpoint)
+    }
+
+    /// The endpoint to publish at.
+    pub(crate) fn publish_endpoint(&self) -> Option<String> {
+        let port = self.publish?;
+        Some(format!("tcp://{}:{port}", self.bind))
     }
 
     fn builder(&self) -> ServerBuilder {
@@ -275,7 +284,7 @@ impl LimitOptions {
 
 /// Options for who may use a server.
 #[derive(Debug, Clone, clap::Args)]
-struct AccessOptions {
+pub(crate) struct AccessOptions {
     /// Allow only clients in this network, such as 192.168.1.0/24 (repeatable)
     #[arg(long, value_name = "NETWORK", value_parser = network)]
     allow: Vec<IpNet>,
@@ -298,21 +307,30 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 
 impl AccessOptions {
     /// Reads the keys. Also returns what may not be intended.
-    fn access(&self) -> Result<(Access, Vec<String>), KeyError> {
+    pub(crate) fn access(&self) -> Result<(Access, Vec<String>), ConfigError> {
+        if self.key.is_none()
+            && let Some(client) = self.client_key.first()
+        {
+            let mistake = format!(
+                "--client-key {client}: clients can have keys only if the server has one; give --key, or `key` in a configuration file"
+            );
+            return Err(ConfigError::Whole(mistake));
+        }
+        let wrong = |mistake: KeyError| ConfigError::Whole(mistake.to_string());
         let mut access = Access::everybody();
         let mut warnings = Vec::new();
         for network in &self.allow {
             access = access.from_network(*network);
         }
         if let Some(path) = &self.key {
-            access = access.with_keys(own_keys(path)?);
+            access = access.with_keys(own_keys(path).map_err(wrong)?);
         }
         for client in &self.client_key {
             let (scope, path) = match client.split_once('=') {
                 Some((scope, path)) => (Some(scope), path),
                 None => (None, client.as_str()),
             };
-            let keys = PublicKey::read_all(Path::new(path))?;
+            let keys = PublicKey::read_all(Path::new(path)).map_err(wrong)?;
             if keys.is_empty() {
                 warnings.push(format!("{path}: there is no *.key in this directory"));
             }

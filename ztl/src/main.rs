@@ -37,6 +37,7 @@ mod man;
 mod option_values;
 mod original;
 mod ps;
+mod publish;
 mod remote_task;
 mod remotes_options;
 mod report;
@@ -48,7 +49,10 @@ mod server_connection;
 mod server_query;
 mod signals;
 mod simple_client;
+mod simple_publisher;
 mod simple_server;
+mod simple_subscriber;
+mod subscribe;
 mod systemd;
 mod task_client;
 mod task_server;
@@ -106,6 +110,10 @@ enum Command {
     /// Check a robot for problems: clock, ports, permissions, network, a server
     #[cfg(target_os = "linux")]
     Doctor(doctor::Doctor),
+    /// Show what a publisher publishes: values, sound, images
+    Subscribe(subscribe::Subscribe),
+    /// Publish values
+    Publish(publish::Publish),
     /// Create a key pair for encrypted connections
     Keys(keys::Keys),
     /// Create a page and tables from recorded runs of scripts
@@ -157,6 +165,8 @@ fn main() -> ExitCode {
         Command::Describe(describe) => describe.run(),
         Command::Ps(ps) => ps.run(),
         Command::Abort(abort) => abort.run(),
+        Command::Subscribe(subscribe) => subscribe.run(),
+        Command::Publish(publish) => publish.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
         Command::Completions(completions) => completions.run(&mut Cli::command()),

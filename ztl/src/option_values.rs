@@ -1,6 +1,7 @@
 //! Parses values of options and arguments.
 
 use std::fmt;
+use std::time::Duration;
 
 use ztl_core::integer::Integer;
 use ztl_core::repr::put_quoted;
@@ -28,6 +29,12 @@ pub(crate) fn port(text: &str) -> Result<u16, &'static str> {
 /// The port of a server to connect to. A wider type, since the original's tools accept any number.
 pub(crate) fn port_to_reach(text: &str) -> Result<i64, &'static str> {
     port(text).map(i64::from)
+}
+
+/// A time with its unit.
+pub(crate) fn duration(text: &str) -> Result<Duration, &'static str> {
+    humantime::parse_duration(text)
+        .map_err(|_| "expected a number with a unit, such as 500ms, 2s or 1m")
 }
 
 /// A time in seconds.

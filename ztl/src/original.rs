@@ -24,8 +24,8 @@ const TOOLS: [(&str, &[&str]); 8] = [
     ),
     ("simple-server", &[]),
     ("simple-client", &[]),
-    ("simple-publisher", &[]),
-    ("simple-subscriber", &[]),
+    ("simple-publisher", &["port", "scope", "help"]),
+    ("simple-subscriber", &["remote", "port", "scope", "help"]),
     (
         "remote-task",
         &["timeout", "config", "publisher", "task", "help"],
@@ -360,9 +360,9 @@ mod tests {
         sorts(
             "simple-publisher",
             &["-p", "1", "x"],
+            &["--port=1"],
             &[],
-            &["-p", "1", "x"],
-            &[],
+            &["x"],
         );
     }
 }

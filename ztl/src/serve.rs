@@ -105,7 +105,7 @@ impl Serve {
             let (bind, port) = (&place.bind, place.port);
             let served = served(&config);
             return place
-                .check(None)
+                .check()
                 .tell(format_args!("{verdict}: {served}, at {bind}:{port}."));
         }
         log::init_as(place.log, place.log_format);
@@ -160,6 +160,10 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
     };
     for (scope, handler) in config.handlers(&processes)? {
         server.register_handler(&scope, handler);
+    }
+    if let Some(endpoint) = place.publish_endpoint() {
+        let endpoint = server.publish_events(&endpoint)?;
+        line(format_args!("Publishing events of tasks at {endpoint}."));
     }
     line(format_args!(
         "Serving {} at {}. Reachable for {who}.",

@@ -1,7 +1,6 @@
 //! The original's eight command-line tools, as subcommands of this one. `original` parses their options when they
 //! are called by the original's names.
 
-use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -10,7 +9,10 @@ use crate::called::Called;
 use crate::exit::{Done, exit};
 use crate::option_values::{InvalidTask, whole};
 use crate::terminal::{error_line, line};
-use crate::{remote_task, run_script, simple_client, simple_server, task_client, task_server};
+use crate::{
+    remote_task, run_script, simple_client, simple_publisher, simple_server, simple_subscriber,
+    task_client, task_server,
+};
 
 /// The original's tools by the names of this command.
 #[derive(Debug, Subcommand)]
@@ -28,21 +30,15 @@ pub(crate) enum Tool {
     SimpleServer(simple_server::SimpleServer),
     /// Start a task with any payload, and wait 5 s for it
     SimpleClient(simple_client::SimpleClient),
-    #[command(hide = true)]
-    SimplePublisher(NotYet),
-    #[command(hide = true)]
-    SimpleSubscriber(NotYet),
+    /// The original's test publisher: a counter, once a second
+    #[command(args_override_self = true)]
+    SimplePublisher(simple_publisher::SimplePublisher),
+    /// The original's test subscriber: shows what a publisher publishes
+    #[command(args_override_self = true)]
+    SimpleSubscriber(simple_subscriber::SimpleSubscriber),
     /// Play the scenes of a script, one key each
     #[command(args_override_self = true)]
     RunScript(run_script::RunScript),
-}
-
-/// A tool that does not exist yet. Accepts any arguments.
-#[derive(Debug, clap::Args)]
-#[command(disable_help_flag = true)]
-pub(crate) struct NotYet {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    _ignored: Vec<OsString>,
 }
 
 /// The command line with only the tools.
@@ -70,9 +66,8 @@ impl Tool {
             Self::SimpleServer(server) => server.run(),
             Self::SimpleClient(client) => client.run(called),
             Self::RunScript(script) => script.run(called),
-            Self::SimplePublisher(_) | Self::SimpleSubscriber(_) => Err(
-                "this tool does not exist yet; the original's works with this server and gateway: pip install ztl".into(),
-            ),
+            Self::SimplePublisher(publisher) => publisher.run(),
+            Self::SimpleSubscriber(subscriber) => subscriber.run(),
         };
         match done {
             Err(error) if error.is::<InvalidTask>() => {

@@ -7,7 +7,7 @@ use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
 
 use crate::journal_options::JournalOptions;
 use crate::listen_options::{ConfigError, ListenOptions, ListenPlace};
-use crate::option_values::{port, scope_to_serve};
+use crate::option_values::scope_to_serve;
 
 #[derive(Debug, Clone, clap::Args)]
 #[command(
@@ -33,10 +33,6 @@ pub(crate) struct Gateway {
 
     #[command(flatten)]
     listen: ListenOptions,
-
-    /// Publish the devices' readings at this port for ZeroMQ subscribers
-    #[arg(long, value_name = "PORT", value_parser = port)]
-    publish: Option<u16>,
 
     /// When stopped, leave running tasks alone instead of aborting them
     #[arg(long)]
@@ -102,7 +98,6 @@ pub(super) struct Plan {
     pub(super) scope: String,
     pub(super) place: ListenPlace,
     pub(super) leave_running: bool,
-    pub(super) publish: Option<u16>,
     pub(super) devices: Vec<DeviceConfig>,
     pub(super) journal: JournalOptions,
 }
@@ -155,19 +150,10 @@ impl Gateway {
         let place = self.listen.with(config.listen)?;
         let place = place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?;
         let scope = self.scope.or(config.scope);
-        let publish = self.publish.or(config.publish);
-        if publish == Some(place.port) && place.port != 0 {
-            let mistake = format!(
-                "port {} is for tasks; publish readings at another port",
-                place.port
-            );
-            return Err(ConfigError::Whole(mistake));
-        }
         Ok(Plan {
             place,
             scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
             leave_running: self.leave_running,
-            publish,
             devices,
             journal: self.journal.or(config.journal),
         })

@@ -71,7 +71,7 @@ impl Reload {
             ("scope", now.scope != then.scope),
             ("port", now.place.port != then.place.port),
             ("bind", now.place.bind != then.place.bind),
-            ("publish", now.publish != then.publish),
+            ("publish", now.place.publish != then.place.publish),
             ("journal", now.journal != then.journal),
             ("log-format", now.place.log_format != then.place.log_format),
         ];
