@@ -144,6 +144,20 @@ fn each_command_exits_with_the_documented_codes() {
             0,
             "simple-client",
         ),
+        ("publish -p TAKEN /x 1", 1, "publish"),
+        ("publish -p 0 /x [1", 2, "publish"),
+        ("simple-publisher -p TAKEN -s /x", 1, "simple-publisher"),
+        (
+            "simple-subscriber -r ipc:///x -p TESTS -s /x",
+            1,
+            "simple-subscriber",
+        ),
+        (
+            "subscribe tcp://localhost:NOBODY -n 1 -t 100ms",
+            1,
+            "subscribe",
+        ),
+        ("subscribe nobody", 2, "subscribe"),
     ] {
         let words = line.split(' ').map(|word| {
             let value = |(name, value): (&&str, &u16)| {

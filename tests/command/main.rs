@@ -8,4 +8,5 @@ mod examples;
 mod exit_codes;
 mod options;
 mod output;
+mod streams;
 mod watching;

@@ -480,25 +480,3 @@ fn options_set_the_servers_limits() {
         "{ended:?}"
     );
 }
-
-#[test]
-fn an_unimplemented_tool_says_so_under_each_name() {
-    let scratch = Scratch::new();
-    for tool in ["simple_publisher", "simple_subscriber"] {
-        let mut plain = ztl();
-        plain.arg(tool.replace('_', "-"));
-        for mut command in [
-            ours_named(&scratch, &format!("ztl_{tool}")),
-            ours_named(&scratch, &format!("{tool}.py")),
-            plain,
-        ] {
-            command.args(["-p", "1", "-s", SCOPE, "--verbose", "x"]);
-            let ended = Process::run(&mut command);
-            assert_eq!(ended.code, Some(1), "{command:?}: {ended:?}");
-            assert_eq!(ended.stdout, "");
-            let line = ended.stderr.trim_end();
-            assert!(line.contains("this tool does not exist yet"), "{line}");
-            assert_eq!(line.lines().count(), 1, "{line}");
-        }
-    }
-}

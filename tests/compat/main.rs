@@ -9,6 +9,7 @@ mod original_suite;
 mod peers;
 mod pickles;
 mod simple_tools;
+mod streams;
 mod task_client;
 
 use ztl_tests::lab::{ClientOutput, PATIENCE, Process, Server};

@@ -37,19 +37,27 @@ public final class Peer {
     }
 
     static String unhex(String word) {
+        return new String(bytes(word), StandardCharsets.UTF_8);
+    }
+
+    static byte[] bytes(String word) {
         byte[] bytes = new byte[word.length() / 2];
         for (int i = 0; i < bytes.length; i++) {
             bytes[i] = (byte) Integer.parseInt(word.substring(2 * i, 2 * i + 2), 16);
         }
-        return new String(bytes, StandardCharsets.UTF_8);
+        return bytes;
+    }
+
+    static String hex(byte[] bytes) {
+        StringBuilder word = new StringBuilder();
+        for (byte b : bytes) {
+            word.append(String.format("%02x", b));
+        }
+        return word.toString();
     }
 
     static void tell(long number, String text) {
-        StringBuilder line = new StringBuilder(number + " ");
-        for (byte b : text.getBytes(StandardCharsets.UTF_8)) {
-            line.append(String.format("%02x", b));
-        }
-        System.out.println(line);
+        System.out.println(number + " " + hex(text.getBytes(StandardCharsets.UTF_8)));
     }
 
     static Message ask(ZMQ.Socket socket, String scope, int code, long id, String payload) {
@@ -155,11 +163,41 @@ public final class Peer {
         }
     }
 
+    static void publisher(ZMQ.Context context, String port) throws Exception {
+        ZMQ.Socket socket = context.socket(ZMQ.PUB);
+        socket.bind("tcp://*:" + port);
+        System.out.println("ready");
+        BufferedReader in = new BufferedReader(new InputStreamReader(System.in, StandardCharsets.UTF_8));
+        for (String line = in.readLine(); line != null; line = in.readLine()) {
+            String[] frames = line.split(" ", -1);
+            for (int i = 0; i < frames.length; i++) {
+                socket.send(bytes(frames[i]), i + 1 < frames.length ? ZMQ.SNDMORE : 0);
+            }
+        }
+    }
+
+    static void subscriber(ZMQ.Context context, String port, String topic) {
+        ZMQ.Socket socket = context.socket(ZMQ.SUB);
+        socket.connect("tcp://127.0.0.1:" + port);
+        socket.subscribe(topic.getBytes(StandardCharsets.UTF_8));
+        while (true) {
+            StringBuilder line = new StringBuilder(hex(socket.recv(0)));
+            while (socket.hasReceiveMore()) {
+                line.append(" ").append(hex(socket.recv(0)));
+            }
+            System.out.println(line);
+        }
+    }
+
     public static void main(String[] words) throws Exception {
         ZMQ.Context context = ZMQ.context(1);
         List<String> rest = Arrays.asList(words).subList(1, words.length);
         if (words[0].equals("client")) {
             client(context, rest.get(0), rest.get(1), rest.get(2));
+        } else if (words[0].equals("publisher")) {
+            publisher(context, rest.get(0));
+        } else if (words[0].equals("subscriber")) {
+            subscriber(context, rest.get(0), rest.get(1));
         } else {
             server(context, rest.get(1), rest.get(3));
         }

@@ -4,7 +4,7 @@ import { createRequire } from "node:module"
 import { createInterface } from "node:readline"
 import { setTimeout as sleep } from "node:timers/promises"
 
-const { Reply, Request } = createRequire(`${process.env.ZTL_CLIENTS}/`)("zeromq")
+const { Publisher, Reply, Request, Subscriber } = createRequire(`${process.env.ZTL_CLIENTS}/`)("zeromq")
 
 const ACCEPTED = 1, REJECTED = 2, FAILED = 3, COMPLETED = 5
 const hex = (text) => Buffer.from(text).toString("hex")
@@ -79,5 +79,25 @@ async function server(port, ownScope) {
   }
 }
 
+async function publisher(port) {
+  const socket = new Publisher()
+  await socket.bind(`tcp://*:${port}`)
+  console.log("ready")
+  for await (const line of createInterface({ input: process.stdin })) {
+    await socket.send(line.split(" ").map((word) => Buffer.from(word, "hex")))
+  }
+}
+
+async function subscriber(port, topic) {
+  const socket = new Subscriber()
+  socket.connect(`tcp://127.0.0.1:${port}`)
+  socket.subscribe(topic)
+  for await (const frames of socket) {
+    console.log(frames.map((frame) => frame.toString("hex")).join(" "))
+  }
+}
+
 const [role, ...words] = process.argv.slice(2)
-await (role === "client" ? client(...words) : server(words[1], words[3]))
+if (role === "client") await client(...words)
+else if (role === "server") await server(words[1], words[3])
+else await (role === "publisher" ? publisher : subscriber)(...words)

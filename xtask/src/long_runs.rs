@@ -60,8 +60,8 @@ impl Soak {
 }
 
 /// Parts of the benchmark that can be run alone: the cycles of a microcontroller, and parts of the server comparison.
-pub(crate) const PARTS: [&str; 8] = [
-    "firmware", "rates", "most", "cpu", "core", "goal", "end", "idle",
+pub(crate) const PARTS: [&str; 9] = [
+    "firmware", "rates", "most", "cpu", "core", "goal", "end", "idle", "streams",
 ];
 
 /// `cargo xtask bench`: compares figures within one run; never passes or fails by time.

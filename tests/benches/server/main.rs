@@ -21,6 +21,7 @@ mod latency;
 mod load;
 mod numbers;
 mod plain;
+mod streams;
 
 use std::time::Duration;
 
@@ -42,7 +43,7 @@ const INIT: &str = "/test;1;-1;dGVzdDplY2hvOmhp";
 type Part = fn(&Bench);
 
 /// The available measurements, by name.
-const PARTS: [(&str, Part); 8] = [
+const PARTS: [(&str, Part); 9] = [
     ("rates", rates),
     ("most", alone::most),
     ("cpu", alone::cpu_per_request),
@@ -50,6 +51,7 @@ const PARTS: [(&str, Part); 8] = [
     ("goal", latency::goal_to_result),
     ("end", latency::end_to_known),
     ("idle", alone::idle),
+    ("streams", streams::streams),
     ("connections", connections::many),
 ];
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::{OriginalClient, SCOPE, Server, installed, python};
+use super::{OriginalClient, Process, SCOPE, Server, installed, python, reserve_port};
 
 /// The name of the Python 2.7 that has the packages.
 const PYTHON27: &str = "python2.7";
@@ -64,6 +64,42 @@ impl Peer {
             command.args(["-p", port, "-s", SCOPE]);
             command
         })
+    }
+
+    /// Those that publish and subscribe here.
+    pub fn publishers_here() -> Vec<Self> {
+        let mut here = Self::here();
+        // It has only the sockets of tasks.
+        here.retain(|peer| *peer != Self::OldLibzmq);
+        here
+    }
+
+    /// Its publisher. It sends a message for each line of its input: the frames in hexadecimal.
+    #[track_caller]
+    pub fn publisher(self) -> (Process, u16) {
+        loop {
+            let port = reserve_port();
+            let mut command = self.stream_command("publisher");
+            let process = Process::start(command.arg(port.to_string()));
+            if process.wait_for_unless_taken("ready").is_some() {
+                return (process, port);
+            }
+        }
+    }
+
+    /// Its subscriber. It prints each message: the frames in hexadecimal.
+    pub fn subscriber(self, port: u16, topic: &str) -> Process {
+        let mut command = self.stream_command("subscriber");
+        Process::start(command.args([&port.to_string(), topic]))
+    }
+
+    fn stream_command(self, role: &str) -> Command {
+        let mut command = self.command();
+        if self == Self::Python27 {
+            command.arg(source("streams.py"));
+        }
+        command.arg(role);
+        command
     }
 
     fn command(self) -> Command {

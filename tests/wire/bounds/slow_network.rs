@@ -12,12 +12,12 @@ use std::time::{Duration, Instant};
 use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 use ztl_std::RemoteTask;
 use ztl_std::keys::KeyPair;
-use ztl_tests::lab::{PATIENCE, busy, until};
+use ztl_tests::lab::{Keys, PATIENCE, busy, until};
 use ztl_zmtp::session::{Inbound, Outbound, Security};
 use ztl_zmtp::{Dealer, curve};
 
 use super::crowd::is_closed;
-use super::{Keys, Kind, Subject, is_served};
+use super::{Kind, Subject, is_served};
 
 /// How long bytes take in each direction.
 const DELAY: Duration = Duration::from_millis(50);
@@ -212,7 +212,7 @@ fn is_served_soon(subject: &Subject, kind: &str, says: &[u8], client: impl Fn(&s
 fn a_slow_client_with_a_key_is_served_beside_strangers() {
     let _one = busy();
     let keys = Keys::make(&["robot", "anna"]);
-    let (robot, anna) = (keys.file("robot.key_secret"), keys.file("anna.key"));
+    let (robot, anna) = (keys.path("robot.key_secret"), keys.path("anna.key"));
     let few = ["--limit", "connections=50"];
     let options = [&["--key", &robot, "--client-key", &anna][..], &few].concat();
     let subject = Subject::start(Kind::Serve, None, &options);
