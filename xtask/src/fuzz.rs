@@ -104,7 +104,7 @@ fn machine_has_stalled(
     if inputs.is_empty() || !inputs.iter().all(is_timeout) {
         return Ok(false);
     }
-    Ok(succeeds(cmd!(sh, "{program} -timeout=5 {inputs...}")))
+    Ok(succeeds(cmd!(sh, "{program} -timeout=1 {inputs...}")))
 }
 
 /// Cargo for the targets. With `--target`, the flags do not reach build scripts and macros.
