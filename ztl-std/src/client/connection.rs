@@ -285,14 +285,21 @@ impl Connection {
         envelope: Envelope,
         asked: &[u8],
     ) -> Result<ClientReply, Unanswered> {
-        if self.ready(wanted, socket, Wait::ToSend)? != Ready::Yes {
-            return Err(Unanswered::from(RequestError::NotConnected {
-                endpoint: self.endpoint.clone(),
-                waited: start.elapsed(),
-                obstacle: socket.obstacle(),
-            }));
+        loop {
+            if self.ready(wanted, socket, Wait::ToSend)? != Ready::Yes {
+                return Err(Unanswered::from(RequestError::NotConnected {
+                    endpoint: self.endpoint.clone(),
+                    waited: start.elapsed(),
+                    obstacle: socket.obstacle(),
+                }));
+            }
+            match socket.send(envelope, asked) {
+                Ok(()) => break,
+                // libzmq has lost the connection meanwhile, and has taken nothing.
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) => return Err(error.into()),
+            }
         }
-        socket.send(envelope, asked)?;
         loop {
             match self.ready(wanted, socket, Wait::ForAnswer)? {
                 Ready::Yes => {}
