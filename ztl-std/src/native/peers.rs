@@ -52,8 +52,7 @@ pub(crate) struct Rules {
     pub(crate) security: Security,
     /// Longest message in bytes.
     pub(crate) message: usize,
-    /// Most connections. Those that have not finished the handshake can have all places that are free, and a fifth of all
-    /// at least.
+    /// Most connections; [`Places`] says who gets them.
     pub(crate) connections: usize,
     /// Longest time for the handshake.
     pub(crate) handshake: Duration,

@@ -1,7 +1,7 @@
 //! Accepts connections, and makes room for them.
 
 use std::collections::VecDeque;
-use std::io;
+use std::io::{self, Read as _};
 use std::net::IpAddr;
 use std::time::Duration;
 
@@ -16,23 +16,28 @@ use super::{CHECK, Peers};
 use crate::log_targets::TASKS;
 use crate::native::sockets::Stream;
 
-/// How many connections are accepted in a round, so that known clients do not wait for many.
-const ACCEPTED: usize = 8;
-/// How long no connection is accepted after one was turned away.
-const CROWDED: Duration = Duration::from_micros(2500);
+/// What a round spends on new connections, so that known clients do not wait for many; and what one costs, open or closed
+/// again.
+const SPENT: u32 = 64;
+const OPEN: u32 = 8;
+const GONE: u32 = 1;
+/// How long no connection is accepted for each that was turned away.
+const CROWDED: Duration = Duration::from_micros(625);
 /// How long no connection is accepted after the system had no file for one.
 const PAUSE: Duration = Duration::from_millis(100);
+
 impl<S: Served> Peers<S> {
-    /// Accepts connections. While some are turned away, others wait in the system's queue for a moment, so that those
-    /// that come again at once do not keep the server busy.
+    /// Accepts connections. While some are turned away, others wait in the system's queue, so that those that come again at
+    /// once neither keep the server busy nor have a better chance.
     pub(super) fn accept(&mut self, now: Instant) {
         self.accept_again = None;
-        let mut is_crowded = false;
-        for _ in 0..ACCEPTED {
-            let (stream, address) = match self.listener.accept() {
+        let mut pause = Duration::ZERO;
+        let mut left = SPENT;
+        while left > 0 {
+            let (mut stream, address) = match self.listener.accept() {
                 Ok(accepted) => accepted,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    self.accept_again = is_crowded.then(|| now + CROWDED);
+                    self.accept_again = (!pause.is_zero()).then(|| now + pause);
                     return;
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
@@ -51,8 +56,13 @@ impl<S: Served> Peers<S> {
             match self.places.room(now, address, has_unread) {
                 Room::Free => {}
                 Room::InsteadOf(id) => self.close(id.slot, Some("others wait to connect")),
+                Room::None if is_gone(&mut stream, &mut self.piece) => {
+                    left = left.saturating_sub(GONE);
+                    continue;
+                }
                 Room::None => {
-                    is_crowded = true;
+                    pause += CROWDED;
+                    left = left.saturating_sub(OPEN);
                     let most = self.rules.connections;
                     if self.lines.take(now) {
                         warn!(target: TASKS, "The connection of {address} is rejected: of {most} places, none is free for it.");
@@ -60,12 +70,12 @@ impl<S: Served> Peers<S> {
                     continue;
                 }
             }
+            left = left.saturating_sub(OPEN);
             if let Err(error) = self.add(now, stream, address) {
                 debug!(target: TASKS, "a connection was not accepted: {error}");
             }
         }
         // The next ones after those that are connected.
-        let pause = if is_crowded { CROWDED } else { Duration::ZERO };
         self.accept_again = Some(now + pause);
     }
 
@@ -111,4 +121,17 @@ impl<S: Served> Peers<S> {
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
     }
+}
+
+/// Whether the other end has closed a connection that gets no place. Reads what it sent.
+fn is_gone(stream: &mut Stream, piece: &mut [u8]) -> bool {
+    // The end may follow the first bytes.
+    for _ in 0..2 {
+        match stream.read(piece) {
+            Ok(0) => return true,
+            Ok(_) => {}
+            Err(error) => return error.kind() != io::ErrorKind::WouldBlock,
+        }
+    }
+    false
 }

@@ -8,12 +8,12 @@
 //! 1. *The addresses with the most strangers pay.* A newcomer takes a place of its own address if that has half of all
 //!    places, else of an address that has at least half as many strangers as the one that has most. So a crowd from a few
 //!    addresses never costs another address its only place.
-//! 2. *Of those that pay, who takes longer than [`STEP`] for a step of the handshake makes room first; else the older half
-//!    stay.* Without this, a slow client would never finish beside a crowd that comes fast enough. With it, its chance falls
-//!    only in proportion to the crowd.
-//! 3. *Of the younger half, after [`GRACE`], those make room that are at the step where most are*, the youngest first, but not
-//!    the last one there. So strangers that send nothing displace each other, and nobody who greets; those that only greet,
-//!    nobody who opened a handshake; and those that open a handshake at once, nobody who has not come so far yet.
+//! 2. *Of those that pay, who takes longer than [`Patience::most`] for a step of the handshake makes room first; else the
+//!    older half stay.* Without this, a slow client would never finish beside a crowd that comes fast enough. With it, its
+//!    chance falls only in proportion to the crowd.
+//! 3. *Of the younger half, after [`Patience::least`], those make room that are at the step where most are*, the youngest
+//!    first, but not the last one there. So strangers that send nothing displace each other, and nobody who greets; those that
+//!    only greet, nobody who opened a handshake; and those that open a handshake at once, nobody who has not come so far yet.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -24,11 +24,28 @@ use ztl_zmtp::session::Stage;
 
 use super::peer::PeerId;
 
-/// How long a stranger has at least, even if others wait. Clients nearby finish their handshake in this time.
-const GRACE: Duration = Duration::from_millis(20);
+/// How long a stranger keeps its place, if others wait.
+struct Patience {
+    /// At least so long after it came.
+    least: Duration,
+    /// At most so long at its stage.
+    most: Duration,
+}
 
-/// How long a stranger may take to its next stage, if others wait. A stage takes a round trip at most.
-const STEP: Duration = Duration::from_millis(200);
+/// Until the first bytes, which take no round trip; but what stands between client and server may delay them.
+const SILENT: Patience = Patience {
+    least: Duration::from_millis(5),
+    most: Duration::from_millis(100),
+};
+
+/// Then a stage takes a round trip at most. Clients nearby finish their handshake in the least time.
+const TALKING: Patience = Patience {
+    least: Duration::from_millis(20),
+    most: Duration::from_millis(200),
+};
+
+/// Most strangers. Each may take a moment of the processor, and who comes last waits for all of them.
+const HANDSHAKES: usize = 512;
 
 /// The places of a server's connections.
 #[derive(Debug)]
@@ -49,6 +66,15 @@ struct Stranger {
     came: Instant,
     /// When it reached its stage.
     advanced: Instant,
+}
+
+impl Stranger {
+    const fn patience(&self) -> Patience {
+        match self.stage {
+            Stage::Silent => SILENT,
+            Stage::Greeted | Stage::Opened => TALKING,
+        }
+    }
 }
 
 /// Whether a newcomer gets a place.
@@ -95,23 +121,36 @@ impl Places {
         let paying = paying.filter(|(of, all)| pays(of, all.len()));
         let paying = paying.map(|(_, all)| all.values());
         // Each address has its oldest first, so that a large crowd costs little time.
-        let is_stuck = |one: &&Stranger| one.advanced + STEP <= now && !has_unread(one.id);
+        let is_stuck =
+            |one: &&Stranger| one.advanced + one.patience().most <= now && !has_unread(one.id);
         let stuck = paying.clone().filter_map(|mut all| all.find(is_stuck));
         if let Some(oldest) = stuck.min_by_key(|one| one.id.number) {
             return Room::InsteadOf(oldest.id);
         }
-        let mut paying: Vec<_> = paying.flatten().collect();
-        paying.sort_unstable_by_key(|one| one.id.number);
-        let (_, younger) = paying.split_at(paying.len() / 2);
-        let young = younger.iter().rev().filter(|one| one.came + GRACE <= now);
-        let at = |stage| young.clone().filter(|one| one.stage == stage).count();
+        let mut numbers: Vec<u64> = paying.clone().flatten().map(|one| one.id.number).collect();
+        let half = numbers.len() / 2;
+        let Some((_, &mut half, _)) =
+            (half < numbers.len()).then(|| numbers.select_nth_unstable(half))
+        else {
+            return Room::None;
+        };
+        let is_young =
+            |one: &&Stranger| one.id.number >= half && one.came + one.patience().least <= now;
+        let young = paying.flatten().filter(is_young);
         // The earliest of those where as many are.
         let stages = [Stage::Opened, Stage::Greeted, Stage::Silent];
-        let crowded = stages.into_iter().max_by_key(|stage| at(*stage));
-        let crowded = crowded.filter(|stage| at(*stage) > 1);
-        let mut young = young.clone().filter(|one| Some(one.stage) == crowded);
-        let found = young.find(|one| !has_unread(one.id));
-        found.map_or(Room::None, |one| Room::InsteadOf(one.id))
+        let mut crowds = stages.map(|stage| (0, stage));
+        for one in young.clone() {
+            for (count, stage) in &mut crowds {
+                *count += usize::from(*stage == one.stage);
+            }
+        }
+        let crowded = crowds.into_iter().max_by_key(|(count, _)| *count);
+        let crowded = crowded.filter(|(count, _)| *count > 1);
+        let crowded = crowded.map(|(_, stage)| stage);
+        let makes_room = |one: &&Stranger| Some(one.stage) == crowded && !has_unread(one.id);
+        let youngest = young.filter(makes_room).max_by_key(|one| one.id.number);
+        youngest.map_or(Room::None, |one| Room::InsteadOf(one.id))
     }
 
     /// A stranger has come.
@@ -164,7 +203,7 @@ impl Places {
     /// How many strangers there may be.
     fn most_strangers(&self) -> usize {
         let free = self.connections.saturating_sub(self.known);
-        free.max(self.connections / 5).max(4)
+        free.max(self.connections / 5).clamp(4, HANDSHAKES)
     }
 }
 

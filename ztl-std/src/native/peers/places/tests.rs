@@ -34,47 +34,47 @@ fn the_address_with_the_most_strangers_pays() {
     let mut places = Places::new(20);
     come(&mut places, 1, 0..9);
     come(&mut places, 2, 9..10);
-    assert_eq!(room(&places, 100, 1), Room::Free);
+    assert_eq!(room(&places, 50, 1), Room::Free);
     come(&mut places, 1, 10..11);
     // Half of all are of one address, which pays for its own newcomers.
-    assert_eq!(room(&places, 100, 1), Room::InsteadOf(id(10)));
-    assert_eq!(room(&places, 100, 3), Room::Free);
+    assert_eq!(room(&places, 50, 1), Room::InsteadOf(id(10)));
+    assert_eq!(room(&places, 50, 3), Room::Free);
     come(&mut places, 3, 11..20);
     // Also for those of others when all places are taken. Two addresses have most, and the last to come was of the other.
     for last in [2, 3, 4] {
-        assert_eq!(room(&places, 100, last), Room::InsteadOf(id(19)));
+        assert_eq!(room(&places, 50, last), Room::InsteadOf(id(19)));
     }
     for number in 11..16 {
         places.remove_stranger(id(number), address(3));
     }
     come(&mut places, 4, 20..25);
-    assert_eq!(room(&places, 100, 5), Room::InsteadOf(id(24)));
+    assert_eq!(room(&places, 50, 5), Room::InsteadOf(id(24)));
     for number in 20..22 {
         places.remove_stranger(id(number), address(4));
     }
     come(&mut places, 5, 25..27);
     // Only those of the first address have more than twice as many as the others.
-    assert_eq!(room(&places, 100, 6), Room::InsteadOf(id(10)));
+    assert_eq!(room(&places, 50, 6), Room::InsteadOf(id(10)));
 }
 
 #[test]
 fn the_older_half_stays_while_its_handshakes_go_on() {
     let mut places = Places::new(16);
     come(&mut places, 1, 0..8);
-    assert_eq!(room(&places, 199, 1), Room::InsteadOf(id(7)));
-    assert_eq!(room(&places, 200, 1), Room::InsteadOf(id(0)));
-    places.advance(at(199), id(0), address(1), Stage::Greeted);
-    assert_eq!(room(&places, 200, 1), Room::InsteadOf(id(7)));
-    assert_eq!(room(&places, 201, 1), Room::InsteadOf(id(1)));
+    assert_eq!(room(&places, 99, 1), Room::InsteadOf(id(7)));
+    assert_eq!(room(&places, 100, 1), Room::InsteadOf(id(0)));
+    places.advance(at(99), id(0), address(1), Stage::Greeted);
+    assert_eq!(room(&places, 100, 1), Room::InsteadOf(id(7)));
+    assert_eq!(room(&places, 101, 1), Room::InsteadOf(id(1)));
     // Bytes that go no further do not count.
-    places.advance(at(300), id(0), address(1), Stage::Greeted);
+    places.advance(at(200), id(0), address(1), Stage::Greeted);
     for number in 1..4 {
-        places.advance(at(300), id(number), address(1), Stage::Greeted);
+        places.advance(at(200), id(number), address(1), Stage::Greeted);
     }
-    assert_eq!(room(&places, 399, 1), Room::InsteadOf(id(0)));
-    places.advance(at(398), id(0), address(1), Stage::Opened);
+    assert_eq!(room(&places, 299, 1), Room::InsteadOf(id(0)));
+    places.advance(at(298), id(0), address(1), Stage::Opened);
     // Of the younger half, too.
-    assert_eq!(room(&places, 399, 1), Room::InsteadOf(id(4)));
+    assert_eq!(room(&places, 299, 1), Room::InsteadOf(id(4)));
 }
 
 #[test]
@@ -85,27 +85,33 @@ fn of_the_younger_half_the_fullest_stage_makes_room() {
         places.advance(at(10), id(number), address(1), Stage::Greeted);
     }
     // As many have greeted as not.
-    assert_eq!(room(&places, 100, 1), Room::InsteadOf(id(6)));
+    assert_eq!(room(&places, 50, 1), Room::InsteadOf(id(6)));
     places.advance(at(11), id(6), address(1), Stage::Greeted);
-    assert_eq!(room(&places, 100, 1), Room::InsteadOf(id(7)));
+    assert_eq!(room(&places, 50, 1), Room::InsteadOf(id(7)));
     for number in [5, 6, 7] {
         places.advance(at(12), id(number), address(1), Stage::Opened);
     }
-    assert_eq!(room(&places, 100, 1), Room::InsteadOf(id(7)));
+    assert_eq!(room(&places, 50, 1), Room::InsteadOf(id(7)));
 }
 
 #[test]
-fn each_has_its_grace_and_who_has_unread_bytes_stays() {
+fn each_has_its_time_and_who_has_unread_bytes_stays() {
     let mut places = Places::new(16);
     come(&mut places, 1, 0..8);
-    assert_eq!(room(&places, 23, 1), Room::None);
+    assert_eq!(room(&places, 8, 1), Room::None);
     // The last one at its stage stays.
+    assert_eq!(room(&places, 9, 1), Room::None);
+    assert_eq!(room(&places, 10, 1), Room::InsteadOf(id(5)));
+    assert_eq!(room(&places, 11, 1), Room::InsteadOf(id(6)));
+    let has_unread = |one: PeerId| one.number >= 6;
+    let found = places.room(at(50), address(1), has_unread);
+    assert_eq!(found, Room::InsteadOf(id(5)));
+    // Who has greeted has more time.
+    for number in 0..8 {
+        places.advance(at(8), id(number), address(1), Stage::Greeted);
+    }
     assert_eq!(room(&places, 24, 1), Room::None);
     assert_eq!(room(&places, 25, 1), Room::InsteadOf(id(5)));
-    assert_eq!(room(&places, 26, 1), Room::InsteadOf(id(6)));
-    let unread = |one: PeerId| one.number >= 6;
-    let room = places.room(at(100), address(1), unread);
-    assert_eq!(room, Room::InsteadOf(id(5)));
 }
 
 #[test]
