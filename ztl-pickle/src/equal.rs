@@ -129,7 +129,7 @@ fn chains(a: &Graph, one: Ref, b: &Graph, two: Ref) -> Option<(Chain, Chain)> {
                 data: data2,
             },
         ) => {
-            let data = |graph, data| crate::globals::data_of(graph, data).map(<[u8]>::to_vec);
+            let data = |graph, data| crate::calls::data_of(graph, data).map(<[u8]>::to_vec);
             same([(dtype1, dtype2), (Ref::NONE, Ref::NONE)]) && data(a, data1) == data(b, data2)
         }
         (Node::Date { state: one }, Node::Date { state: two }) => a.state::<4>(one) == b.state(two),

@@ -36,7 +36,36 @@ impl Display for JsonError {
 
 impl std::error::Error for JsonError {}
 
-pub(crate) fn to_json(value: Value<'_>, most: usize) -> Result<String, JsonError> {
+impl Value<'_> {
+    /// Its JSON, of at most this many bytes.
+    ///
+    /// | Python | JSON |
+    /// |---|---|
+    /// | `list`, `tuple`, `set`, `frozenset`, array | array; an array of numpy without dimensions is its element |
+    /// | `dict`, `OrderedDict` | object; a key that is no `str` is written as by `repr`, so that two may look equal |
+    /// | `int` | number with all digits; above 4300 digits a hexadecimal string |
+    /// | `nan`, infinity | `"NaN"`, `"Infinity"`, `"-Infinity"` |
+    /// | `bytes`, `bytearray` | `{"base64": "..."}` |
+    /// | `complex` of numpy | `[real, imaginary]` |
+    /// | `date`, `time`, `datetime` | string of RFC 3339, without zone if it has none |
+    /// | `timedelta`, `timezone` | seconds; of a zone, its offset |
+    /// | `dtype` | its name |
+    ///
+    /// ```
+    /// # use ztl_pickle::Pickle;
+    /// let pickle = Pickle::dict([("pose", Pickle::list([1.5, f64::NAN])?)])?;
+    /// assert_eq!(pickle.value().to_json(100).unwrap(), r#"{"pose": [1.5, "NaN"]}"#);
+    /// # Ok::<(), ztl_pickle::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`JsonError`] if it contains itself, or the JSON would be longer.
+    pub fn to_json(self, most: usize) -> Result<String, JsonError> {
+        to_json(self, most)
+    }
+}
+
+fn to_json(value: Value<'_>, most: usize) -> Result<String, JsonError> {
     let mut text = String::new();
     let mut out = Limited {
         out: &mut text,

@@ -3,9 +3,9 @@
 use std::hash::{BuildHasher, DefaultHasher, Hasher, RandomState};
 use std::sync::LazyLock;
 
+use crate::calls::data_of;
 use crate::chunks::Chunks;
 use crate::dtype::{DType, Element};
-use crate::globals::data_of;
 use crate::graph::{Graph, Node, Ref, Rest};
 use crate::limits::Account;
 use crate::{Error, integer, time};

@@ -21,12 +21,13 @@
 //! are nodes of a graph: nothing recurses, and the memory that a pickle takes is counted.
 
 mod array;
+mod calls;
 mod chunks;
 mod dtype;
 mod equal;
 mod error;
 mod finish;
-mod globals;
+mod global;
 mod graph;
 mod input;
 mod integer;

@@ -4,7 +4,7 @@ use crate::dtype::DType;
 use crate::finish::finish;
 use crate::graph::{Chain, Graph, Node, Ref, Span};
 use crate::limits::Account;
-use crate::{Error, Limits, Pickle, globals};
+use crate::{Error, Limits, Pickle, calls};
 
 /// Nothing is limited but by the indices.
 const LIMITS: Limits = Limits {
@@ -106,7 +106,7 @@ impl Pickle {
         let dtype = graph.add(Node::DType(dtype), account)?;
         let data = graph.keep(data, account)?;
         let data = graph.add(Node::Bytes(data), account)?;
-        let array = globals::array(&graph, dtype, shape, false, data)?;
+        let array = calls::array(&graph, dtype, shape, false, data)?;
         let root = graph.add(array, account)?;
         Ok(Self { graph, root })
     }

@@ -1,7 +1,7 @@
 //! The nodes of a graph, and references to them.
 
 use crate::dtype::DType;
-use crate::globals::Global;
+use crate::global::Global;
 
 /// The end of a chain.
 pub(crate) const END: u32 = u32::MAX;

@@ -2,9 +2,10 @@
 
 mod refused;
 
+use crate::calls;
 use crate::chunks::Chunks;
 use crate::finish::finish;
-use crate::globals::{self, Global};
+use crate::global::Global;
 use crate::graph::{Chain, Graph, MAX_BYTES, Node, Ref};
 use crate::input::{Input, is_text, malformed, raw_unicode, unescape};
 use crate::limits::{Account, Limits};
@@ -187,7 +188,7 @@ impl Reader<'_> {
                 b'R' => self.reduce()?,
                 b'b' => {
                     let (state, object) = (self.pop()?, self.top()?);
-                    globals::build(&mut self.graph, object, state)?;
+                    calls::build(&mut self.graph, object, state)?;
                 }
                 _ => return Err(self.refused(operation)),
             }
@@ -370,8 +371,8 @@ impl Reader<'_> {
         let Node::Global(global) = self.graph.node(callable) else {
             return Err(malformed("a call of something else than a name"));
         };
-        let args = globals::arguments(&self.graph, args)?;
-        let value = globals::call(&mut self.graph, global, &args, &mut self.account)?;
+        let args = calls::arguments(&self.graph, args)?;
+        let value = calls::call(&mut self.graph, global, &args, &mut self.account)?;
         self.push(value)
     }
 }

@@ -8,6 +8,7 @@ use ztl_core::goal::{Floats, Shortest};
 use ztl_core::repr::put_quoted;
 use ztl_core::sink::Sink;
 
+use crate::Pickle;
 use crate::array::Array;
 use crate::dtype::{DType, Element, ElementKind};
 use crate::value::{Kind, Value};
@@ -33,6 +34,26 @@ const MOST: usize = 1 << 20;
 pub struct Repr<'a> {
     value: Value<'a>,
     most: usize,
+}
+
+impl<'a> Value<'a> {
+    /// Prints it as Python's `repr`; see [`Repr`].
+    #[must_use]
+    pub const fn repr(self) -> Repr<'a> {
+        Repr::new(self)
+    }
+}
+
+impl fmt::Debug for Value<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Display::fmt(&self.repr(), f)
+    }
+}
+
+impl fmt::Debug for Pickle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Display::fmt(&self.value().repr(), f)
+    }
 }
 
 impl<'a> Repr<'a> {

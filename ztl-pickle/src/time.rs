@@ -1,7 +1,7 @@
 //! Dates and times, in the bytes that Python's `datetime` puts into pickles.
 
 use crate::Error;
-use crate::globals::Global;
+use crate::global::Global;
 use crate::graph::{Graph, Node, Ref};
 use crate::input::malformed;
 

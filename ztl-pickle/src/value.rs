@@ -3,12 +3,11 @@
 use std::fmt;
 
 use crate::array::{Array, Scalar};
+use crate::calls::data_of;
 use crate::dtype::{DType, Element};
-use crate::globals::data_of;
 use crate::graph::{Chain, Graph, Node, Ref, Rest};
-use crate::repr::Repr;
+use crate::integer;
 use crate::time::{self, Date, DateTime, Time, TimeDelta, TimeZone};
-use crate::{JsonError, Pickle, integer, json};
 
 /// A value of a [`Pickle`]. Values are compared by their structure: `1`, `1.0` and `True` differ, and so do dicts and
 /// sets in another order; `nan` equals itself; sharing makes no difference.
@@ -199,51 +198,6 @@ impl<'a> Value<'a> {
             }
             _ => None,
         }
-    }
-
-    /// Prints it as Python's `repr`; see [`Repr`].
-    #[must_use]
-    pub const fn repr(self) -> Repr<'a> {
-        Repr::new(self)
-    }
-
-    /// Its JSON, of at most this many bytes.
-    ///
-    /// | Python | JSON |
-    /// |---|---|
-    /// | `list`, `tuple`, `set`, `frozenset`, array | array; an array of numpy without dimensions is its element |
-    /// | `dict`, `OrderedDict` | object; a key that is no `str` is written as by `repr`, so that two may look equal |
-    /// | `int` | number with all digits; above 4300 digits a hexadecimal string |
-    /// | `nan`, infinity | `"NaN"`, `"Infinity"`, `"-Infinity"` |
-    /// | `bytes`, `bytearray` | `{"base64": "..."}` |
-    /// | `complex` of numpy | `[real, imaginary]` |
-    /// | `date`, `time`, `datetime` | string of RFC 3339, without zone if it has none |
-    /// | `timedelta`, `timezone` | seconds; of a zone, its offset |
-    /// | `dtype` | its name |
-    ///
-    /// ```
-    /// # use ztl_pickle::Pickle;
-    /// let pickle = Pickle::dict([("pose", Pickle::list([1.5, f64::NAN])?)])?;
-    /// assert_eq!(pickle.value().to_json(100).unwrap(), r#"{"pose": [1.5, "NaN"]}"#);
-    /// # Ok::<(), ztl_pickle::Error>(())
-    /// ```
-    ///
-    /// # Errors
-    /// [`JsonError`] if it contains itself, or the JSON would be longer.
-    pub fn to_json(self, most: usize) -> Result<String, JsonError> {
-        json::to_json(self, most)
-    }
-}
-
-impl fmt::Debug for Value<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(&self.repr(), f)
-    }
-}
-
-impl fmt::Debug for Pickle {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(&self.value().repr(), f)
     }
 }
 

@@ -4,7 +4,7 @@ mod leaf;
 
 use std::collections::HashMap;
 
-use crate::globals::Global;
+use crate::global::Global;
 use crate::graph::{Chain, Graph, Node, Ref, Rest};
 
 /// Entries of a list or dict that are written at once, as by Python: a reader's stack stays small.

@@ -2,7 +2,7 @@
 
 use super::{Known, Writer};
 use crate::dtype::ElementKind;
-use crate::globals::Global;
+use crate::global::Global;
 use crate::graph::{Chain, Node, Ref, Span};
 use crate::integer;
 

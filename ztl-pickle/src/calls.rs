@@ -1,7 +1,8 @@
-//! The names that a pickle may use, and what calling them means. They are all there is: nothing else is looked up.
+//! What it means that a pickle calls a name.
 
 use crate::Error;
 use crate::dtype::DType;
+use crate::global::Global;
 use crate::graph::{Chain, Graph, Node, Ref, Span};
 use crate::input::{latin1, malformed};
 use crate::limits::Account;
@@ -9,84 +10,6 @@ use crate::time;
 
 /// The most dimensions of an array, as in numpy.
 const MAX_DIMENSIONS: u32 = 64;
-
-/// What a pickle may call.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) enum Global {
-    Encode,
-    Bytes,
-    ByteArray,
-    Set,
-    FrozenSet,
-    OrderedDict,
-    Date,
-    Time,
-    DateTime,
-    Delta,
-    Zone,
-    DType,
-    NdArray,
-    Reconstruct,
-    Scalar,
-    FromBuffer,
-}
-
-/// Each name. The first module is what we write: Python 2 and 3 and old and new numpy know it.
-const NAMES: [(Global, &[&str], &str); 16] = [
-    (Global::Encode, &["_codecs"], "encode"),
-    (Global::Bytes, &BUILTINS, "bytes"),
-    (Global::ByteArray, &BUILTINS, "bytearray"),
-    (Global::Set, &BUILTINS, "set"),
-    (Global::FrozenSet, &BUILTINS, "frozenset"),
-    (Global::OrderedDict, &["collections"], "OrderedDict"),
-    (Global::Date, &["datetime"], "date"),
-    (Global::Time, &["datetime"], "time"),
-    (Global::DateTime, &["datetime"], "datetime"),
-    (Global::Delta, &["datetime"], "timedelta"),
-    (Global::Zone, &["datetime"], "timezone"),
-    (Global::DType, &["numpy"], "dtype"),
-    (Global::NdArray, &["numpy"], "ndarray"),
-    (
-        Global::Reconstruct,
-        &["numpy.core.multiarray", "numpy._core.multiarray"],
-        "_reconstruct",
-    ),
-    (
-        Global::Scalar,
-        &["numpy.core.multiarray", "numpy._core.multiarray"],
-        "scalar",
-    ),
-    (
-        Global::FromBuffer,
-        &["numpy.core.numeric", "numpy._core.numeric"],
-        "_frombuffer",
-    ),
-];
-const BUILTINS: [&str; 2] = ["__builtin__", "builtins"];
-
-impl Global {
-    pub(crate) fn find(module: &[u8], name: &[u8]) -> Result<Self, Error> {
-        let known = NAMES.iter().find(|(_, modules, known)| {
-            known.as_bytes() == name && modules.iter().any(|known| known.as_bytes() == module)
-        });
-        known.map_or_else(
-            || Err(Error::refused(module, name)),
-            |(global, ..)| Ok(*global),
-        )
-    }
-
-    /// Its module and name.
-    pub(crate) fn names(self) -> (&'static str, &'static str) {
-        let known = NAMES.iter().find(|(global, ..)| *global == self);
-        let (module, name) = known.map_or((None, ""), |(_, modules, name)| (modules.first(), name));
-        (module.copied().unwrap_or_default(), name)
-    }
-
-    pub(crate) fn refused(self) -> Error {
-        let (module, name) = self.names();
-        Error::refused(module.as_bytes(), name.as_bytes())
-    }
-}
 
 /// The value of a call with these arguments.
 pub(crate) fn call(
