@@ -4,3 +4,4 @@ mod clients;
 mod console;
 mod gate;
 mod page;
+mod socket;

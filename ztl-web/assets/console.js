@@ -5,6 +5,10 @@ import { Bridge } from './rosbridge.js';
 
 const KEPT_GOALS = 20;
 const OTHER = '*';
+// What a server says of a task without progress or result.
+const NOTHING = 'None';
+// How long ago a Stop may have ended that a page shows which was not there.
+const RECENT = 10_000;
 
 let robots = [];
 let tasks = { tasks: [], gaps: [] };
@@ -19,12 +23,12 @@ const bridge = new Bridge(`${location.protocol.replace('http', 'ws')}//${locatio
 function onState(open) {
   const connection = at('connection');
   connection.dataset.state = open ? 'open' : 'lost';
-  setText(connection, open ? 'connected' : 'No connection to the console: what is shown is old');
   if (open) {
     bridge.call('/ztl/robots', {}).then((told) => {
       mayOperate = told.may_operate;
       ahead = told.now_ms - Date.now();
-      setText(connection, mayOperate ? 'connected' : 'connected, as a watcher');
+      // Only now: whether a Stop is old depends on the console's clock.
+      bridge.subscribe('/ztl/stop', showStop);
       showForm();
       show();
     }, () => {});
@@ -34,10 +38,10 @@ function onState(open) {
 
 bridge.subscribe('/ztl/robots', (told) => { robots = told.robots; showForm(); show(); });
 bridge.subscribe('/ztl/tasks', (told) => { tasks = told; show(); });
-bridge.subscribe('/ztl/stop', showStop);
 setInterval(show, 1000);
 
 function show() {
+  showConnection();
   showRobots();
   showTasks();
   showGoals();
@@ -45,6 +49,13 @@ function show() {
   at('start').disabled = !may;
   // Never disabled without a connection: a press then says that nothing was sent.
   at('stop').disabled = bridge.isOpen && !mayOperate;
+}
+
+function showConnection() {
+  const missing = robots.filter((robot) => robot.health === 'missing').length;
+  const words = [mayOperate ? 'connected' : 'connected, as a watcher'];
+  if (missing) words.push(`${missing} of ${robots.length} missing`);
+  setText(at('connection'), bridge.isOpen ? words.join(' · ') : 'No connection to the console: what is shown is old');
 }
 
 function ago(ms) {
@@ -71,7 +82,8 @@ function showTasks() {
     const [name, text, about] = made.lines;
     made.task = task;
     setText(name, task.task || `task ${task.id}`);
-    setText(text, task.runs ? task.text : `${task.state} ${task.text}`);
+    const said = task.text === NOTHING ? '' : task.text;
+    setText(text, task.runs ? said : `${task.state} ${said}`);
     const since = task.started_ms === null ? '' : `started ${ago(task.started_ms)} ago`;
     const stale = missing.has(task.robot) ? 'the robot is missing: last known' : '';
     const by = task.by ? `by ${task.by}` : '';
@@ -88,7 +100,7 @@ function showTasks() {
   showAll(at('ended'), ended, key, () => card(lines, []), update);
   at('ended-box').hidden = ended.length === 0;
   at('idle').hidden = running.length > 0;
-  setText(at('idle'), missing.size || tasks.gaps.length ? 'No other task is known.' : 'No task is running.');
+  setText(at('idle'), missing.size || tasks.gaps.length ? 'No running task is known.' : 'No task is running.');
   showAll(at('gaps'), tasks.gaps, (gap) => JSON.stringify(gap), () => element('li', 'bad'),
     (made, gap) => setText(made, `${gap.robot}: ${gap.text}`));
 }
@@ -180,6 +192,8 @@ function start(action, name, text) {
     return;
   }
   setText(at('form-said'), '');
+  // What was confirmed before says nothing of this goal.
+  at('stopped').hidden = true;
   goals = [goal, ...goals].slice(0, KEPT_GOALS);
   showGoals();
 }
@@ -202,7 +216,7 @@ function showGoals() {
     const [name, said] = made.lines;
     setText(name, short(`${goal.name} ${goal.text}`));
     said.className = goal.state === 'COMPLETED' ? 'good' : goal.ended ? 'bad' : '';
-    setText(said, short([goal.state, goal.progress].filter(Boolean).join(': ')));
+    setText(said, short([goal.state, goal.progress].filter((text) => text && text !== NOTHING).join(': ')));
     const [abortButton, againButton] = made.buttons;
     abortButton.hidden = goal.ended;
     againButton.hidden = !goal.ended;
@@ -238,6 +252,7 @@ function stop() {
 function showStop(told) {
   if (!told.robots || String(told.at_ms) === closedStop) return;
   const waits = told.robots.some((robot) => robot.confirmed === null);
+  if (!waits && at('stopped').hidden && Date.now() + ahead - told.at_ms > RECENT) return;
   const all = told.robots.every((robot) => robot.confirmed);
   at('stopped').hidden = false;
   at('stopped').dataset.at = told.at_ms;

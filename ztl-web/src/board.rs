@@ -8,10 +8,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::watch;
-use ztl_std::{Offers, RemoteId};
+use ztl_std::{Offers, RemoteId, State};
 
-use crate::goals::Goal;
-use crate::robots::Server;
+use crate::goal::Goal;
+use crate::robots::{ConfiguredScope, Server};
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
@@ -160,7 +160,7 @@ impl Board {
 
     fn robots(&self, seen: &[Seen]) -> Value {
         let robot = |(server, seen): (&Server, &Seen)| {
-            let scope = |configured: &crate::robots::ConfiguredScope| {
+            let scope = |configured: &ConfiguredScope| {
                 json!({
                     "scope": configured.scope,
                     "action": configured.prefix,
@@ -194,7 +194,7 @@ impl Board {
                 let of_it = |goal: &&Arc<Goal>| {
                     goal.target.scope == task.scope && goal.id() == Some(&task.id)
                 };
-                if let Some(at) = own.iter().position(|goal| of_it(goal)) {
+                if let Some(at) = own.iter().position(of_it) {
                     let goal = own.swap_remove(at);
                     task.by = task.runs.then(|| goal.by.clone());
                 }
@@ -202,7 +202,7 @@ impl Board {
             }
             // A server of the original lists nothing: there, the goals of this console are all that is known.
             let unlisted = own.into_iter().filter(|_| !seen.lists);
-            tasks.extend(unlisted.filter_map(|goal| goal.as_task(&server.name)));
+            tasks.extend(unlisted.filter_map(|goal| unlisted_task(goal, &server.name)));
             let more = seen.tasks.len().saturating_sub(SHOWN);
             let mut why = seen.gaps.clone();
             if more > 0 {
@@ -215,6 +215,22 @@ impl Board {
         }
         json!({ "tasks": tasks, "gaps": gaps })
     }
+}
+
+/// A goal of this console as a task, for a server that lists none.
+fn unlisted_task(goal: &Goal, robot: &str) -> Option<Task> {
+    let target = &goal.target;
+    Some(Task {
+        robot: robot.to_owned(),
+        scope: target.scope.clone(),
+        id: goal.id()?.clone(),
+        task: format!("{}:{}:{}", target.handler, target.component, goal.goal),
+        state: State::Accepted.name().to_owned(),
+        text: String::new(),
+        runs: true,
+        started_ms: None,
+        by: Some(goal.by.clone()),
+    })
 }
 
 /// Sets a topic if its value changes.

@@ -1,33 +1,19 @@
-//! Goals of clients: each runs on a thread of its own, so that neither a cancel nor another goal waits for it.
+//! Runs goals, each on a thread of its own, so that neither a cancel nor another goal waits for it.
 
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::thread;
 
 use serde::Serialize;
 use ztl_std::{RemoteId, State, TriggerError, encoded};
 
-use crate::board::{Board, Task};
+use crate::board::Board;
+use crate::goal::Goal;
 use crate::robots::Target;
 use crate::watcher::PATIENCE;
 
 /// Most goals of all clients at a time; each has a thread.
 const MOST: usize = 128;
-
-/// A goal that was asked for.
-pub(crate) struct Goal {
-    pub(crate) target: Target,
-    pub(crate) goal: String,
-    /// Who asked for it.
-    pub(crate) by: String,
-    id: OnceLock<RemoteId>,
-    cancelled: AtomicBool,
-    /// Whether an ABORT is on its way.
-    aborting: AtomicBool,
-    /// Whether its client has gone.
-    left: AtomicBool,
-}
 
 /// The result of a goal.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -48,162 +34,106 @@ pub(crate) enum News {
 /// Tells the client.
 pub(crate) type Tell = Box<dyn Fn(News) + Send + Sync>;
 
-impl Goal {
-    pub(crate) fn new(target: Target, goal: String, by: String) -> Arc<Self> {
-        Arc::new(Self {
-            target,
-            goal,
-            by,
-            id: OnceLock::new(),
-            cancelled: AtomicBool::new(false),
-            aborting: AtomicBool::new(false),
-            left: AtomicBool::new(false),
-        })
+/// Starts a goal. `tell` is called from another thread; its last news is the outcome.
+///
+/// # Errors
+/// Why nothing was started.
+pub(crate) fn start(goal: &Arc<Goal>, board: &Arc<Board>, tell: Tell) -> Result<(), String> {
+    let Some(number) = board.add_goal(goal, MOST) else {
+        return Err(format!("{MOST} goals are open: wait for one to end"));
+    };
+    // After the goal is known: a Stop that begins now cancels it.
+    if board.is_stopping() {
+        board.remove_goal(number);
+        return Err("a Stop is under way: send the goal again when it has ended".to_owned());
     }
-
-    /// The id of its task, once the server has told it.
-    pub(crate) fn id(&self) -> Option<&RemoteId> {
-        self.id.get()
-    }
-
-    /// Starts the goal. `tell` is called from another thread; its last news is the outcome.
-    ///
-    /// # Errors
-    /// Why nothing was started.
-    pub(crate) fn start(self: &Arc<Self>, board: &Arc<Board>, tell: Tell) -> Result<(), String> {
-        let Some(number) = board.add_goal(self, MOST) else {
-            return Err(format!("{MOST} goals are open: wait for one to end"));
-        };
-        // After the goal is known: a Stop that begins now cancels it.
-        if board.is_stopping() {
-            board.remove_goal(number);
-            return Err("a Stop is under way: send the goal again when it has ended".to_owned());
-        }
-        let (goal, on) = (Arc::clone(self), Arc::clone(board));
-        let spawned = thread::Builder::new()
-            .name("ztl-web-goal".to_owned())
-            .spawn(move || {
-                let outcome = goal.run(&on, &tell);
-                on.remove_goal(number);
-                tell(News::Ended(outcome));
-            });
-        spawned.map(drop).map_err(|error| {
-            board.remove_goal(number);
-            format!("no thread for the goal: {error}")
-        })
-    }
-
-    /// Aborts the task, or keeps it from starting. The outcome follows from the goal's own thread.
-    ///
-    /// # Errors
-    /// If the system has no more threads.
-    pub(crate) fn cancel(self: &Arc<Self>, board: &Arc<Board>) -> io::Result<()> {
-        self.give_up();
-        // Without an id, the goal's thread aborts as soon as it knows one.
-        if self.id().is_none() || self.aborting.swap(true, Ordering::SeqCst) {
-            return Ok(());
-        }
-        let (goal, board) = (Arc::clone(self), Arc::clone(board));
-        let thread = thread::Builder::new().name("ztl-web-cancel".to_owned());
-        let spawned = thread.spawn(move || goal.abort(&board)).map(drop);
-        if spawned.is_err() {
-            self.aborting.store(false, Ordering::SeqCst);
-        }
-        spawned
-    }
-
-    /// Keeps it from being sent, or lets its thread abort it when it is accepted.
-    pub(crate) fn give_up(&self) {
-        self.cancelled.store(true, Ordering::SeqCst);
-    }
-
-    /// Notes that its client has gone, so that its thread does not wait for a server that is gone, too.
-    pub(crate) fn leave(&self) {
-        self.left.store(true, Ordering::SeqCst);
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.cancelled.load(Ordering::SeqCst)
-    }
-
-    fn abort(&self, board: &Board) {
-        let (Some(server), Some(id)) = (board.servers.get(self.target.server), self.id()) else {
-            return;
-        };
-        let remote = (server.connect)(&self.target.scope);
-        let sent = remote.map(|remote| remote.with_timeout(PATIENCE).send_abort(id));
-        match sent {
-            Ok(Ok(_)) => {}
-            Ok(Err(error)) => tracing::warn!("abort of task {id} not confirmed: {error}"),
-            Err(error) => tracing::warn!("abort of task {id} not sent: {error}"),
-        }
-        self.aborting.store(false, Ordering::SeqCst);
-    }
-
-    fn run(&self, board: &Board, tell: &Tell) -> Outcome {
-        let Target {
-            server,
-            scope,
-            handler,
-            component,
-        } = &self.target;
-        let Some(server) = board.servers.get(*server) else {
-            return Outcome::not_started("no such server".to_owned());
-        };
-        let mut remote = match (server.connect)(scope) {
-            Ok(remote) => remote,
-            Err(why) => return Outcome::not_started(why),
-        };
-        let payload = encoded(handler, component, &self.goal);
-        let id = match remote.trigger_while(&payload, || !self.is_cancelled()) {
-            Ok(task) => task.id,
-            Err(error) => return Outcome::of_init(error),
-        };
-        let id = self.id.get_or_init(|| id).clone();
-        board.publish();
-        if self.is_cancelled() {
-            self.abort(board);
-        }
-        let mut told = None;
-        let ended = remote.wait_with(&id, None, |answer| {
-            if let Ok(status) = answer
-                && !status.state.is_final()
-                && told.as_ref() != Some(&status.text)
-            {
-                tell(News::Progress(status.text.clone()));
-                told = Some(status.text.clone());
-            }
-            answer.is_ok() || !self.left.load(Ordering::SeqCst)
+    let (goal, on) = (Arc::clone(goal), Arc::clone(board));
+    let spawned = thread::Builder::new()
+        .name("ztl-web-goal".to_owned())
+        .spawn(move || {
+            let outcome = run(&goal, &on, &tell);
+            on.remove_goal(number);
+            tell(News::Ended(outcome));
         });
-        match ended {
-            Ok(status) => Outcome {
-                state: status.state.name(),
-                text: status.text,
-                id,
-            },
-            Err(error) => Outcome::unknown(error.to_string(), id),
-        }
-    }
+    spawned.map(drop).map_err(|error| {
+        board.remove_goal(number);
+        format!("no thread for the goal: {error}")
+    })
+}
 
-    /// The goal as a task, for a server that lists none.
-    pub(crate) fn as_task(&self, robot: &str) -> Option<Task> {
-        let Target {
-            scope,
-            handler,
-            component,
-            ..
-        } = &self.target;
-        Some(Task {
-            robot: robot.to_owned(),
-            scope: scope.clone(),
-            id: self.id()?.clone(),
-            task: format!("{handler}:{component}:{}", self.goal),
-            state: State::Accepted.name().to_owned(),
-            text: String::new(),
-            runs: true,
-            started_ms: None,
-            by: Some(self.by.clone()),
-        })
+/// Aborts the task, or keeps it from starting. The outcome follows from the goal's own thread.
+///
+/// # Errors
+/// If the system has no more threads.
+pub(crate) fn cancel(goal: &Arc<Goal>, board: &Arc<Board>) -> io::Result<()> {
+    goal.give_up();
+    // Without an id, the goal's thread aborts as soon as it knows one.
+    if goal.id().is_none() || !goal.begin_abort() {
+        return Ok(());
+    }
+    let (of, on) = (Arc::clone(goal), Arc::clone(board));
+    let thread = thread::Builder::new().name("ztl-web-cancel".to_owned());
+    let spawned = thread.spawn(move || {
+        abort(&of, &on);
+        of.end_abort();
+    });
+    spawned.map(drop).inspect_err(|_| goal.end_abort())
+}
+
+fn abort(goal: &Goal, board: &Board) {
+    let (Some(server), Some(id)) = (board.servers.get(goal.target.server), goal.id()) else {
+        return;
+    };
+    let remote = (server.connect)(&goal.target.scope);
+    match remote.map(|remote| remote.with_timeout(PATIENCE).send_abort(id)) {
+        Ok(Ok(_)) => {}
+        Ok(Err(error)) => tracing::warn!("abort of task {id} not confirmed: {error}"),
+        Err(error) => tracing::warn!("abort of task {id} not sent: {error}"),
+    }
+}
+
+fn run(goal: &Goal, board: &Board, tell: &Tell) -> Outcome {
+    let Target {
+        server,
+        scope,
+        handler,
+        component,
+    } = &goal.target;
+    let Some(server) = board.servers.get(*server) else {
+        return Outcome::not_started("no such server".to_owned());
+    };
+    let mut remote = match (server.connect)(scope) {
+        Ok(remote) => remote,
+        Err(why) => return Outcome::not_started(why),
+    };
+    let payload = encoded(handler, component, &goal.goal);
+    let id = match remote.trigger_while(&payload, || !goal.is_cancelled()) {
+        Ok(task) => task.id,
+        Err(error) => return Outcome::of_init(error),
+    };
+    goal.set_id(id.clone());
+    board.publish();
+    if goal.is_cancelled() {
+        abort(goal, board);
+    }
+    let mut told = None;
+    let ended = remote.wait_with(&id, None, |answer| {
+        if let Ok(status) = answer
+            && !status.state.is_final()
+            && told.as_ref() != Some(&status.text)
+        {
+            tell(News::Progress(status.text.clone()));
+            told = Some(status.text.clone());
+        }
+        answer.is_ok() || !goal.is_left()
+    });
+    match ended {
+        Ok(status) => Outcome {
+            state: status.state.name(),
+            text: status.text,
+            id,
+        },
+        Err(error) => Outcome::unknown(error.to_string(), id),
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod board;
 mod gate;
+mod goal;
 mod goals;
 mod http;
 mod places;

@@ -18,7 +18,8 @@ use ztl_std::RemoteId;
 
 use crate::board::{Board, Shared, locked, wall_clock_ms};
 use crate::gate::Role;
-use crate::goals::{Goal, News};
+use crate::goal::Goal;
+use crate::goals::{self, News};
 use crate::rosbridge::{self, GoalArgs, Incoming};
 use crate::{robots, stop};
 
@@ -256,7 +257,7 @@ impl Client {
         if !self.goal_rate.allows() {
             return Err("too many goals: send fewer".to_owned());
         }
-        let goal = Goal::new(target, args.goal, self.by.clone());
+        let goal = Arc::new(Goal::new(target, args.goal, self.by.clone()));
         let mut open = locked(&self.goals);
         if open.len() >= GOALS {
             return Err(format!(
@@ -270,7 +271,7 @@ impl Client {
         }
         open.insert(id.to_owned(), Arc::clone(&goal));
         drop(open);
-        let (goals, out) = (Arc::clone(&self.goals), self.out.clone());
+        let (open, out) = (Arc::clone(&self.goals), self.out.clone());
         let (key, action) = (id.to_owned(), action.to_owned());
         let tell = move |news| match news {
             News::Progress(text) if feedback => {
@@ -279,13 +280,13 @@ impl Client {
             }
             News::Progress(_) => {}
             News::Ended(outcome) => {
-                locked(&goals).remove(&key);
+                locked(&open).remove(&key);
                 // Fails if the client is gone.
                 let text = rosbridge::action_result(&key, &action, &outcome);
                 let _ = out.blocking_send(Out::Text(text));
             }
         };
-        goal.start(&self.board, Box::new(tell)).inspect_err(|_| {
+        goals::start(&goal, &self.board, Box::new(tell)).inspect_err(|_| {
             locked(&self.goals).remove(id);
         })
     }
@@ -296,7 +297,7 @@ impl Client {
         let Some(goal) = goal else {
             return Err(format!("no open goal '{id}' of {action} on this socket"));
         };
-        let cancelled = goal.cancel(&self.board);
+        let cancelled = goals::cancel(&goal, &self.board);
         cancelled.map_err(|error| format!("no thread for the cancel: {error}"))
     }
 
@@ -398,7 +399,7 @@ impl Client {
         for goal in locked(&self.goals).values() {
             goal.leave();
             if self.aborts_when_gone
-                && let Err(error) = goal.cancel(&self.board)
+                && let Err(error) = goals::cancel(goal, &self.board)
             {
                 tracing::error!("a goal of a client that is gone was not aborted: {error}");
             }

@@ -73,7 +73,7 @@ fn stop(board: &Arc<Board>, by: &str) -> Value {
                 publish();
             });
             if let Err(error) = spawned {
-                decide(&all, index, Err(format!("no thread: {error}")));
+                decide(all, index, Err(format!("no thread: {error}")));
             }
         }
     });

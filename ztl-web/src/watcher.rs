@@ -9,11 +9,14 @@ use std::time::{Duration, Instant};
 use ztl_std::{RemoteId, RemoteTask, RequestError, ServerTask, State};
 
 use crate::board::{Board, Health, Seen, Task, wall_clock_ms};
+use crate::robots::Connect;
 
 /// Between two questions while a page is open.
 const WATCHED: Duration = Duration::from_millis(80);
 /// Between two questions while nobody looks.
-const UNWATCHED: Duration = Duration::from_millis(1000);
+const UNWATCHED: Duration = Duration::from_millis(250);
+/// Between two questions to a server of the original, which logs each as a mistake.
+const ORIGINAL: Duration = Duration::from_secs(2);
 /// How long an answer may take. Also how soon a server that returns is seen.
 pub(crate) const PATIENCE: Duration = Duration::from_millis(900);
 /// How often a server is asked what it offers, which changes with a reload.
@@ -36,11 +39,12 @@ fn run(board: &Weak<Board>, server: usize) {
         };
         let known = board.seen(server);
         let now = watcher.look(&of.name, &of.connect, known);
-        board.set_seen(server, now);
         let pause = match board.is_watched() {
+            _ if now.health == Health::There && !now.lists => ORIGINAL,
             true => WATCHED,
             false => UNWATCHED,
         };
+        board.set_seen(server, now);
         drop(board);
         thread::sleep(pause);
     }
@@ -55,7 +59,7 @@ struct Watcher {
 
 impl Watcher {
     /// Asks once. What is not answered stays as it was known.
-    fn look(&mut self, robot: &str, connect: &crate::Connect, known: Seen) -> Seen {
+    fn look(&mut self, robot: &str, connect: &Connect, known: Seen) -> Seen {
         match self.ask(robot, connect, &known) {
             Ok(seen) => seen,
             Err(why) => {
@@ -70,7 +74,7 @@ impl Watcher {
         }
     }
 
-    fn ask(&mut self, robot: &str, connect: &crate::Connect, known: &Seen) -> Result<Seen, String> {
+    fn ask(&mut self, robot: &str, connect: &Connect, known: &Seen) -> Result<Seen, String> {
         let remote = match &mut self.remote {
             Some(remote) => remote,
             none => none.insert(connect("$ztl")?.with_timeout(PATIENCE)),
