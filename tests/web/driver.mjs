@@ -3,6 +3,7 @@
 
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
+import { createServer } from 'node:http';
 import { createRequire } from 'node:module';
 import { createInterface } from 'node:readline';
 
@@ -17,7 +18,7 @@ const browser = await chromium.launchPersistentContext(`${directory}/profile`, {
   executablePath: '/usr/bin/chromium',
   headless: true,
   args: ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking',
-    '--disable-component-update', '--disable-sync'],
+    '--disable-component-update', '--disable-sync', '--host-resolver-rules=MAP hostile.test 127.0.0.1'],
 });
 browser.setDefaultTimeout(LIMIT);
 const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
@@ -147,21 +148,28 @@ const scenarios = {
     await saying(page, '#goals', 'COMPLETED: again').waitFor();
   },
 
-  // A page of another origin reaches nothing.
+  // A page of another origin reaches nothing, also if its name leads to this machine: DNS rebinding.
   async origin() {
+    const server = createServer((_, answer) => answer.setHeader('content-type', 'text/html').end('<title>hostile</title>'));
+    await new Promise((done) => server.listen(0, '127.0.0.1', done));
     const page = await browser.newPage();
-    await page.goto(`data:text/html,<title>hostile</title>`);
-    const socket = await page.evaluate((where) => new Promise((done) => {
-      const socket = new WebSocket(where);
+    await page.goto(`http://127.0.0.1:${server.address().port}/`);
+    const connect = (where) => page.evaluate((at) => new Promise((done) => {
+      const socket = new WebSocket(at);
       socket.onopen = () => done('open');
       socket.onerror = () => done('refused');
-    }), `${url.replace('http', 'ws')}rosbridge`);
-    assert.equal(socket, 'refused');
+    }), where);
+    assert.equal(await connect(`${url.replace('http', 'ws')}rosbridge`), 'refused');
     const fetched = await page.evaluate((where) => fetch(where).then(() => 'read', () => 'refused'), url);
     assert.equal(fetched, 'refused');
     await page.setContent(`<iframe src="${url}"></iframe>`);
     await page.locator('iframe').waitFor();
     assert.equal(await page.frameLocator('iframe').locator('#stop').count(), 0);
+    const rebound = new URL(url);
+    rebound.hostname = 'hostile.test';
+    assert.equal((await page.goto(rebound.href)).status(), 403);
+    assert.equal(await connect(`ws://${rebound.host}/rosbridge`), 'refused');
+    server.close();
   },
 
   // A watcher's page shows everything, and its buttons do nothing.
