@@ -61,6 +61,8 @@ mod terminal;
 mod terminal_mode;
 mod tools;
 mod version;
+#[cfg(feature = "web")]
+mod web;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -114,6 +116,9 @@ enum Command {
     Subscribe(subscribe::Subscribe),
     /// Publish values
     Publish(publish::Publish),
+    /// Serve a page on which people watch, start and stop the tasks of all robots
+    #[cfg(feature = "web")]
+    Web(web::Web),
     /// Create a key pair for encrypted connections
     Keys(keys::Keys),
     /// Create a page and tables from recorded runs of scripts
@@ -167,6 +172,8 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Subscribe(subscribe) => subscribe.run(),
         Command::Publish(publish) => publish.run(),
+        #[cfg(feature = "web")]
+        Command::Web(web) => web.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
         Command::Completions(completions) => completions.run(&mut Cli::command()),
