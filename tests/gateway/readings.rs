@@ -4,7 +4,7 @@ use std::process::Command;
 
 use ztl_mcu::link::Loss;
 use ztl_std::gateway::{Gateway, Readings};
-use ztl_tests::lab::{PATIENCE, Process, gateway, python, until};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, gateway, port_of, python, until, ztl};
 
 use crate::firmware::{Counter, Endless, Firmware};
 use crate::lines::serve;
@@ -60,10 +60,10 @@ fn an_observer_gets_all_readings_in_order_despite_a_slow_observer() {
     assert!(readings.count() < 1000);
 }
 
-/// `ztl gateway` with a publishing port, and that port.
-fn publishing(firmware: &Firmware) -> (Process, String) {
+/// `ztl gateway` with a publishing port and more options, and that port.
+fn publishing(firmware: &Firmware, options: &[&str]) -> (Process, String) {
     let mut command = gateway(&[&format!("bench=tcp:{}", firmware.address)]);
-    let gateway = Process::start(command.args(["--publish", "0"]));
+    let gateway = Process::start(command.args(["--publish", "0"]).args(options));
     let line = gateway.wait_for("Publishing readings at ");
     let endpoint = line
         .trim_start_matches("Publishing readings at ")
@@ -74,7 +74,7 @@ fn publishing(firmware: &Firmware) -> (Process, String) {
 #[test]
 fn each_subscriber_gets_its_topics_despite_a_dead_subscriber() {
     let firmware = bench();
-    let (gateway, endpoint) = publishing(&firmware);
+    let (gateway, endpoint) = publishing(&firmware, &["--publish-format", "raw"]);
     let context = zmq::Context::new();
     let subscriber = |prefix: &str| {
         let socket = context.socket(zmq::SUB).expect("a socket");
@@ -107,24 +107,88 @@ fn each_subscriber_gets_its_topics_despite_a_dead_subscriber() {
 }
 
 #[test]
-fn a_five_line_python_program_receives_the_readings() {
+fn the_manuals_python_program_receives_the_readings() {
     let firmware = bench();
-    let (_gateway, endpoint) = publishing(&firmware);
+    let (_gateway, endpoint) = publishing(&firmware, &[]);
     let manual = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/gateway.md");
     let manual = std::fs::read_to_string(manual).expect("the manual");
     let (_, rest) = manual.split_once("```python\n").expect("the program");
     let (program, _) = rest.split_once("```").expect("its end");
-    assert_eq!(program.lines().count(), 5);
     assert!(program.contains("tcp://localhost:12346") && program.contains("gripper/"));
     let program = program
         .replace("tcp://localhost:12346", &endpoint)
         .replace("gripper/", "bench/counter/");
     let mut command = Command::new(python());
     let heard = Process::start(command.args(["-u", "-c", &program]));
-    for part in ["b'bench/counter/count' b'", "b'bench/counter/raw' b'\\x"] {
-        let line = heard.wait_for(part);
-        assert!(line.starts_with(part), "{line}");
+    let line = heard.wait_for("bench/counter/count ");
+    let number = line.strip_prefix("bench/counter/count ").expect("a topic");
+    number.parse::<u32>().expect("a number");
+    let line = heard.wait_for("bench/counter/raw ");
+    assert!(line.starts_with("bench/counter/raw b'"), "{line}");
+}
+
+/// Prints what the original's subscriber gets.
+const ORIGINAL: &str = r#"
+import sys
+from ztl.core.subscriber import ObjectSubscriber
+
+class Shown(ObjectSubscriber):
+    def callback(self, obj):
+        print(type(obj).__name__, flush=True)
+Shown("localhost", int(sys.argv[1]), sys.argv[2]).start()
+"#;
+
+#[test]
+fn the_originals_subscriber_receives_numbers_and_bytes() {
+    let firmware = bench();
+    let (_gateway, endpoint) = publishing(&firmware, &[]);
+    for (topic, kind) in [
+        ("bench/counter/count", "int"),
+        ("bench/counter/raw", "bytes"),
+    ] {
+        let mut command = Command::new(python());
+        let port = port_of(&endpoint).to_string();
+        let heard = Process::start(command.args(["-c", ORIGINAL, &port, topic]));
+        assert_eq!(heard.wait_for(kind), kind);
     }
+}
+
+#[test]
+fn readings_are_shown_as_numbers_and_bytes_unless_the_file_says_raw() {
+    let firmware = bench();
+    let (_gateway, endpoint) = publishing(&firmware, &[]);
+    let shown = |endpoint: &str, scope: &str, words: &[&str]| {
+        let mut command = ztl();
+        command.args(["subscribe", endpoint, scope, "-n", "1"]);
+        Process::run(command.args(words))
+    };
+    let ended = shown(&endpoint, "bench/counter/count", &[]);
+    let number = ended.stdout.strip_prefix("bench/counter/count ");
+    let number = number.and_then(|number| number.trim_end().parse::<u32>().ok());
+    assert!(number.is_some(), "{ended:?}");
+    let ended = shown(&endpoint, "bench/counter/raw", &["--json"]);
+    assert!(
+        ended.stdout.contains("\"value\": {\"base64\": \""),
+        "{ended:?}"
+    );
+
+    // Only one gateway at a time is connected to a device.
+    let firmware = bench();
+    let scratch = Scratch::new();
+    let file = scratch.path("lab.yaml");
+    let text = format!(
+        "scope: /lab\nport: 0\npublish: 0\npublish-format: raw\njournal: off\ndevices: {{bench: 'tcp:{}'}}\n",
+        firmware.address
+    );
+    std::fs::write(&file, text).expect("to write");
+    let gateway = Process::start(ztl().arg("gateway").arg(&file));
+    let port = gateway.wait_for_port("Publishing readings at tcp://127.0.0.1:");
+    let raw = scratch.path("raw").display().to_string();
+    let endpoint = format!("tcp://127.0.0.1:{port}");
+    let ended = shown(&endpoint, "bench/counter/count", &["--raw", &raw]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let text = std::fs::read_to_string(raw).expect("text");
+    text.parse::<u32>().expect("a number as text");
 }
 
 #[test]

@@ -62,7 +62,7 @@ impl Plan {
             }
         }
         if let Some(endpoint) = place.publish_endpoint() {
-            let endpoint = devices.publish(&mut server, &endpoint)?;
+            let endpoint = devices.publish(&mut server, &endpoint, self.publish_format)?;
             line(format_args!("Publishing readings at {endpoint}."));
         }
         let watch = devices.devices();

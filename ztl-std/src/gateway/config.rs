@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::endpoint::{BAUD_WANTED, Endpoint, ParseEndpoint};
+use super::reading_value::{READING_FORMATS, ReadingFormat};
 use crate::listen::Listen;
 use crate::scope;
 use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading};
@@ -15,6 +16,8 @@ pub struct Config {
     pub scope: Option<String>,
     /// The settings that every server has.
     pub listen: Listen,
+    /// How readings are published.
+    pub publish_format: Option<ReadingFormat>,
     /// Location of the journal.
     pub journal: Option<JournalPlace>,
     /// The devices in the file's order.
@@ -91,6 +94,9 @@ fn config<'d>(
         });
     }
     config.listen = Listen::read(reading, &mut fields, base);
+    if let Some(node) = fields.optional("publish-format") {
+        config.publish_format = reading.one_of(node, &READING_FORMATS);
+    }
     if let Some(node) = fields.optional("journal") {
         let what = "a file or a directory, or off";
         config.journal = reading.parsed(node, what, |text| match text {
@@ -216,7 +222,7 @@ mod tests {
         let own_program = std::env::current_exe().expect("a file that is there");
         let text = format!(
             "scope: /lab\nport: 12345\nbind: '*'\nallow: [192.168.7.0/24, 10.1.2.3]\n\
-             key: robot.key_secret\nclient-keys: /lab=anna.key\npublish: 12346\njournal: state\nlog: debug\n\
+             key: robot.key_secret\nclient-keys: /lab=anna.key\npublish: 12346\npublish-format: raw\njournal: state\nlog: debug\n\
              limits: {{running: 20, keep: 10min}}\n\
              log-format: json\ndevices:\n  gripper: serial:/dev/serial/by-id/usb-x?baud=9600\n  \
              head:\n    url: serial:/dev/ttyUSB0\n    baud: 57600\n    elf: {}\n  \
@@ -251,6 +257,7 @@ mod tests {
                 log: Some(tracing::Level::DEBUG),
                 log_format: Some(LogFormat::Json),
             },
+            publish_format: Some(ReadingFormat::Raw),
             journal: Some(JournalPlace::At(PathBuf::from("/lab/state"))),
             devices: vec![
                 DeviceConfig::new("gripper", serial("/dev/serial/by-id/usb-x", 9600)),
@@ -272,6 +279,7 @@ scope: a;b
 bind: not an address
 publish: many
 log: loud
+publish-format: xml
 devices:
   gripper: usb:1
   head:
@@ -296,16 +304,17 @@ devices:
             "lab.yaml:3:7: 'not an address' is not an address; use 127.0.0.1 for this machine only, or '*' for every interface",
             "lab.yaml:4:10: 'many' is not a port, a whole number from 0 to 65535",
             "lab.yaml:5:6: 'loud' is not known here; there are: error, warn, info, debug",
-            "lab.yaml:7:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT",
-            "lab.yaml:10:11: only a serial port has a line rate",
-            "lab.yaml:11:5: unknown key 'efl'; did you mean 'elf'?",
-            "lab.yaml:12:3: 'a/b' is not a device name: one word without ':' and '/'",
-            "lab.yaml:14:5: 'url' is missing; write url: serial:/dev/ttyACM0",
-            "lab.yaml:16:8: 'one' is at serial:/dev/ttyACM0 already",
-            "lab.yaml:17:29: there is no file /lab/no/such.elf",
+            "lab.yaml:6:17: 'xml' is not known here; there are: values, raw",
+            "lab.yaml:8:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT",
+            "lab.yaml:11:11: only a serial port has a line rate",
+            "lab.yaml:12:5: unknown key 'efl'; did you mean 'elf'?",
+            "lab.yaml:13:3: 'a/b' is not a device name: one word without ':' and '/'",
+            "lab.yaml:15:5: 'url' is missing; write url: serial:/dev/ttyACM0",
+            "lab.yaml:17:8: 'one' is at serial:/dev/ttyACM0 already",
+            "lab.yaml:18:29: there is no file /lab/no/such.elf",
         ];
         assert_eq!(first, expected, "{mistakes}");
-        let shown = "  7 |   gripper: usb:1\n    |            ^^^^^\n";
+        let shown = "  8 |   gripper: usb:1\n    |            ^^^^^\n";
         assert!(mistakes.contains(shown), "{mistakes}");
     }
 
@@ -363,7 +372,7 @@ devices:
 
     #[test]
     fn no_file_causes_a_panic() {
-        const WHOLE: &str = "scope: /lab\nport: 1\nbind: '*'\npublish: 2\njournal: x\nlog: info\nlog-format: text\n\
+        const WHOLE: &str = "scope: /lab\nport: 1\nbind: '*'\npublish: 2\npublish-format: raw\njournal: x\nlog: info\nlog-format: text\n\
             devices:\n  a: tcp:g:1\n  b: {url: serial:/dev/x?baud=9600, baud: 1, elf: y}\n  c:\n    url: tcp:h:1\n";
         let mut numbers = Garbage::new(0x2545_f491_4f6c_dd1d);
         for _ in 0..5_000 {

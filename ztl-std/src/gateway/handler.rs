@@ -13,6 +13,7 @@ use super::endpoint::{Endpoint, Line};
 use super::journal::Journal;
 use super::logs::LogPiece;
 use super::opener::Opener;
+use super::reading_value::ReadingFormat;
 use super::readings::{Observers, Readings};
 use super::report;
 use crate::log_targets::GATEWAY;
@@ -150,13 +151,18 @@ impl Gateway {
     }
 
     /// Publishes the readings at a ZeroMQ endpoint such as `tcp://127.0.0.1:12346`, until the gateway ends;
-    /// returns the endpoint with the chosen port. A message has two frames, the topic and the bytes. Clients
-    /// that may connect to `server` may subscribe.
+    /// returns the endpoint with the chosen port. A message has two frames, the topic and the reading in this format.
+    /// Clients that may connect to `server` may subscribe.
     ///
     /// # Errors
     /// [`BindError`].
-    pub fn publish(&self, server: &mut TaskServer, endpoint: &str) -> Result<String, BindError> {
-        self.observe(PUBLISHED).publish(server, endpoint)
+    pub fn publish(
+        &self,
+        server: &mut TaskServer,
+        endpoint: &str,
+        format: ReadingFormat,
+    ) -> Result<String, BindError> {
+        self.observe(PUBLISHED).publish(server, endpoint, format)
     }
 }
 

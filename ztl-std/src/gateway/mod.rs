@@ -14,6 +14,7 @@ mod journal;
 mod logs;
 mod opener;
 mod rate_limited_log;
+mod reading_value;
 mod readings;
 mod report;
 mod ring;
@@ -25,5 +26,6 @@ pub use endpoint::{
 pub use handler::Gateway;
 pub use journal::{DeviceJournal, Journal, JournalError, JournalRecords, Moment, Storage};
 pub use logs::{LogPiece, RawLog};
+pub use reading_value::{READING_FORMATS, ReadingFormat};
 pub use readings::{Reading, Readings};
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use tracing::warn;
 
+use super::reading_value::{ReadingFormat, value};
 use super::ring::{Empty, RingIn, RingOut, ring};
 use crate::log_targets::GATEWAY;
 use crate::native::publisher::PubMessage;
@@ -77,6 +78,7 @@ impl Readings {
         self,
         server: &mut TaskServer,
         endpoint: &str,
+        format: ReadingFormat,
     ) -> Result<String, BindError> {
         let publisher = server.publish_at(endpoint)?;
         let endpoint = publisher.endpoint().to_owned();
@@ -86,9 +88,13 @@ impl Readings {
                 match self.0.take(Duration::MAX) {
                     Ok(reading) => {
                         // Never waits for a slow subscriber.
-                        let message =
-                            PubMessage::new(&reading.topic, "", &reading.bytes, false).for_all();
-                        let queued = publisher.publish(message);
+                        let message = |body: &[u8]| {
+                            PubMessage::new(&reading.topic, "", body, false).for_all()
+                        };
+                        let queued = publisher.publish(match format {
+                            ReadingFormat::Values => message(&value(&reading.bytes).to_bytes()),
+                            ReadingFormat::Raw => message(&reading.bytes),
+                        });
                         dropped += u64::from(!queued);
                     }
                     Err(Empty::Now) => {}

@@ -4,10 +4,11 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
+use ztl_std::gateway::{READING_FORMATS, ReadingFormat};
 
 use crate::journal_options::JournalOptions;
 use crate::listen_options::{ConfigError, ListenOptions, ListenPlace};
-use crate::option_values::scope_to_serve;
+use crate::option_values::{one_of, scope_to_serve};
 
 #[derive(Debug, Clone, clap::Args)]
 #[command(
@@ -34,6 +35,10 @@ pub(crate) struct Gateway {
     #[command(flatten)]
     listen: ListenOptions,
 
+    /// How readings are published: values (numbers, text or bytes as pickles), or raw (the component's bytes) [default: values]
+    #[arg(long, value_name = "FORMAT", value_parser = reading_format)]
+    publish_format: Option<ReadingFormat>,
+
     /// When stopped, leave running tasks alone instead of aborting them
     #[arg(long)]
     leave_running: bool,
@@ -44,6 +49,10 @@ pub(crate) struct Gateway {
 
     #[command(flatten)]
     journal: JournalOptions,
+}
+
+fn reading_format(text: &str) -> Result<ReadingFormat, String> {
+    one_of(text, &READING_FORMATS)
 }
 
 fn device(text: &str) -> Result<DeviceConfig, String> {
@@ -97,6 +106,7 @@ fn with_elfs(
 pub(super) struct Plan {
     pub(super) scope: String,
     pub(super) place: ListenPlace,
+    pub(super) publish_format: ReadingFormat,
     pub(super) leave_running: bool,
     pub(super) devices: Vec<DeviceConfig>,
     pub(super) journal: JournalOptions,
@@ -153,6 +163,10 @@ impl Gateway {
         Ok(Plan {
             place,
             scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
+            publish_format: self
+                .publish_format
+                .or(config.publish_format)
+                .unwrap_or_default(),
             leave_running: self.leave_running,
             devices,
             journal: self.journal.or(config.journal),

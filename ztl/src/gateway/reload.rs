@@ -72,6 +72,7 @@ impl Reload {
             ("port", now.place.port != then.place.port),
             ("bind", now.place.bind != then.place.bind),
             ("publish", now.place.publish != then.place.publish),
+            ("publish-format", now.publish_format != then.publish_format),
             ("journal", now.journal != then.journal),
             ("log-format", now.place.log_format != then.place.log_format),
         ];
