@@ -333,6 +333,7 @@ fn an_endpoint_is_not_taken_for_a_host() {
         ("ps -r tcp://lamp:7 -p 1", written),
         ("describe -r ipc:///x", other),
         ("abort --all -r ipc:///x -p 1", other),
+        ("doctor -r ipc:///x -p 1", other),
         ("task-client -r ipc:///x -p 1 -s /test a:b:c", other),
         ("simple-client ipc:///x 1 /test x", other),
     ] {

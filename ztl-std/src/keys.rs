@@ -113,6 +113,11 @@ pub enum KeyError {
         /// The line, from 1.
         line: usize,
     },
+    /// Everybody can pretend to have the secret key of a public one.
+    Weak {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file exists; a key is never overwritten.
     Exists {
         /// The file.
@@ -136,6 +141,11 @@ impl fmt::Display for KeyError {
             Self::Line { path, line } => write!(
                 f,
                 "{}:{line}: a key is {TEXT_LEN} characters of Z85, in quotes",
+                path.display()
+            ),
+            Self::Weak { path } => write!(
+                f,
+                "{}: everybody can pretend to have this public key; make keys with `ztl keys NAME`",
                 path.display()
             ),
             Self::Exists { path } => write!(
@@ -162,7 +172,7 @@ impl PublicKey {
     /// # Errors
     /// [`KeyError`] with the file, and the line where there is one.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
-        field(path, &read(path)?, "public-key").map(Self)
+        public(path, &read(path)?)
     }
 
     /// Reads the public keys in a directory (`*.key`) or in one file.
@@ -240,7 +250,7 @@ impl KeyPair {
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let text = read(path)?;
         Ok(Self {
-            public: field(path, &text, "public-key").map(PublicKey)?,
+            public: public(path, &text)?,
             secret: field(path, &text, "secret-key")?,
         })
     }
@@ -334,6 +344,17 @@ fn create(path: &Path, content: &str, mode: u32) -> Result<(), KeyError> {
             cause,
         },
     })
+}
+
+/// The public key of a file. CZMQ writes one of zeros where it cannot encrypt.
+fn public(path: &Path, text: &str) -> Result<PublicKey, KeyError> {
+    let key = field(path, text, "public-key")?;
+    match curve::is_weak(&key) {
+        true => Err(KeyError::Weak {
+            path: path.to_owned(),
+        }),
+        false => Ok(PublicKey(key)),
+    }
 }
 
 /// The key on the line `NAME = "KEY"`.
@@ -445,6 +466,12 @@ mod tests {
             Err(KeyError::Missing { .. })
         ));
         assert!(matches!(pair.write(&name), Err(KeyError::Exists { .. })));
+        let zeros = "0".repeat(TEXT_LEN);
+        let zeros = format!("curve\n    public-key = \"{zeros}\"\n    secret-key = \"{zeros}\"\n");
+        fs::write(&public, zeros).expect("to write");
+        let error = PublicKey::read_all(&directory).expect_err("no key");
+        assert!(matches!(error, KeyError::Weak { .. }), "{error}");
+        assert!(KeyPair::read(&public).is_err());
         fs::write(&public, "curve\n    public-key = \"wrong\"\n").expect("to write");
         let error = PublicKey::read_all(&directory).expect_err("no key");
         assert!(matches!(error, KeyError::Line { line: 2, .. }), "{error}");

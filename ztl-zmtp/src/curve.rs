@@ -5,6 +5,7 @@ use core::fmt;
 
 use crypto_box::aead::AeadInPlace as _;
 use crypto_box::{Nonce, PublicKey, SalsaBox, SecretKey, Tag};
+use curve25519_dalek::MontgomeryPoint;
 
 use crate::fault::Fault;
 use crate::wire::{COMMAND, LONG, MORE};
@@ -69,6 +70,13 @@ impl Keys {
 #[must_use]
 pub fn public_key(secret: &[u8; KEY]) -> [u8; KEY] {
     SecretKey::from(*secret).public_key().to_bytes()
+}
+
+/// Whether everybody can pretend to have the secret key of this public one: with it, all secret keys agree on the same
+/// shared one.
+#[must_use]
+pub fn is_weak(public: &[u8; KEY]) -> bool {
+    MontgomeryPoint(*public).mul_clamped([0; KEY]).0 == [0; KEY]
 }
 
 /// A handshake that is not complete.
@@ -263,18 +271,26 @@ impl Handshake {
         let plain = open(&from, &long(b"WELCOME-", *nonce), sealed)?;
         let (server, cookie) = plain.split_first_chunk::<KEY>()?;
         self.peer_transient = *server;
-        let mut vouch = self.own.public_key().as_bytes().to_vec();
+        let own = self.own.public_key().to_bytes();
+        let vouching = cipher(server, &self.own);
+        self.initiate(&own, &vouching, cookie.try_into().ok()?, properties)
+    }
+
+    /// The second command of the client with the permanent key `own`.
+    fn initiate(
+        &mut self,
+        own: &[u8; KEY],
+        vouching: &SalsaBox,
+        cookie: &[u8; COOKIE],
+        properties: &[u8],
+    ) -> Option<Vec<u8>> {
+        let mut vouch = own.to_vec();
         let nonce = self.long_nonce();
         vouch.extend_from_slice(&nonce);
         let vouched = [self.transient.public_key().as_bytes(), self.peer.as_slice()].concat();
-        let to = cipher(server, &self.own);
-        seal(&to, &long(b"VOUCH---", nonce), &vouched, &mut vouch)?;
+        seal(vouching, &long(b"VOUCH---", nonce), &vouched, &mut vouch)?;
         vouch.extend_from_slice(properties);
-        let mut initiate = [
-            &b"\x08INITIATE"[..],
-            <&[u8; COOKIE]>::try_from(cookie).ok()?,
-        ]
-        .concat();
+        let mut initiate = [&b"\x08INITIATE"[..], cookie].concat();
         let number = self.next_number();
         initiate.extend_from_slice(&number);
         seal(
@@ -301,6 +317,9 @@ impl Handshake {
         let (client, rest) = plain.split_first_chunk::<KEY>()?;
         let (nonce, rest) = rest.split_first_chunk::<16>()?;
         let (vouch, properties) = rest.split_at_checked(2 * KEY + TAG)?;
+        if is_weak(client) {
+            return None;
+        }
         // The owner of the permanent key vouches for the transient one, for this server.
         let from = cipher(client, &self.transient);
         let vouched = open(&from, &long(b"VOUCH---", *nonce), vouch)?;
@@ -461,4 +480,46 @@ fn open(cipher: &SalsaBox, nonce: &Nonce, sealed: &[u8]) -> Option<Vec<u8>> {
         .decrypt_in_place_detached(nonce, b"", &mut plain, Tag::from_slice(tag))
         .ok()?;
     Some(plain)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A client with this permanent public key, whose vouch is sealed with `secret`; returns whether a server takes it.
+    fn gets_in(public: &[u8; KEY], secret: [u8; KEY]) -> bool {
+        let server_key = public_key(&[1; KEY]);
+        let mut server = Handshake::new(&Keys::server([1; KEY], || [5; KEY]));
+        let mut client = Handshake::new(&Keys::client([2; KEY], server_key, || [7; KEY]));
+        let hello = client.hello().unwrap();
+        server.on_command(&hello, b"", &mut Vec::new()).unwrap();
+        client.peer_transient = server.transient.public_key().to_bytes();
+        // For a weak key, all secret ones give the same shared one.
+        let vouching = match is_weak(public) {
+            true => cipher(public, &secret.into()),
+            false => cipher(&client.peer_transient, &secret.into()),
+        };
+        let initiate = client.initiate(public, &vouching, &server.cookie, b"");
+        let answer = server.on_command(&initiate.unwrap(), b"", &mut Vec::new());
+        assert_eq!(answer.is_ok(), server.is_known());
+        answer.is_ok()
+    }
+
+    #[test]
+    fn a_public_key_that_everybody_can_claim_lets_nobody_in() {
+        assert!(gets_in(&public_key(&[3; KEY]), [3; KEY]));
+        assert!(!gets_in(&public_key(&[3; KEY]), [4; KEY]));
+        // CZMQ writes zeros where it cannot encrypt. The others are 1, and a point of order 8, also with the bit that
+        // X25519 ignores.
+        let mut one = [0; KEY];
+        one[0] = 1;
+        let order_8 = *b"\x5f\x9c\x95\xbc\xa3\x50\x8c\x24\xb1\xd0\xb1\x55\x9c\x83\xef\x5b\
+            \x04\x44\x5c\xc4\x58\x1c\x8e\x86\xd8\x22\x4e\xdd\xd0\x9f\x11\x57";
+        let mut masked = order_8;
+        masked[KEY - 1] |= 0x80;
+        for weak in [[0; KEY], one, order_8, masked] {
+            assert!(is_weak(&weak), "{weak:x?}");
+            assert!(!gets_in(&weak, [4; KEY]), "{weak:x?}");
+        }
+    }
 }

@@ -10,10 +10,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use serde_json::{Value, json};
+use ztl_std::host;
 
 use crate::connect_options::ConnectOptions;
 use crate::data_format::DataFormat;
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::option_values::port;
 use crate::server_address::AddressOptions;
 use crate::terminal::line;
@@ -51,6 +52,10 @@ pub(crate) struct Doctor {
 impl Doctor {
     pub(crate) fn run(self) -> Done {
         let address = self.address.resolve_if_any()?;
+        let host = address.as_ref().map(|address| address.host.as_str());
+        if let Some(mistake) = host.and_then(host::mistake) {
+            return Err(Misuse(mistake).into());
+        }
         let mut found = vec![
             Finding::good("ztl", version::text().replace('\n', "; ")),
             system::kernel(),

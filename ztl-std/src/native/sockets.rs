@@ -188,6 +188,8 @@ impl Stream {
     pub(super) fn connect_tcp(address: SocketAddr) -> io::Result<Self> {
         let stream = TcpStream::connect(address)?;
         let _ = stream.set_nodelay(true);
+        // A subscriber sends nothing that would tell it that its publisher vanished.
+        keep_alive(&stream);
         Ok(Self::Tcp(stream))
     }
 
@@ -245,6 +247,32 @@ impl Write for Stream {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn each_end_asks_whether_the_other_is_still_there() {
+        use rustix::net::sockopt::{socket_keepalive, tcp_keepidle};
+
+        let endpoint = Endpoint::parse("tcp://127.0.0.1:*").unwrap();
+        let listener = Listener::bind(&endpoint).unwrap();
+        let Listener::Tcp(bound) = &listener else {
+            panic!("TCP");
+        };
+        let there = Stream::connect_tcp(bound.local_addr().unwrap()).unwrap();
+        let here = loop {
+            match listener.accept() {
+                Ok((stream, _)) => break stream,
+                Err(error) => assert_eq!(error.kind(), io::ErrorKind::WouldBlock),
+            }
+        };
+        for stream in [here, there] {
+            let Stream::Tcp(stream) = stream else {
+                panic!("TCP");
+            };
+            assert!(socket_keepalive(&stream).unwrap());
+            assert_eq!(tcp_keepidle(&stream).unwrap(), KEEP_ALIVE);
+        }
+    }
 
     #[test]
     fn endpoints_are_read_strictly() {
