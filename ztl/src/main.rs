@@ -8,6 +8,7 @@
 mod abort;
 mod called;
 mod check;
+mod chosen_publisher;
 mod client;
 mod columns;
 mod completions;
@@ -38,8 +39,12 @@ mod option_values;
 mod original;
 mod ps;
 mod publish;
+#[cfg(feature = "record")]
+mod record;
 mod remote_task;
 mod remotes_options;
+#[cfg(feature = "record")]
+mod replay;
 mod report;
 mod run_script;
 #[cfg(unix)]
@@ -114,9 +119,15 @@ enum Command {
     Subscribe(subscribe::Subscribe),
     /// Publish values
     Publish(publish::Publish),
+    /// Record streams and tasks into an MCAP file
+    #[cfg(feature = "record")]
+    Record(record::Record),
+    /// Publish a recording again; with --tasks, send its tasks to the robots
+    #[cfg(feature = "record")]
+    Replay(replay::Replay),
     /// Create a key pair for encrypted connections
     Keys(keys::Keys),
-    /// Create a page and tables from recorded runs of scripts
+    /// Create a page and tables from recorded runs of scripts, or a page from a recording
     Report(report::Report),
     /// Check a script for mistakes
     Check(check::Check),
@@ -167,6 +178,10 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Subscribe(subscribe) => subscribe.run(),
         Command::Publish(publish) => publish.run(),
+        #[cfg(feature = "record")]
+        Command::Record(record) => record.run(),
+        #[cfg(feature = "record")]
+        Command::Replay(replay) => replay.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
         Command::Completions(completions) => completions.run(&mut Cli::command()),

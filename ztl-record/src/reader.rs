@@ -1,0 +1,331 @@
+//! Reads a recording, also one that was cut off or damaged: what is whole in it is read.
+
+use std::collections::{HashMap, VecDeque};
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read as _};
+use std::path::Path;
+use std::sync::Arc;
+
+use mcap::McapError;
+use mcap::records::{ChunkHeader, MessageHeader, Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use serde::Deserialize;
+use ztl_pickle::Pickle;
+
+use crate::form::{Form, Image, Sound, Text, from_base64};
+use crate::plain::Plain;
+use crate::prepare::SoundFormat;
+use crate::task::{TASKS, TaskEvent};
+
+/// Longest record in bytes. A message of 64 MiB, the longest that is published, takes 4/3 of it.
+const LONGEST: usize = 128 << 20;
+/// Bytes that are read at once.
+const BLOCK: usize = 1 << 18;
+
+/// A message of a recording.
+#[derive(Debug, Clone)]
+pub struct Read {
+    /// The topic that it was published at.
+    pub topic: String,
+    /// The publisher, as it was called when it was recorded.
+    pub publisher: String,
+    /// When it was received, in nanoseconds since 1970.
+    pub log_time: u64,
+    /// When it was made, in nanoseconds since 1970; if it does not say, when it was received.
+    pub publish_time: u64,
+    /// What it contains.
+    pub content: Content,
+    /// Whether it was published in a pickle.
+    pickled: bool,
+}
+
+/// What a message contains.
+#[derive(Debug, Clone)]
+pub enum Content {
+    /// What happened to a task, and the published event.
+    Task(TaskEvent, Pickle),
+    /// A value.
+    Value(Pickle),
+    /// Text that is not a pickle.
+    Text(String),
+    /// A JPEG.
+    Image(Vec<u8>),
+    /// Samples.
+    Sound(SoundFormat, Vec<u8>),
+    /// Other bytes.
+    Bytes(Vec<u8>),
+}
+
+impl Read {
+    /// The message, as it was published.
+    #[must_use]
+    pub fn body(&self) -> Vec<u8> {
+        match &self.content {
+            Content::Task(_, value) | Content::Value(value) => value.to_bytes(),
+            Content::Text(text) => text.clone().into_bytes(),
+            Content::Image(bytes) | Content::Sound(_, bytes) | Content::Bytes(bytes) => {
+                match Pickle::bytes(bytes) {
+                    Ok(pickle) if self.pickled => pickle.to_bytes(),
+                    _ => bytes.clone(),
+                }
+            }
+        }
+    }
+}
+
+/// What is wrong with a recording.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// Why it is not read further; `None` at its proper end.
+    pub end: Option<String>,
+    /// Damaged chunks, which are left out.
+    pub chunks: u64,
+    /// Messages that are not as ZTL records them; they are left out.
+    pub foreign: u64,
+}
+
+impl Damage {
+    /// Whether anything is wrong.
+    #[must_use]
+    pub fn is_any(&self) -> bool {
+        *self != Self::default()
+    }
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut between = "";
+        if let Some(end) = &self.end {
+            f.write_str(end)?;
+            between = "; ";
+        }
+        if self.chunks > 0 {
+            write!(f, "{between}{} damaged chunks are left out", self.chunks)?;
+            between = "; ";
+        }
+        if self.foreign > 0 {
+            let messages = self.foreign;
+            write!(
+                f,
+                "{between}{messages} messages that ZTL has not recorded are left out"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads the messages of a recording, in the order in which they were written.
+pub struct Reader {
+    file: File,
+    reader: LinearReader,
+    schemas: HashMap<u16, String>,
+    channels: HashMap<u16, Arc<Channel>>,
+    waiting: VecDeque<Read>,
+    damage: Damage,
+    done: bool,
+}
+
+struct Channel {
+    topic: String,
+    publisher: String,
+    /// `None` if ZTL has not recorded it.
+    form: Option<Form>,
+    pickled: bool,
+}
+
+impl Reader {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// If the file cannot be opened.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let options = LinearReaderOptions::default()
+            .with_emit_chunks(true)
+            .with_record_length_limit(LONGEST);
+        Ok(Self {
+            file: File::open(path)?,
+            reader: LinearReader::new_with_options(options),
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            waiting: VecDeque::new(),
+            damage: Damage::default(),
+            done: false,
+        })
+    }
+
+    /// What was found to be wrong so far.
+    #[must_use]
+    pub const fn damage(&self) -> &Damage {
+        &self.damage
+    }
+
+    fn end(&mut self, why: Option<String>) {
+        self.done = true;
+        self.damage.end = why;
+    }
+
+    /// Reads on until there is a message, or the end.
+    fn read_on(&mut self) {
+        let (opcode, data) = match self.reader.next_event() {
+            None => return self.end(None),
+            Some(Err(error)) => {
+                let why = told(&error);
+                return self.end(Some(why));
+            }
+            Some(Ok(LinearReadEvent::ReadRequest(needed))) => {
+                let block = self.reader.insert(needed.clamp(1, BLOCK));
+                match self.file.read(block) {
+                    Ok(read) => self.reader.notify_read(read),
+                    Err(error) => self.end(Some(format!("cannot be read further: {error}"))),
+                }
+                return;
+            }
+            // A copy, since the reader owns the record.
+            Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data.to_vec()),
+        };
+        if opcode == op::FOOTER {
+            // What follows is nothing that a reader from start to end needs.
+            return self.end(None);
+        }
+        match mcap::parse_record(opcode, &data) {
+            Ok(Record::Chunk { header, data }) => {
+                if !self.on_chunk(header, &data) {
+                    self.damage.chunks += 1;
+                }
+            }
+            Ok(record) => self.on_record(record),
+            Err(error) => self.end(Some(told(&error))),
+        }
+    }
+
+    /// Reads a chunk. Returns whether it is whole.
+    fn on_chunk(&mut self, header: ChunkHeader, data: &[u8]) -> bool {
+        if !header.compression.is_empty() {
+            self.end(Some(format!(
+                "is compressed with '{}'; convert it first: mcap compress --compression none",
+                header.compression
+            )));
+            return true;
+        }
+        let Ok(reader) = mcap::read::ChunkReader::new(header, data) else {
+            return false;
+        };
+        // All or nothing: a wrong checksum is found at the end.
+        let Ok(records) = reader.collect::<Result<Vec<_>, _>>() else {
+            return false;
+        };
+        records
+            .into_iter()
+            .for_each(|record| self.on_record(record));
+        true
+    }
+
+    fn on_record(&mut self, record: Record<'_>) {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let schema = match channel.schema_id {
+                    0 => None,
+                    id => Some(self.schemas.get(&id).map_or("", String::as_str)),
+                };
+                let metadata = |key| channel.metadata.get(key).cloned().unwrap_or_default();
+                let known = Channel {
+                    form: Form::of(schema, &channel.message_encoding),
+                    publisher: metadata("publisher"),
+                    pickled: metadata("wire") == "pickle",
+                    topic: channel.topic,
+                };
+                self.channels.insert(channel.id, Arc::new(known));
+            }
+            Record::Message { header, data } => {
+                let channel = self.channels.get(&header.channel_id);
+                match channel.and_then(|channel| message(channel, &header, &data)) {
+                    Some(read) => self.waiting.push_back(read),
+                    None => self.damage.foreign += 1,
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Read;
+
+    fn next(&mut self) -> Option<Read> {
+        loop {
+            if let Some(read) = self.waiting.pop_front() {
+                return Some(read);
+            }
+            if self.done {
+                return None;
+            }
+            self.read_on();
+        }
+    }
+}
+
+/// A message, if it is as ZTL records it.
+fn message(channel: &Channel, header: &MessageHeader, data: &[u8]) -> Option<Read> {
+    let mut topic = channel.topic.clone();
+    let content = match channel.form? {
+        Form::Task => {
+            let scope = topic.strip_suffix(TASKS.trim_end_matches('/'))?;
+            let event = TaskEvent::read(scope, &serde_json::from_slice(data).ok()?)?;
+            topic = format!("{scope}{TASKS}{}", event.id);
+            let Plain(value) = serde_json::from_slice(data).ok()?;
+            Content::Task(event, value)
+        }
+        Form::Value => {
+            let stored: StoredValue = serde_json::from_slice(data).ok()?;
+            Content::Value(match (stored.pickle, stored.value) {
+                (Some(pickle), _) => Pickle::read(&from_base64(&pickle)?).ok()?,
+                (None, value) => value.map_or_else(Pickle::none, |Plain(value)| value),
+            })
+        }
+        Form::Text => Content::Text(serde_json::from_slice::<Text>(data).ok()?.text),
+        Form::Image => {
+            let image: Image = serde_json::from_slice(data).ok()?;
+            Content::Image(from_base64(&image.data)?)
+        }
+        Form::Sound => {
+            let sound: Sound = serde_json::from_slice(data).ok()?;
+            let format = SoundFormat {
+                rate: sound.sample_rate,
+                channels: sound.number_of_channels,
+            };
+            Content::Sound(format, from_base64(&sound.data)?)
+        }
+        Form::Bytes => Content::Bytes(data.to_vec()),
+    };
+    Some(Read {
+        topic,
+        publisher: channel.publisher.clone(),
+        log_time: header.log_time,
+        publish_time: header.publish_time,
+        content,
+        pickled: channel.pickled,
+    })
+}
+
+/// `ztl.Value`. A value of `null` is `None`, as an absent one.
+#[derive(Deserialize)]
+struct StoredValue {
+    value: Option<Plain>,
+    pickle: Option<String>,
+}
+
+/// Why reading ended.
+fn told(error: &McapError) -> String {
+    match error {
+        McapError::UnexpectedEof => {
+            "has no end: the recorder was stopped by force; what was written before is read"
+                .to_owned()
+        }
+        McapError::BadMagic => "is not an MCAP file".to_owned(),
+        other => format!("is damaged: {other}"),
+    }
+}
