@@ -465,8 +465,8 @@ fn a_replayed_task_is_sent_once() {
     terminal.type_in("y\r");
     assert_eq!(terminal.end().code(), Some(0), "{}", terminal.screen());
     let tasks = stage.tasks().stdout;
-    assert_eq!(tasks.matches("\"goal\":\"one\"").count(), 1, "{tasks}");
-    assert_eq!(tasks.matches("\"goal\":\"two\"").count(), 1, "{tasks}");
+    assert_eq!(tasks.matches("\"test:echo:one\"").count(), 1, "{tasks}");
+    assert_eq!(tasks.matches("\"test:echo:two\"").count(), 1, "{tasks}");
     let ended = Process::run(&mut stage.replay(&["--yes"]));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(

@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -103,9 +102,7 @@ impl Record {
             recording: Mutex::new(recording),
             failure: Mutex::new(None),
             end: self.timeout.map(|limit| Instant::now() + limit),
-            messages: AtomicU64::new(0),
-            missed: AtomicU64::new(0),
-            left_out: AtomicU64::new(0),
+            counts: Mutex::default(),
         };
         error_line(format_args!(
             "Recording into {}. Ctrl-C ends it.",
@@ -130,9 +127,12 @@ impl Record {
             )
             .into());
         }
-        let (messages, missed) = (&session.messages, session.missed.load(Ordering::Relaxed));
-        let messages = messages.load(Ordering::Relaxed);
-        let left_out = match session.left_out.load(Ordering::Relaxed) {
+        let Counts {
+            recorded,
+            missed,
+            left_out,
+        } = *session.counts();
+        let left_out = match left_out {
             0 => String::new(),
             number => format!(", {number} left out"),
         };
@@ -141,7 +141,7 @@ impl Record {
         let topics = recording.topics();
         recording.finish().map_err(cannot_write)?;
         line(format_args!(
-            "Recorded: {messages} messages of {topics} topics, {missed} missed{left_out}: {}",
+            "Recorded: {recorded} messages of {topics} topics, {missed} missed{left_out}: {}",
             self.file.display()
         ));
         Ok(signals::exit_code_or(ExitCode::SUCCESS))
@@ -176,9 +176,15 @@ struct Session {
     /// Why the recording ended early.
     failure: Mutex<Option<String>>,
     end: Option<Instant>,
-    messages: AtomicU64,
-    missed: AtomicU64,
-    left_out: AtomicU64,
+    counts: Mutex<Counts>,
+}
+
+/// Numbers of messages.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    recorded: u64,
+    missed: u64,
+    left_out: u64,
 }
 
 impl Session {
@@ -195,6 +201,10 @@ impl Session {
         self.recording
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn counts(&self) -> MutexGuard<'_, Counts> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn is_over(&self) -> bool {
@@ -232,13 +242,11 @@ impl Session {
             let at = Instant::now();
             said.on_connection(subscriber.is_connected(), at);
             if subscriber.missed() > missed {
-                self.missed
-                    .fetch_add(subscriber.missed() - missed, Ordering::Relaxed);
+                self.counts().missed += subscriber.missed() - missed;
                 missed = subscriber.missed();
             }
             if subscriber.damaged() > damaged {
-                self.left_out
-                    .fetch_add(subscriber.damaged() - damaged, Ordering::Relaxed);
+                self.counts().left_out += subscriber.damaged() - damaged;
                 damaged = subscriber.damaged();
             }
             let Some(heard) = heard else { continue };
@@ -246,18 +254,16 @@ impl Session {
                 Ok(message) => message,
                 Err(error) => {
                     said.left_out(&heard.topic, error);
-                    self.left_out.fetch_add(1, Ordering::Relaxed);
+                    self.counts().left_out += 1;
                     continue;
                 }
             };
             let written = self.recording().write(name, message, at);
             match written {
-                Ok(Written::Yes) => {
-                    self.messages.fetch_add(1, Ordering::Relaxed);
-                }
+                Ok(Written::Yes) => self.counts().recorded += 1,
                 Ok(Written::TooManyTopics) => {
                     said.left_out(&heard.topic, "there are too many topics");
-                    self.left_out.fetch_add(1, Ordering::Relaxed);
+                    self.counts().left_out += 1;
                 }
                 Err(error) => return self.fail(error),
             }
