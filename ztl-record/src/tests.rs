@@ -315,7 +315,9 @@ fn a_report_draws_streams_above_tasks_and_escapes_them() {
     let stream = place("<path class=\"series s0\"");
     assert!(stream < place("data-task=\"7\""));
     place("<path class=\"wave\"");
-    place("<image id=\"image-1\" width=\"80\" height=\"56\" href=\"data:image/jpeg;base64,/9j/");
+    place(
+        "<image id=\"image-1\" width=\"84\" height=\"63\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,/9j/",
+    );
     place("head:pan:&lt;b&gt;");
     assert!(!html.contains("<b>"));
     assert!(!html.contains("<script"));

@@ -6,7 +6,7 @@ use std::time::Duration;
 use ztl_script::drawing::{Axis, Drawing, Layout, NARROW, WIDE, escape};
 
 use super::series::Series;
-use super::streams::Stream;
+use super::streams::{IMAGES as MOST_IMAGES, Stream};
 use super::tasks::Task;
 use super::{Recorded, Span};
 use crate::form::to_base64;
@@ -14,8 +14,9 @@ use crate::form::to_base64;
 /// Heights of rows, in units of the drawing.
 const LINES: f64 = 56.0;
 const SOUND: f64 = 44.0;
-const IMAGES: f64 = 62.0;
 const MARKS: f64 = 22.0;
+/// Size of an image in the wide layout.
+const IMAGE: (f64, f64) = (84.0, 63.0);
 /// Most tasks in the drawing; the table has more.
 const TASKS: usize = 300;
 
@@ -28,7 +29,9 @@ pub(super) fn images(recorded: &Recorded) -> String {
         .flat_map(|stream| &stream.images);
     let images = images.enumerate().map(|(nth, (_, jpeg))| {
         format!(
-            "<image id=\"image-{nth}\" width=\"80\" height=\"56\" href=\"data:image/jpeg;base64,{}\"/>\n",
+            "<image id=\"image-{nth}\" width=\"{}\" height=\"{}\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,{}\"/>\n",
+            IMAGE.0,
+            IMAGE.1,
             to_base64(jpeg)
         )
     });
@@ -131,20 +134,27 @@ impl Rows {
             self.wave(series, place);
         }
         if !stream.images.is_empty() {
-            let place = self.row(name, &format!("{messages} images"), IMAGES);
+            let room = (self.x(1.0) - self.x(0.0)) / MOST_IMAGES as f64;
+            let scale = (room / (IMAGE.0 + 4.0)).min(1.0);
+            let height = IMAGE.1 * scale + 6.0;
+            let place = self.row(name, &format!("{messages} images"), height);
             for (at, _) in &stream.images {
                 let x = self.axis.x(self.span.at(*at));
                 self.drawing.line("due", (x, place.0), (x, place.1));
                 let _ = writeln!(
                     self.drawing.out,
-                    "<use href=\"#image-{nth_image}\" x=\"{x:.1}\" y=\"{:.1}\"/>",
+                    "<use href=\"#image-{nth_image}\" transform=\"translate({x:.1} {:.1}) scale({scale:.2})\"/>",
                     place.0 + 3.0
                 );
                 *nth_image += 1;
             }
         }
         if !stream.marks.is_empty() {
-            let place = self.row(name, &format!("{messages} values"), MARKS);
+            let remark = match stream.marks.len() as u64 {
+                all if all == messages => format!("{messages} values"),
+                marked => format!("{messages} values, {marked} marked"),
+            };
+            let place = self.row(name, &remark, MARKS);
             for (at, text) in &stream.marks {
                 let x = self.axis.x(self.span.at(*at));
                 let place = (place.0 + 4.0, place.1 - 4.0);

@@ -14,6 +14,10 @@ svg .series.s2 { stroke: var(--completed); } svg .series.s3 { stroke: var(--abor
 svg .series.s5 { stroke: var(--soft); } svg .wave { fill: none; stroke-width: 1; stroke: var(--open); }
 ";
 
+/// The columns of the tables.
+const STREAMS: [&str; 4] = ["topic", "publisher", "messages", "a second"];
+const TASKS: [&str; 5] = ["task", "start", "length", "state", "text"];
+
 pub(super) fn page(recorded: &Recorded) -> String {
     let title = format!("{}, {}", recorded.name, start(recorded));
     let title = escape(&title);
@@ -63,11 +67,12 @@ fn start(recorded: &Recorded) -> String {
     text.replace('T', " ").replace('Z', " UTC")
 }
 
-/// A row of a table, of cells with text.
-fn row(class: &str, cells: &[String]) -> String {
-    let cells = cells
+/// A row of a table, of cells with text. Narrow pages show the column's name in each cell.
+fn row(class: &str, columns: &[&str], cells: &[String]) -> String {
+    let cells = columns
         .iter()
-        .map(|cell| format!("<td>{}</td>", escape(cell)));
+        .zip(cells)
+        .map(|(column, cell)| format!("<td data-name=\"{column}\">{}</td>", escape(cell)));
     let cells: String = cells.collect();
     format!("<tr class=\"{class}\">{cells}</tr>\n")
 }
@@ -94,11 +99,10 @@ fn streams(recorded: &Recorded) -> String {
             stream.messages.to_string(),
             format!("{rate:.1}"),
         ];
-        row("", &cells)
+        row("", &STREAMS, &cells)
     });
     let rows: String = rows.collect();
-    let columns = ["topic", "publisher", "messages", "a second"];
-    table("Streams", &columns, &rows)
+    table("Streams", &STREAMS, &rows)
 }
 
 fn tasks(recorded: &Recorded) -> String {
@@ -114,9 +118,8 @@ fn tasks(recorded: &Recorded) -> String {
             task.state.clone(),
             task.text.clone(),
         ];
-        row(class(&task.state), &cells)
+        row(class(&task.state), &TASKS, &cells)
     });
     let rows: String = rows.collect();
-    let columns = ["task", "start", "length", "state", "text"];
-    table("Tasks", &columns, &rows)
+    table("Tasks", &TASKS, &rows)
 }

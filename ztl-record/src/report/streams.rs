@@ -20,7 +20,7 @@ const MARKS: usize = 200;
 /// Longest text of a mark in bytes.
 const MARK: usize = 200;
 /// Most images of a stream, spread over the time.
-const IMAGES: u64 = 10;
+pub(super) const IMAGES: u64 = 7;
 /// Longest image that is drawn, and of all together, in bytes.
 const IMAGE: usize = 1 << 20;
 const ALL_IMAGES: usize = 16 << 20;
