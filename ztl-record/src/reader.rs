@@ -121,9 +121,16 @@ pub struct Reader {
     reader: LinearReader,
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, Arc<Channel>>,
-    waiting: VecDeque<Read>,
+    waiting: VecDeque<Waiting>,
     damage: Damage,
     done: bool,
+}
+
+/// A message that is whole, but not read yet: it takes less memory so.
+struct Waiting {
+    channel: Arc<Channel>,
+    header: MessageHeader,
+    data: Vec<u8>,
 }
 
 struct Channel {
@@ -208,16 +215,14 @@ impl Reader {
             )));
             return true;
         }
-        let Ok(reader) = mcap::read::ChunkReader::new(header, data) else {
-            return false;
-        };
+        let records = || mcap::read::ChunkReader::new(header.clone(), data);
         // All or nothing: a wrong checksum is found at the end.
-        let Ok(records) = reader.collect::<Result<Vec<_>, _>>() else {
+        let is_whole = records().is_ok_and(|mut records| records.all(|record| record.is_ok()));
+        if !is_whole {
             return false;
-        };
-        records
-            .into_iter()
-            .for_each(|record| self.on_record(record));
+        }
+        let records = records().into_iter().flatten().flatten();
+        records.for_each(|record| self.on_record(record));
         true
     }
 
@@ -240,13 +245,14 @@ impl Reader {
                 };
                 self.channels.insert(channel.id, Arc::new(known));
             }
-            Record::Message { header, data } => {
-                let channel = self.channels.get(&header.channel_id);
-                match channel.and_then(|channel| message(channel, &header, &data)) {
-                    Some(read) => self.waiting.push_back(read),
-                    None => self.damage.foreign += 1,
-                }
-            }
+            Record::Message { header, data } => match self.channels.get(&header.channel_id) {
+                Some(channel) => self.waiting.push_back(Waiting {
+                    channel: Arc::clone(channel),
+                    header,
+                    data: data.into_owned(),
+                }),
+                None => self.damage.foreign += 1,
+            },
             _ => {}
         }
     }
@@ -257,58 +263,66 @@ impl Iterator for Reader {
 
     fn next(&mut self) -> Option<Read> {
         loop {
-            if let Some(read) = self.waiting.pop_front() {
-                return Some(read);
+            match self.waiting.pop_front() {
+                Some(waiting) => match waiting.read() {
+                    Some(read) => return Some(read),
+                    None => self.damage.foreign += 1,
+                },
+                None if self.done => return None,
+                None => self.read_on(),
             }
-            if self.done {
-                return None;
-            }
-            self.read_on();
         }
     }
 }
 
-/// A message, if it is as ZTL records it.
-fn message(channel: &Channel, header: &MessageHeader, data: &[u8]) -> Option<Read> {
-    let mut topic = channel.topic.clone();
-    let content = match channel.form? {
-        Form::Task => {
-            let scope = topic.strip_suffix(TASKS.trim_end_matches('/'))?;
-            let event = TaskEvent::read(scope, &serde_json::from_slice(data).ok()?)?;
-            topic = format!("{scope}{TASKS}{}", event.id);
-            let Plain(value) = serde_json::from_slice(data).ok()?;
-            Content::Task(event, value)
-        }
-        Form::Value => {
-            let stored: StoredValue = serde_json::from_slice(data).ok()?;
-            Content::Value(match (stored.pickle, stored.value) {
-                (Some(pickle), _) => Pickle::read(&from_base64(&pickle)?).ok()?,
-                (None, value) => value.map_or_else(Pickle::none, |Plain(value)| value),
-            })
-        }
-        Form::Text => Content::Text(serde_json::from_slice::<Text>(data).ok()?.text),
-        Form::Image => {
-            let image: Image = serde_json::from_slice(data).ok()?;
-            Content::Image(from_base64(&image.data)?)
-        }
-        Form::Sound => {
-            let sound: Sound = serde_json::from_slice(data).ok()?;
-            let format = SoundFormat {
-                rate: sound.sample_rate,
-                channels: sound.number_of_channels,
-            };
-            Content::Sound(format, from_base64(&sound.data)?)
-        }
-        Form::Bytes => Content::Bytes(data.to_vec()),
-    };
-    Some(Read {
-        topic,
-        publisher: channel.publisher.clone(),
-        log_time: header.log_time,
-        publish_time: header.publish_time,
-        content,
-        pickled: channel.pickled,
-    })
+impl Waiting {
+    /// The message, if it is as ZTL records it.
+    fn read(self) -> Option<Read> {
+        let Self {
+            channel,
+            header,
+            data,
+        } = self;
+        let mut topic = channel.topic.clone();
+        let content = match channel.form? {
+            Form::Task => {
+                let scope = topic.strip_suffix(TASKS.trim_end_matches('/'))?;
+                let event = TaskEvent::read(scope, &serde_json::from_slice(&data).ok()?)?;
+                topic = format!("{scope}{TASKS}{}", event.id);
+                let Plain(value) = serde_json::from_slice(&data).ok()?;
+                Content::Task(event, value)
+            }
+            Form::Value => {
+                let stored: StoredValue = serde_json::from_slice(&data).ok()?;
+                Content::Value(match (stored.pickle, stored.value) {
+                    (Some(pickle), _) => Pickle::read(&from_base64(&pickle)?).ok()?,
+                    (None, value) => value.map_or_else(Pickle::none, |Plain(value)| value),
+                })
+            }
+            Form::Text => Content::Text(serde_json::from_slice::<Text>(&data).ok()?.text),
+            Form::Image => {
+                let image: Image = serde_json::from_slice(&data).ok()?;
+                Content::Image(from_base64(&image.data)?)
+            }
+            Form::Sound => {
+                let sound: Sound = serde_json::from_slice(&data).ok()?;
+                let format = SoundFormat {
+                    rate: sound.sample_rate,
+                    channels: sound.number_of_channels,
+                };
+                Content::Sound(format, from_base64(&sound.data)?)
+            }
+            Form::Bytes => Content::Bytes(data),
+        };
+        Some(Read {
+            topic,
+            publisher: channel.publisher.clone(),
+            log_time: header.log_time,
+            publish_time: header.publish_time,
+            content,
+            pickled: channel.pickled,
+        })
+    }
 }
 
 /// `ztl.Value`. A value of `null` is `None`, as an absent one.
