@@ -3,7 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
 use std::fs::File;
-use std::io::{self, Read as _};
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -117,7 +117,7 @@ impl fmt::Display for Damage {
 
 /// Reads the messages of a recording, in the order in which they were written.
 pub struct Reader {
-    file: File,
+    input: Box<dyn io::Read + Send>,
     reader: LinearReader,
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, Arc<Channel>>,
@@ -147,18 +147,23 @@ impl Reader {
     /// # Errors
     /// If the file cannot be opened.
     pub fn open(path: &Path) -> io::Result<Self> {
+        Ok(Self::new(File::open(path)?))
+    }
+
+    /// Reads a recording from somewhere else.
+    pub fn new(input: impl io::Read + Send + 'static) -> Self {
         let options = LinearReaderOptions::default()
             .with_emit_chunks(true)
             .with_record_length_limit(LONGEST);
-        Ok(Self {
-            file: File::open(path)?,
+        Self {
+            input: Box::new(input),
             reader: LinearReader::new_with_options(options),
             schemas: HashMap::new(),
             channels: HashMap::new(),
             waiting: VecDeque::new(),
             damage: Damage::default(),
             done: false,
-        })
+        }
     }
 
     /// What was found to be wrong so far.
@@ -182,7 +187,7 @@ impl Reader {
             }
             Some(Ok(LinearReadEvent::ReadRequest(needed))) => {
                 let block = self.reader.insert(needed.clamp(1, BLOCK));
-                match self.file.read(block) {
+                match self.input.read(block) {
                     Ok(read) => self.reader.notify_read(read),
                     Err(error) => self.end(Some(format!("cannot be read further: {error}"))),
                 }
@@ -336,7 +341,7 @@ struct StoredValue {
 fn told(error: &McapError) -> String {
     match error {
         McapError::UnexpectedEof => {
-            "has no end: the recorder was stopped by force; what was written before is read"
+            "has no end, as if the recorder was killed or its disk was full; what was written before is read"
                 .to_owned()
         }
         McapError::BadMagic => "is not an MCAP file".to_owned(),
