@@ -200,19 +200,20 @@ impl Reader {
             // What follows is nothing that a reader from start to end needs.
             return self.end(None);
         }
-        match mcap::parse_record(opcode, &data) {
-            Ok(Record::Chunk { header, data }) => {
-                if !self.on_chunk(header, &data) {
+        match parse(opcode, &data) {
+            Ok(Some(Record::Chunk { header, data })) => {
+                if !self.on_chunk(&header, &data) {
                     self.damage.chunks += 1;
                 }
             }
-            Ok(record) => self.on_record(record),
-            Err(error) => self.end(Some(told(&error))),
+            Ok(Some(record)) => self.on_record(record),
+            Ok(None) => {}
+            Err(Unreadable) => self.end(Some("is damaged: a record is not readable".to_owned())),
         }
     }
 
     /// Reads a chunk. Returns whether it is whole.
-    fn on_chunk(&mut self, header: ChunkHeader, data: &[u8]) -> bool {
+    fn on_chunk(&mut self, header: &ChunkHeader, data: &[u8]) -> bool {
         if !header.compression.is_empty() {
             self.end(Some(format!(
                 "is compressed with '{}'; convert it first: mcap compress --compression none",
@@ -220,14 +221,17 @@ impl Reader {
             )));
             return true;
         }
-        let records = || mcap::read::ChunkReader::new(header.clone(), data);
-        // All or nothing: a wrong checksum is found at the end.
-        let is_whole = records().is_ok_and(|mut records| records.all(|record| record.is_ok()));
-        if !is_whole {
+        let saved = header.uncompressed_crc;
+        if saved != 0 && crc32fast::hash(data) != saved {
             return false;
         }
-        let records = records().into_iter().flatten().flatten();
-        records.for_each(|record| self.on_record(record));
+        // All or nothing.
+        if !records(data).all(|record| record.is_ok()) {
+            return false;
+        }
+        for record in records(data).flatten().flatten() {
+            self.on_record(record);
+        }
         true
     }
 
@@ -278,6 +282,74 @@ impl Iterator for Reader {
             }
         }
     }
+}
+
+/// A record is not as it must be.
+struct Unreadable;
+
+/// The records in a chunk that are used.
+fn records(mut data: &[u8]) -> impl Iterator<Item = Result<Option<Record<'_>>, Unreadable>> {
+    std::iter::from_fn(move || {
+        if data.is_empty() {
+            return None;
+        }
+        let Some((opcode, body, rest)) = split_record(data) else {
+            data = &[];
+            return Some(Err(Unreadable));
+        };
+        data = rest;
+        Some(parse(opcode, body))
+    })
+}
+
+/// The first record, and what follows it.
+fn split_record(data: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let (opcode, data) = data.split_first()?;
+    let (length, data) = data.split_first_chunk()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let (body, rest) = data.split_at_checked(length)?;
+    Some((*opcode, body, rest))
+}
+
+/// Reads a record if it is of a kind that is used.
+fn parse(opcode: u8, body: &[u8]) -> Result<Option<Record<'_>>, Unreadable> {
+    // `mcap` allocates as much as a text claims to have, before it looks for it.
+    let fits = match opcode {
+        op::SCHEMA => body.get(2..).and_then(|body| skip_texts(body, 3)).is_some(),
+        op::CHANNEL => is_channel(body).is_some(),
+        op::CHUNK => body
+            .get(28..)
+            .and_then(|body| skip_texts(body, 1))
+            .is_some(),
+        op::MESSAGE => true,
+        _ => return Ok(None),
+    };
+    match fits {
+        true => mcap::parse_record(opcode, body)
+            .map(Some)
+            .map_err(|_| Unreadable),
+        false => Err(Unreadable),
+    }
+}
+
+/// Whether the texts of a channel are within it.
+fn is_channel(body: &[u8]) -> Option<()> {
+    let metadata = skip_texts(body.get(4..)?, 2)?;
+    let (length, metadata) = metadata.split_first_chunk()?;
+    let mut metadata = metadata.get(..usize::try_from(u32::from_le_bytes(*length)).ok()?)?;
+    while !metadata.is_empty() {
+        metadata = skip_texts(metadata, 1)?;
+    }
+    Some(())
+}
+
+/// What follows so many texts, each behind its length.
+fn skip_texts(mut bytes: &[u8], number: usize) -> Option<&[u8]> {
+    for _ in 0..number {
+        let (length, rest) = bytes.split_first_chunk()?;
+        bytes = rest.get(usize::try_from(u32::from_le_bytes(*length)).ok()?..)?;
+    }
+    Some(bytes)
 }
 
 impl Waiting {
