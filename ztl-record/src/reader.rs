@@ -216,7 +216,7 @@ impl Reader {
     fn on_chunk(&mut self, header: &ChunkHeader, data: &[u8]) -> bool {
         if !header.compression.is_empty() {
             self.end(Some(format!(
-                "is compressed with '{}'; convert it first: mcap compress --compression none",
+                "is compressed with {:?}; convert it first: mcap compress --compression none",
                 header.compression
             )));
             return true;
