@@ -13,6 +13,7 @@ pub mod link;
 pub mod link_ends;
 pub mod message;
 pub mod pickle;
+pub mod recording;
 mod script;
 pub mod spec;
 pub mod zmtp;

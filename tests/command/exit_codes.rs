@@ -2,8 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::TcpListener;
+use std::path::Path;
 use std::process::Command;
+use std::time::Instant;
 
+use ztl_pickle::Pickle;
+use ztl_record::{Formats, Recording, Written};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, ztl};
 
 const DOCUMENT: &str = include_str!("../../docs/tools.md");
@@ -35,6 +39,21 @@ fn commands() -> Vec<String> {
         .collect()
 }
 
+/// Writes a recording of a task.
+fn record_a_task(file: &Path) {
+    let fields = ["state", "handler", "component", "goal"].into_iter();
+    let fields = fields.zip(["INITIATED", "test", "echo", "hi"]);
+    let text = |text| Pickle::text(text).expect("text");
+    let fields = fields.map(|(key, value)| (key, text(value)));
+    let event = Pickle::dict(fields.chain([("id", 1.into())])).expect("a dict");
+    let topic = format!("{SCOPE}/$tasks/1");
+    let message = Formats::default().prepare(&topic, &event.to_bytes());
+    let mut recording = Recording::create(file).expect("a file");
+    let written = recording.write("robot", message.expect("a message"), Instant::now());
+    assert_eq!(written.expect("room"), Written::Yes);
+    recording.finish().expect("room");
+}
+
 #[test]
 fn each_command_exits_with_the_documented_codes() {
     let tests = Server::ours();
@@ -59,6 +78,7 @@ fn each_command_exits_with_the_documented_codes() {
             tests.port
         ),
     );
+    record_a_task(&scratch.path("tasks.mcap"));
     let values = BTreeMap::from([
         ("TESTS", tests.port),
         ("TAKEN", taken),
@@ -102,6 +122,10 @@ fn each_command_exits_with_the_documented_codes() {
         ("man none.jsonl", 1, "man"),
         ("device sim:gripper --on tcp:TAKEN", 1, "device"),
         ("ps -p NOBODY", 1, "ps"),
+        ("record none.jsonl tcp://localhost:NOBODY", 1, "record"),
+        ("record new.mcap nobody -c remotes.yaml", 2, "record"),
+        ("replay no-such.mcap -p 0", 1, "replay"),
+        ("replay tasks.mcap --tasks -c remotes.yaml", 2, "replay"),
         ("report none.jsonl", 1, "report"),
         ("report no-such.jsonl", 1, "report"),
         (

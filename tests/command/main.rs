@@ -8,5 +8,6 @@ mod examples;
 mod exit_codes;
 mod options;
 mod output;
+mod recording;
 mod streams;
 mod watching;

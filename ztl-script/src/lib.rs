@@ -5,8 +5,10 @@
 //!   next is decided by its player, a state machine without I/O.
 //! - [`event`]: everything that happens in a run. [`record`] writes events to a file and reads them back;
 //!   [`report`] makes a page and tables of them.
+//! - [`drawing`] draws timelines, also for other crates.
 //! - [`timeline`] shows what would be sent when.
 
+pub mod drawing;
 mod dry_run;
 mod durations;
 pub mod event;

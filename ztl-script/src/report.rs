@@ -5,7 +5,6 @@
 mod csv;
 mod from_record;
 mod html;
-mod layout;
 mod page;
 mod run;
 mod svg;

@@ -159,6 +159,11 @@ impl Remotes {
         self.tasks.keys().map(String::as_str)
     }
 
+    /// The names of the publishers.
+    pub fn publisher_names(&self) -> impl Iterator<Item = &str> {
+        self.publishers.keys().map(String::as_str)
+    }
+
     /// The mistakes in all entries.
     pub fn mistakes(&self) -> impl Iterator<Item = &Diagnostics> {
         let entries = self.tasks.values().chain(self.publishers.values());

@@ -8,6 +8,7 @@
 mod abort;
 mod called;
 mod check;
+mod chosen_publisher;
 mod client;
 mod columns;
 mod completions;
@@ -38,8 +39,12 @@ mod option_values;
 mod original;
 mod ps;
 mod publish;
+#[cfg(feature = "record")]
+mod record;
 mod remote_task;
 mod remotes_options;
+#[cfg(feature = "record")]
+mod replay;
 mod report;
 mod run_script;
 #[cfg(unix)]
@@ -119,9 +124,15 @@ enum Command {
     /// Serve a page on which people watch, start and stop the tasks of all robots
     #[cfg(feature = "web")]
     Web(web::Web),
+    /// Record streams and tasks into an MCAP file
+    #[cfg(feature = "record")]
+    Record(record::Record),
+    /// Publish a recording again; with --tasks, send its tasks to the robots
+    #[cfg(feature = "record")]
+    Replay(replay::Replay),
     /// Create a key pair for encrypted connections
     Keys(keys::Keys),
-    /// Create a page and tables from recorded runs of scripts
+    /// Create a page and tables from recorded runs of scripts, or a page from a recording
     Report(report::Report),
     /// Check a script for mistakes
     Check(check::Check),
@@ -174,6 +185,10 @@ fn main() -> ExitCode {
         Command::Publish(publish) => publish.run(),
         #[cfg(feature = "web")]
         Command::Web(web) => web.run(),
+        #[cfg(feature = "record")]
+        Command::Record(record) => record.run(),
+        #[cfg(feature = "record")]
+        Command::Replay(replay) => replay.run(),
         Command::Report(report) => report.run(),
         Command::Check(check) => check.run(),
         Command::Completions(completions) => completions.run(&mut Cli::command()),

@@ -1,7 +1,7 @@
-//! `ztl report`: turns records of runs into a page and tables.
+//! `ztl report`: turns records of runs into a page and tables, and a recording into a page.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -13,8 +13,8 @@ use crate::terminal::{error_line, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Report {
-    /// Records written by `ztl run-script --record`; several are compared
-    #[arg(required = true, value_name = "RUN.jsonl")]
+    /// Records written by `ztl run-script --record`; several are compared. Or one recording of `ztl record`
+    #[arg(required = true, value_name = "RUN.jsonl|FILE.mcap")]
     records: Vec<PathBuf>,
 
     /// The page to write [default: RUN.html beside the record, or report.html for several]
@@ -29,6 +29,9 @@ pub(crate) struct Report {
 
 impl Report {
     pub(crate) fn run(self) -> Done {
+        if let Some(path) = self.records.iter().find(|path| is_recording(path)) {
+            return self.of_recording(path);
+        }
         let mut records = Vec::new();
         let mut damage = Vec::new();
         for path in &self.records {
@@ -71,6 +74,36 @@ impl Report {
         Ok(ExitCode::SUCCESS)
     }
 
+    /// Makes the page of a recording.
+    #[cfg(feature = "record")]
+    fn of_recording(&self, path: &Path) -> Done {
+        if self.records.len() > 1 || self.csv {
+            let mistake = "a recording is reported alone, without --csv";
+            return Err(crate::exit::Misuse(mistake.to_owned()).into());
+        }
+        let page = self.page();
+        if same(path, &page) {
+            let page = page.display();
+            return Err(format!("{page} is the recording; give the report another name").into());
+        }
+        let name = path.display();
+        let (html, damage) =
+            ztl_record::report(path).map_err(|error| format!("cannot report {name}: {error}"))?;
+        if damage.is_any() {
+            error_line(format_args!("ztl: warning: {name} {damage}"));
+        }
+        let written = std::fs::write(&page, html);
+        written.map_err(|error| format!("cannot write {}: {error}", page.display()))?;
+        line(format_args!("Written: {}", page.display()));
+        Ok(ExitCode::SUCCESS)
+    }
+
+    #[cfg(not(feature = "record"))]
+    fn of_recording(&self, path: &Path) -> Done {
+        let path = path.display();
+        Err(format!("{path} is a recording, which this build cannot read (docs/dist.md)").into())
+    }
+
     fn page(&self) -> PathBuf {
         match (&self.output, self.records.as_slice()) {
             (Some(output), _) => output.clone(),
@@ -78,6 +111,16 @@ impl Report {
             (None, _) => PathBuf::from("report.html"),
         }
     }
+}
+
+/// Whether a file is a recording: it begins as MCAP files do, or is called so.
+fn is_recording(path: &Path) -> bool {
+    let mut begin = [0; 8];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut begin));
+    let is_called = path
+        .extension()
+        .is_some_and(|extension| extension == "mcap");
+    is_called || (read.is_ok() && begin == *b"\x89MCAP0\r\n")
 }
 
 fn read(path: &Path) -> Result<(Vec<Record>, Vec<Damage>), String> {

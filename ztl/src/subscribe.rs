@@ -9,10 +9,10 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 use serde_json::json;
 use tracing::Level;
 use ztl_pickle::{Kind, Pickle};
+use ztl_std::Subscriber;
 use ztl_std::publish::Heard;
-use ztl_std::remotes::{Remote, usual_path};
-use ztl_std::{Remotes, Subscriber};
 
+use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::KeyOptions;
 use crate::exit::{Done, Misuse};
 use crate::option_values::duration;
@@ -127,44 +127,8 @@ impl Subscribe {
 
     /// Connects to the publisher.
     fn connect(&self) -> Result<Subscriber, Box<dyn std::error::Error>> {
-        let mut builder = Subscriber::builder();
-        let (endpoint, remote) = match self.publisher.contains("://") {
-            true => (self.publisher.clone(), None),
-            false => {
-                let remote = self.named()?;
-                (remote.endpoint(), Some(remote))
-            }
-        };
-        if self.scopes.is_empty()
-            && let Some(remote) = &remote
-        {
-            builder = builder.scope(&remote.scope);
-        }
-        for scope in &self.scopes {
-            builder = builder.scope(scope);
-        }
-        let keys = self
-            .keys
-            .read(remote.and_then(|remote| remote.keys).as_ref())?;
-        if let Some((own, publisher)) = keys {
-            builder = builder.keys(own, publisher);
-        }
-        let connected = builder.connect(&endpoint);
-        Ok(connected.map_err(|error| Misuse(error.to_string()))?)
-    }
-
-    /// A publisher of the configuration file.
-    fn named(&self) -> Result<Remote, Misuse> {
-        let path = self.config.clone().unwrap_or_else(usual_path);
-        let name = &self.publisher;
-        if self.config.is_none() && !path.exists() {
-            let path = path.display();
-            let mistake = format!("no {path} to look up '{name}'; an address begins with tcp://");
-            return Err(Misuse(mistake));
-        }
-        let remotes = Remotes::load(&path).map_err(|mistakes| Misuse(mistakes.to_string()))?;
-        let found = remotes.publisher(name).cloned();
-        found.map_err(|error| Misuse(format!("{error} (an address begins with tcp://)")))
+        let publisher = ChosenPublisher::find(&self.publisher, self.config.as_deref())?;
+        publisher.connect(&self.scopes, &self.keys)
     }
 }
 

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use super::html::{Table, escape};
+use super::html::Table;
 use super::run::{PlayedTask, ReportedRun, WaitCause};
 use super::{svg, tables, trouble, words};
+use crate::drawing::{PATTERNS, STYLE, escape};
 use crate::durations::{difference, median, seconds, spoken};
 use crate::event::{Ending, TaskState};
 use crate::record::Damage;
-
-const STYLE: &str = include_str!("style.css");
 
 pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
     let title = match runs {
@@ -24,7 +23,7 @@ pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
          <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
          <title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n{}<main>\n",
         escape(&title),
-        svg::PATTERNS
+        PATTERNS
     );
     out += &format!("<h1>{}</h1>\n", escape(&title));
     out += &damage_list(damage);

@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
-use super::html::{Table, escape};
+use super::html::Table;
 use super::run::{PlayedScene, ReportedRun};
 use super::{svg, words};
+use crate::drawing::escape;
 use crate::durations::{difference, median, millis, percentile, seconds};
 use crate::event::{Ending, TaskState};
 

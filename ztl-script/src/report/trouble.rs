@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use super::html::escape;
 use super::run::{PlayedTask, ReportedRun, StopTarget};
 use super::svg;
+use crate::drawing::escape;
 use crate::durations::seconds;
 use crate::event::{TaskNumber, TaskState};
 

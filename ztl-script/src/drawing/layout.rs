@@ -1,21 +1,25 @@
 //! The layouts of a timeline: for wide and for narrow windows.
 
 /// Widths of names, bars and remarks, in units of the drawing.
-pub(super) struct Layout {
-    pub(super) class: &'static str,
-    pub(super) width: f64,
+#[derive(Debug)]
+pub struct Layout {
+    pub(crate) class: &'static str,
+    /// Width of the whole drawing.
+    pub width: f64,
     /// Width of the names left of the bars; `None`: names and remarks are above their bars.
-    pub(super) names: Option<f64>,
+    pub(crate) names: Option<f64>,
     /// Width of the names in the overview.
-    pub(super) overview: f64,
+    pub overview: f64,
     /// Width of the remarks beside the bars.
-    pub(super) remarks: f64,
-    pub(super) row: f64,
+    pub(crate) remarks: f64,
+    /// Height of a row.
+    pub row: f64,
     /// Most labels on the scale.
-    pub(super) ticks: f64,
+    pub(crate) ticks: f64,
 }
 
-pub(super) const WIDE: Layout = Layout {
+/// For wide windows.
+pub const WIDE: Layout = Layout {
     class: "wide",
     width: 1180.0,
     names: Some(300.0),
@@ -26,7 +30,7 @@ pub(super) const WIDE: Layout = Layout {
 };
 
 /// For phones, unscaled.
-pub(super) const NARROW: Layout = Layout {
+pub const NARROW: Layout = Layout {
     class: "narrow",
     width: 366.0,
     names: None,
@@ -38,7 +42,8 @@ pub(super) const NARROW: Layout = Layout {
 
 impl Layout {
     /// The left and right ends of the bars.
-    pub(super) const fn bars(&self) -> (f64, f64) {
+    #[must_use]
+    pub const fn bars(&self) -> (f64, f64) {
         match self.names {
             Some(names) => (names, self.width - self.remarks),
             None => (2.0, self.width - 14.0),
@@ -46,7 +51,8 @@ impl Layout {
     }
 
     /// Distance of the bars of a row below its names.
-    pub(super) const fn lift(&self) -> f64 {
+    #[must_use]
+    pub const fn lift(&self) -> f64 {
         match self.names {
             Some(_) => 0.0,
             None => 15.0,
@@ -54,12 +60,14 @@ impl Layout {
     }
 
     /// Width of the name of a row.
-    pub(super) fn name_width(&self) -> f64 {
+    #[must_use]
+    pub fn name_width(&self) -> f64 {
         self.names.unwrap_or(self.width - self.remarks)
     }
 
     /// Place and width of the remark of a row.
-    pub(super) fn remark(&self) -> (f64, f64) {
+    #[must_use]
+    pub fn remark(&self) -> (f64, f64) {
         let gap = if self.names.is_some() { 20.0 } else { 6.0 };
         (self.width - self.remarks + gap, self.remarks - gap)
     }

@@ -1,0 +1,71 @@
+//! Which publisher to subscribe to: one of the configuration file, or an address.
+
+use std::path::Path;
+
+use ztl_std::remotes::{Remote, usual_path};
+use ztl_std::{Remotes, Subscriber};
+
+use crate::connect_options::KeyOptions;
+use crate::exit::Misuse;
+
+/// A publisher.
+pub(crate) struct ChosenPublisher {
+    endpoint: String,
+    /// Its entry in the configuration file.
+    remote: Option<Remote>,
+}
+
+impl ChosenPublisher {
+    /// Finds a publisher by its name in the configuration file, or by its address.
+    pub(crate) fn find(text: &str, config: Option<&Path>) -> Result<Self, Misuse> {
+        let (endpoint, remote) = match text.contains("://") {
+            true => (text.to_owned(), None),
+            false => {
+                let remote = named(text, config)?;
+                (remote.endpoint(), Some(remote))
+            }
+        };
+        Ok(Self { endpoint, remote })
+    }
+
+    /// Subscribes to these scopes, or to the publisher's scope in the configuration file, or to all.
+    pub(crate) fn connect(
+        self,
+        scopes: &[String],
+        keys: &KeyOptions,
+    ) -> Result<Subscriber, Box<dyn std::error::Error>> {
+        let mut builder = Subscriber::builder();
+        if scopes.is_empty()
+            && let Some(remote) = &self.remote
+        {
+            builder = builder.scope(&remote.scope);
+        }
+        for scope in scopes {
+            builder = builder.scope(scope);
+        }
+        let keys = keys.read(self.remote.and_then(|remote| remote.keys).as_ref())?;
+        if let Some((own, publisher)) = keys {
+            builder = builder.keys(own, publisher);
+        }
+        let connected = builder.connect(&self.endpoint);
+        Ok(connected.map_err(|error| Misuse(error.to_string()))?)
+    }
+}
+
+/// The configuration file.
+pub(crate) fn configuration(config: Option<&Path>) -> Result<Remotes, Misuse> {
+    let path = config.map_or_else(usual_path, Path::to_owned);
+    Remotes::load(&path).map_err(|mistakes| Misuse(mistakes.to_string()))
+}
+
+/// A publisher of the configuration file.
+fn named(name: &str, config: Option<&Path>) -> Result<Remote, Misuse> {
+    let path = usual_path();
+    if config.is_none() && !path.exists() {
+        let path = path.display();
+        let mistake = format!("no {path} to look up '{name}'; an address begins with tcp://");
+        return Err(Misuse(mistake));
+    }
+    let found = configuration(config)?.publisher(name).cloned();
+    found.map_err(|error| Misuse(format!("{error} (an address begins with tcp://)")))
+}

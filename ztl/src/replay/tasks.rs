@@ -1,0 +1,274 @@
+//! The tasks of a recording, sent to robots again. Nothing is sent before a person has agreed to the list of robots,
+//! and no INIT is sent twice.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{IsTerminal as _, stdin};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::Scope;
+
+use ztl_record::{Content, Reader, TaskEvent};
+use ztl_std::remotes::Remote;
+use ztl_std::{RemoteTask, State, TaskSpec};
+
+use crate::chosen_publisher::configuration;
+use crate::connect_options::ConnectOptions;
+use crate::exit::Misuse;
+use crate::signals;
+use crate::terminal::{error_line, flat, line, part};
+
+/// Most tasks that run at a time; each has a thread and a connection.
+const RUNNING: usize = 256;
+/// Most tasks that are named in the question for each robot.
+const NAMED: usize = 5;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct TaskOptions {
+    /// Send the recorded tasks to the robots, each once, after asking
+    #[arg(long)]
+    pub(super) tasks: bool,
+
+    /// Agree to the list of robots: they move at once
+    #[arg(long, requires = "tasks")]
+    yes: bool,
+
+    /// Send tasks to this server of the configuration file only (repeatable) [default: those with the tasks' scopes]
+    #[arg(long, value_name = "NAME", requires = "tasks")]
+    remote: Vec<String>,
+
+    /// The configuration file [default: zmq-remotes.yaml in $XDG_CONFIG_HOME or ~/.config]
+    #[arg(short, long, value_name = "FILE", requires = "tasks")]
+    config: Option<PathBuf>,
+}
+
+/// The robots that a person has agreed to, by scope.
+pub(super) type Robots = BTreeMap<String, Robot>;
+
+pub(super) struct Robot {
+    name: String,
+    connection: RemoteTask,
+}
+
+impl TaskOptions {
+    /// Shows the robots and their tasks, and asks. An error if the answer is not yes.
+    pub(super) fn agreed(
+        &self,
+        messages: Reader,
+        is_chosen: impl Fn(&str) -> bool,
+    ) -> Result<Robots, Box<dyn std::error::Error>> {
+        let mut asked = BTreeSet::new();
+        let mut tasks: BTreeMap<String, (usize, Vec<String>)> = BTreeMap::new();
+        for read in messages.filter(|read| is_chosen(&read.topic)) {
+            let Content::Task(event, _) = read.content else {
+                continue;
+            };
+            if let Some((name, _)) = request(&event)
+                && asked.insert((event.scope.clone(), event.id, read.publish_time))
+            {
+                let (number, names) = tasks.entry(event.scope).or_default();
+                *number += 1;
+                if names.len() < NAMED && !names.contains(&name) {
+                    names.push(name);
+                }
+            }
+        }
+        if tasks.is_empty() {
+            return Err("no tasks in this recording".into());
+        }
+        let mut robots = Robots::new();
+        line("These tasks will be sent to robots, which will move:");
+        for (scope, (number, names)) in tasks {
+            let (name, remote) = self.robot(&scope)?;
+            let names = names.join(", ");
+            line(format_args!(
+                "  {} ({}, {}): {number} tasks, such as {}",
+                flat(&name),
+                flat(&remote.endpoint()),
+                flat(&scope),
+                flat(&names)
+            ));
+            let connection = RemoteTask::connect(&remote.endpoint(), &scope)?;
+            let connection = ConnectOptions::default().apply(connection, remote.keys.as_ref())?;
+            robots.insert(scope, Robot { name, connection });
+        }
+        match self.yes || is_agreed()? {
+            true => Ok(robots),
+            false => Err(Misuse("not agreed; nothing was sent".to_owned()).into()),
+        }
+    }
+
+    /// The server for a scope.
+    fn robot(&self, scope: &str) -> Result<(String, Remote), Misuse> {
+        let remotes = configuration(self.config.as_deref())?;
+        let names: Vec<String> = match self.remote.is_empty() {
+            true => remotes.task_names().map(str::to_owned).collect(),
+            false => self.remote.clone(),
+        };
+        let mut found = Vec::new();
+        for name in names {
+            match remotes.task(&name) {
+                Ok(remote) if remote.scope == scope => found.push((name, remote.clone())),
+                Ok(_) => {}
+                Err(error) => return Err(Misuse(error.to_string())),
+            }
+        }
+        let file = remotes.name();
+        match (found.pop(), found.is_empty()) {
+            (Some(robot), true) => Ok(robot),
+            (Some(_), false) => Err(Misuse(format!(
+                "several servers in {file} have the scope {scope}; choose one with --remote; nothing was sent"
+            ))),
+            (None, _) => Err(Misuse(format!(
+                "no server in {file} has the scope {scope}; leave its tasks out with --topics; nothing was sent"
+            ))),
+        }
+    }
+}
+
+/// Asks on the terminal. Only a clear yes is one.
+fn is_agreed() -> Result<bool, Box<dyn std::error::Error>> {
+    if !stdin().is_terminal() {
+        let mistake =
+            "--tasks asks on a terminal, and stdin is none; agree with --yes; nothing was sent";
+        return Err(Misuse(mistake.to_owned()).into());
+    }
+    part("Send them? [y/N] ");
+    let mut answer = String::new();
+    stdin().read_line(&mut answer)?;
+    Ok(!signals::stopped() && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str()))
+}
+
+/// The name of a task that was asked for, and the payload of its INIT.
+fn request(event: &TaskEvent) -> Option<(String, String)> {
+    if event.state != State::Initiated.name() {
+        return None;
+    }
+    if let Some(payload) = &event.payload {
+        return Some((payload.clone(), payload.clone()));
+    }
+    let [handler, component, goal] = event.request.as_ref()?;
+    if handler.contains(':') || component.contains(':') {
+        return None;
+    }
+    let spec = TaskSpec {
+        handler,
+        component,
+        goal,
+    };
+    let mut payload = vec![0; spec.encoded_len()];
+    let payload = spec.encode_into(&mut payload).ok()?.to_owned();
+    Some((format!("{handler}:{component}:{goal}"), payload))
+}
+
+/// The tasks that were sent.
+pub(super) struct RunningTasks<'scope, 'env> {
+    scope: &'scope Scope<'scope, 'env>,
+    robots: Robots,
+    /// Scope, id and time of those that were sent: another recorder's events of the same tasks send nothing.
+    sent: BTreeSet<(String, String, u64)>,
+    running: Arc<AtomicUsize>,
+    incomplete: Arc<AtomicBool>,
+    threads: Vec<std::thread::ScopedJoinHandle<'scope, ()>>,
+}
+
+impl<'scope, 'env> RunningTasks<'scope, 'env> {
+    pub(super) fn new(scope: &'scope Scope<'scope, 'env>, robots: Robots) -> Self {
+        Self {
+            scope,
+            robots,
+            sent: BTreeSet::new(),
+            running: Arc::default(),
+            incomplete: Arc::default(),
+            threads: Vec::new(),
+        }
+    }
+
+    /// Sends the task that a client asked for, once.
+    pub(super) fn on_event(&mut self, event: &TaskEvent, time: u64) {
+        let Some((task, payload)) = request(event) else {
+            return;
+        };
+        let Some(robot) = self.robots.get(&event.scope) else {
+            return;
+        };
+        if !self
+            .sent
+            .insert((event.scope.clone(), event.id.clone(), time))
+        {
+            return;
+        }
+        let name = format!("{} {}", flat(&robot.name), flat(&task));
+        if self.running.fetch_add(1, Ordering::AcqRel) >= RUNNING {
+            self.running.fetch_sub(1, Ordering::AcqRel);
+            return self.not_sent(&name, "too many tasks run");
+        }
+        let remote = robot.connection.clone();
+        let (running, incomplete) = (Arc::clone(&self.running), Arc::clone(&self.incomplete));
+        let of_task = name.clone();
+        let spawned = std::thread::Builder::new().spawn_scoped(self.scope, move || {
+            if !is_completed(remote, &of_task, &payload) {
+                incomplete.store(true, Ordering::Release);
+            }
+            running.fetch_sub(1, Ordering::AcqRel);
+        });
+        match spawned {
+            Ok(thread) => {
+                self.threads.retain(|thread| !thread.is_finished());
+                self.threads.push(thread);
+            }
+            Err(error) => {
+                self.running.fetch_sub(1, Ordering::AcqRel);
+                self.not_sent(&name, error);
+            }
+        }
+    }
+
+    fn not_sent(&self, name: &str, why: impl std::fmt::Display) {
+        self.incomplete.store(true, Ordering::Release);
+        error_line(format_args!("ztl: {name} was not sent: {why}"));
+    }
+
+    /// Waits for all tasks. Returns whether all completed.
+    pub(super) fn wait(self) -> bool {
+        for thread in self.threads {
+            if thread.join().is_err() {
+                self.incomplete.store(true, Ordering::Release);
+            }
+        }
+        !self.incomplete.load(Ordering::Acquire)
+    }
+}
+
+/// Sends a task and waits for its end; aborts it after a signal. Returns whether it completed.
+fn is_completed(mut remote: RemoteTask, name: &str, payload: &str) -> bool {
+    let triggered = match remote.trigger_while(payload, || !signals::stopped()) {
+        Ok(triggered) => triggered,
+        Err(error) => {
+            error_line(format_args!("ztl: {name}: {error}"));
+            return false;
+        }
+    };
+    let ended = remote.wait_with(&triggered.id, None, |_| !signals::stopped());
+    let ended = match ended {
+        Ok(status) => Ok(status),
+        Err(_) if signals::stopped() => remote
+            .abort(&triggered.id)
+            .map_err(|error| error.to_string()),
+        Err(error) => Err(error.to_string()),
+    };
+    match ended {
+        Ok(status) => {
+            line(format_args!(
+                "{name} {} {}",
+                status.state.name(),
+                flat(&status.text)
+            ));
+            status.state == State::Completed
+        }
+        Err(error) => {
+            error_line(format_args!("ztl: {name}: its end is unknown: {error}"));
+            false
+        }
+    }
+}
