@@ -1,4 +1,4 @@
-//! Why bytes are not read.
+//! Errors of reading a pickle.
 
 use std::fmt::{self, Display};
 
@@ -11,12 +11,12 @@ const SHOWN: usize = 80;
 pub enum Error {
     /// It names something other than plain data, such as `os.system`. Nothing was run or built.
     Refused(String),
-    /// It ends before its end, at this byte.
+    /// The input ends within the pickle.
     Truncated {
         /// The length of the input.
         at: usize,
     },
-    /// Python would not read it either, or would make no plain data of it.
+    /// Python cannot read it either, or would not make plain data of it.
     Malformed {
         /// Just behind the operation that failed.
         at: usize,

@@ -42,7 +42,7 @@ impl Value<'_> {
     /// | Python | JSON |
     /// |---|---|
     /// | `list`, `tuple`, `set`, `frozenset`, array | array; an array of numpy without dimensions is its element |
-    /// | `dict`, `OrderedDict` | object; a key that is no `str` is written as by `repr`, so that two may look equal |
+    /// | `dict`, `OrderedDict` | object; a key that is not a `str` is written as by `repr`, so that two may look equal |
     /// | `int` | number with all digits; above 4300 digits a hexadecimal string |
     /// | `nan`, infinity | `"NaN"`, `"Infinity"`, `"-Infinity"` |
     /// | `bytes`, `bytearray` | `{"base64": "..."}` |

@@ -41,7 +41,7 @@ pub(crate) struct Doctor {
     #[arg(long, value_name = "PATH")]
     serial: Vec<PathBuf>,
 
-    /// Check this directory for the journal [default: in $STATE_DIRECTORY, else in ~/.local/state/ztl]
+    /// Check this directory for the journal [default: in $STATE_DIRECTORY, else in $XDG_STATE_HOME/ztl, else in ~/.local/state/ztl]
     #[arg(long, value_name = "DIR")]
     journal: Option<PathBuf>,
 

@@ -25,7 +25,7 @@ Examples:
   ztl publish -p 6000 /lab/pose '{x: 1.5, y: 2}'
   vmstat 1 | ztl publish -p 6000 /lab/load --text -  each line of stdin
 
-Exit codes: 0 when all is published, 1 if no subscriber came in time or a line is no value, 2 for a wrong command line.";
+Exit codes: 0 when all is published, 1 if no subscriber came in time or a line is not a value, 2 for a wrong command line.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

@@ -1,4 +1,4 @@
-//! How a program in C becomes one that runs.
+//! Compiles C programs against the library, and runs them.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! The page.
+//! The HTML page of a report.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -14,7 +14,7 @@ use crate::record::Damage;
 pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
     let title = match runs {
         [] => "No run".to_owned(),
-        [run] => format!("{}, {}", run.record.started.script, wall(run)),
+        [run] => format!("{}, {}", run.record.started.script, started_at(run)),
         runs => format!("{} runs", runs.len()),
     };
     let mut out = format!(
@@ -71,7 +71,8 @@ fn damage_list(damage: &[Damage]) -> String {
     )
 }
 
-fn wall(run: &ReportedRun) -> String {
+/// When the run started, by the wall clock: `2026-01-01 00:00:00 UTC`.
+fn started_at(run: &ReportedRun) -> String {
     let first = run.record.events.first();
     let at = first.map_or(UNIX_EPOCH, |event| event.wall).max(UNIX_EPOCH);
     // Later times have no RFC 3339 form.
@@ -158,7 +159,7 @@ fn comparison(runs: &[ReportedRun]) -> String {
                 nth + 1,
                 escape(&run.record.name)
             ),
-            escape(&wall(run)),
+            escape(&started_at(run)),
         ];
         cells.extend(figures(run).into_iter().map(|(_, value)| escape(&value)));
         table.row("", &cells);
@@ -314,7 +315,7 @@ fn facts(run: &ReportedRun) -> String {
     fact("record", &run.record.name);
     fact("script", &started.script);
     fact("SHA-256", &started.sha256);
-    fact("start", &wall(run));
+    fact("start", &started_at(run));
     fact("options", &started.options.join(" "));
     fact("versions", &versions.join(", "));
     fact("servers", &remotes.join("; "));

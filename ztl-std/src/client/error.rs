@@ -93,7 +93,7 @@ pub enum RequestError {
     Scope(String),
     /// Keys were given, but libzmq cannot encrypt.
     NoCurve,
-    /// The endpoint is none.
+    /// The endpoint is invalid.
     Endpoint {
         /// The endpoint.
         endpoint: String,

@@ -38,7 +38,7 @@ impl Target<'_> {
     }
 }
 
-/// Whose words to use. The seconds are the time limit, as given.
+/// The tool whose messages are printed. The seconds are the time limit, as given.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Wording {
     TaskClient(i64),

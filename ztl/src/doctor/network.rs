@@ -141,12 +141,12 @@ pub(super) fn ports(wished: &[u16]) -> Vec<Finding> {
 }
 
 /// TCP ports in state LISTEN; `None` if the kernel does not list them.
-fn listening(told: &Path) -> Option<BTreeSet<u16>> {
+fn listening(directory: &Path) -> Option<BTreeSet<u16>> {
     let mut ports = BTreeSet::new();
     // The kernel may lack IPv6.
     let texts = [
-        fs::read_to_string(told.join("tcp")).ok()?,
-        fs::read_to_string(told.join("tcp6")).unwrap_or_default(),
+        fs::read_to_string(directory.join("tcp")).ok()?,
+        fs::read_to_string(directory.join("tcp6")).unwrap_or_default(),
     ];
     for text in texts {
         for line in text.lines().skip(1) {
