@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::ignored;
 use super::template::Template;
 use crate::call::Call;
-use crate::goal_rule::shown;
+use ztl_std::describe::shown;
 
 /// A command as the file describes it.
 #[derive(Debug, Clone, Default)]

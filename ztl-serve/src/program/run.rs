@@ -12,9 +12,9 @@ use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use super::launch::signal_name;
 use super::output::{Keep, Kept, Output};
 use super::settings::{AbortBy, Program, ResultKind};
-use crate::goal_value::GoalValue;
 use crate::human::{human_size, human_time};
 use crate::kind::{Outcome, StopReason};
+use ztl_std::describe::GoalValue;
 
 /// How often to check whether a whole process group has ended.
 const CHECK: Duration = Duration::from_millis(20);
