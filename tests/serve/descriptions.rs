@@ -123,7 +123,7 @@ fn hostile_descriptions_end_and_reach_no_terminal() {
         r#"{"goal": {"type": "number", "unit": "\u001b[2J\u0007"}, "about": "\u001b]0;x\u0007\n"}"#
             .to_owned(),
         format!("{{\"goal\": {deep}, \"about\": \"deep\"}}"),
-        "[".repeat(100_000),
+        "[".repeat(1_000),
         "7".to_owned(),
     ] {
         // Each answer promises another one.

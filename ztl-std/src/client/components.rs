@@ -10,6 +10,8 @@ use crate::describe::{ComponentDescription, component};
 const MOST: usize = 10_000;
 /// Most bytes that are read from one server.
 const MOST_BYTES: usize = 16 << 20;
+/// Most answers that are read from one server.
+const MOST_PARTS: usize = 256;
 
 /// A component and what it says of itself.
 #[derive(Debug, Clone)]
@@ -26,14 +28,15 @@ pub struct DescribedComponent {
 
 impl RemoteTask {
     /// Asks the server what its components say of themselves: nothing, if it is an older one or one of the
-    /// original's. Skips what is unreadable. Reads at most 10,000 components and 16 MiB, and no answer twice.
+    /// original's. Skips what is unreadable. Reads at most 10,000 components, 16 MiB and 256
+    /// answers.
     ///
     /// # Errors
     /// [`RequestError`].
     pub fn describe_components(&mut self) -> Result<Vec<DescribedComponent>, RequestError> {
         let mut all = Vec::new();
         let (mut from, mut bytes) = (0, 0);
-        loop {
+        for _ in 0..MOST_PARTS {
             let Some(answer) = self.ask_server(&format!("describe ;{from}"))? else {
                 return Ok(all);
             };

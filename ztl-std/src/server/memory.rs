@@ -376,4 +376,47 @@ mod tests {
         assert!(!init(later, 2, 2), "it was rejected before");
         assert!(init(later + KEEP_INIT, 3, 2));
     }
+
+    #[test]
+    fn descriptions_come_in_parts_and_only_from_scopes_that_the_client_may_use() {
+        let mut heap = ServerMemory::new(Limits::default());
+        for scope in ["/lab", "/secret"] {
+            let long = format!("{{\"about\": \"{}\"}}", "x".repeat(30 << 10));
+            let component = |number: u32| ("arm".to_owned(), number.to_string(), long.clone());
+            let about = ScopeInfo {
+                components: (0..5).map(component).collect(),
+                describe: Box::new(String::new),
+                answer: Box::new(|_| None),
+                names_unknown_ids: true,
+            };
+            heap.register(scope, about);
+        }
+        let ask = |heap: &mut ServerMemory, scope: &str| {
+            let (mut from, mut names, mut parts) = (0, Vec::new(), 0);
+            loop {
+                let question = format!("describe {scope};{from}");
+                let answer = heap.answer(&question).expect("known");
+                assert!(answer.len() < PART + 100);
+                let answer: serde_json::Value = serde_json::from_str(answer).expect("JSON");
+                let listed = answer["components"].as_array().expect("a list");
+                names.extend(
+                    listed
+                        .iter()
+                        .map(|it| format!("{}{}", it["scope"], it["component"])),
+                );
+                parts += 1;
+                match answer["next"].as_u64() {
+                    Some(next) => from = next,
+                    None => return (parts, names.len(), names.concat().contains("secret")),
+                }
+            }
+        };
+        assert_eq!(ask(&mut heap, ""), (5, 10, true));
+        assert_eq!(ask(&mut heap, "/lab"), (3, 5, false));
+        assert_eq!(ask(&mut heap, "/other"), (1, 0, false));
+        heap.hide(|scope| scope == "/secret");
+        assert_eq!(ask(&mut heap, ""), (3, 5, false));
+        assert_eq!(ask(&mut heap, "/secret"), (1, 0, false));
+        assert!(heap.answer("describe ;x").is_none());
+    }
 }
