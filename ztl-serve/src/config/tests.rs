@@ -323,6 +323,15 @@ fn a_key_without_effect_on_goals_is_a_mistake() {
             "{one-of: [a], fields: {x: number}}",
             &["give only one of one-of and fields"],
         ),
+        (
+            "{type: text, unit: mm}",
+            &["unit has an effect only with type: number"],
+        ),
+        (
+            "{list-of: number, fields: {x: number}}",
+            &["give only one of fields and list-of"],
+        ),
+        ("{step: 0}", &["a step must be greater than zero"]),
         ("{one-of: []}", &["there is no word in this list"]),
         (
             "{type: number, default: 3}",
