@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ztl_std::describe::GoalRule;
 use ztl_std::terminal::flat;
 use ztl_yaml::{Fields, Node};
 
@@ -11,7 +12,6 @@ use crate::call::Call;
 use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::thread_job;
-use ztl_std::describe::GoalRule;
 
 /// A handler that needs no program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -11,12 +11,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ztl_core::TaskId;
+use ztl_std::describe::GoalRule;
 use ztl_std::server::TaskReporter;
 
 use crate::call::Call;
 use crate::mailbox::Mailbox;
 use crate::program::processes::{Process, ProcessRegistry};
-use ztl_std::describe::GoalRule;
 
 /// How long an abort may take on a thread or in another server once this server stops.
 pub(crate) const STOP_TIME: Duration = Duration::from_millis(1500);

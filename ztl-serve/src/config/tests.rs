@@ -3,13 +3,13 @@
 use std::any::Any;
 use std::time::Duration;
 
+use ztl_std::describe::GoalField;
 use ztl_tests::garbage::Garbage;
 
 use super::*;
 use crate::built_in::BuiltIn;
 use crate::forward::Forward;
 use crate::program::settings::{Abort, AbortBy, Program, ResultKind};
-use ztl_std::describe::GoalField;
 
 fn parse(text: &str) -> Result<Config, Diagnostics> {
     let document = Document::parse("robot.yaml", text.as_bytes())?;

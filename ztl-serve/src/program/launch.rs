@@ -8,11 +8,11 @@ use std::sync::Once;
 
 use rustix::process::Signal;
 use serde::{Deserialize, Serialize};
+use ztl_std::describe::shown;
 
 use super::ignored;
 use super::template::Template;
 use crate::call::Call;
-use ztl_std::describe::shown;
 
 /// A command as the file describes it.
 #[derive(Debug, Clone, Default)]

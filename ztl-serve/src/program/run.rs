@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_std::describe::GoalValue;
 
 use super::launch::signal_name;
 use super::output::{Keep, Kept, Output};
 use super::settings::{AbortBy, Program, ResultKind};
 use crate::human::{human_size, human_time};
 use crate::kind::{Outcome, StopReason};
-use ztl_std::describe::GoalValue;
 
 /// How often to check whether a whole process group has ended.
 const CHECK: Duration = Duration::from_millis(20);

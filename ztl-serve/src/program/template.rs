@@ -1,9 +1,9 @@
 //! Arguments of programs, with placeholders for the goal.
 
+use ztl_std::describe::GoalRule;
 use ztl_yaml::closest;
 
 use crate::call::Call;
-use ztl_std::describe::GoalRule;
 
 /// An argument with placeholders: `--speed={goal.speed}`.
 #[derive(Debug, Clone, PartialEq, Eq)]
