@@ -332,7 +332,7 @@ fn each_of_our_servers_describes_its_components() {
         ),
         (
             serve.port,
-            "/lamp\n  led  *\n/robot\n  *    stop\n  tts  hush, say\n",
+            "/lamp\n  led  *\n/robot\n  *    stop\n  tts  hush, say\n    *:stop  a number of at least 0\n",
             json(r#"{"/robot": {"tts": ["hush", "say"], "*": ["stop"]}, "/lamp": {"led": ["*"]}}"#),
         ),
     ] {

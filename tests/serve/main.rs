@@ -4,6 +4,7 @@ mod abort;
 mod access;
 mod client_handles;
 mod decisions;
+mod descriptions;
 mod encrypted;
 mod examples;
 mod file;

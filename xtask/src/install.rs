@@ -206,7 +206,7 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     let works = || {
         succeeds(cmd!(
             sh,
-            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, roslibpy, mcap.reader'"
+            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, roslibpy, mcap.reader, jsonschema'"
         ))
     };
     let stamp = venv.join("requirements.stamp");

@@ -8,6 +8,7 @@ pub mod base64;
 pub mod client;
 #[cfg(feature = "serde")]
 mod cursor;
+pub mod describe;
 pub mod dispatcher;
 pub mod envelope;
 #[cfg(feature = "serde")]

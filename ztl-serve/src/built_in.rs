@@ -4,11 +4,11 @@ use std::io::{self, Write};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ztl_std::describe::GoalRule;
 use ztl_std::terminal::flat;
 use ztl_yaml::{Fields, Node};
 
 use crate::call::Call;
-use crate::goal_rule::GoalRule;
 use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::thread_job;
@@ -47,6 +47,8 @@ impl Kind for BuiltIn {
                 whole: false,
                 least: Some(0.0),
                 most: None,
+                step: None,
+                unit: None,
             },
         }
     }

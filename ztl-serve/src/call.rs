@@ -1,8 +1,7 @@
 //! A task that a client has asked for.
 
 use ztl_core::TaskId;
-
-use crate::goal_rule::Goal;
+use ztl_std::describe::CheckedGoal;
 
 /// A task whose goal was checked.
 #[derive(Debug, Clone)]
@@ -11,5 +10,5 @@ pub(crate) struct Call {
     pub(crate) scope: String,
     pub(crate) handler: String,
     pub(crate) component: String,
-    pub(crate) goal: Goal,
+    pub(crate) goal: CheckedGoal,
 }

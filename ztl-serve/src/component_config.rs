@@ -4,15 +4,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
+use ztl_std::describe::ComponentDescription;
+
 use crate::admission::BusyPolicy;
-use crate::goal_rule::GoalRule;
 use crate::kind::Kind;
 
 /// A component: what does its tasks, and under which rules.
 #[derive(Debug)]
 pub(crate) struct ComponentConfig {
     pub(crate) kind: Arc<dyn Kind>,
-    pub(crate) rule: GoalRule,
+    /// What it says of itself; its goal is the rule for tasks.
+    pub(crate) description: ComponentDescription,
     pub(crate) at_once: usize,
     pub(crate) busy: BusyPolicy,
     /// Aborts a task when its client has been silent for this long.

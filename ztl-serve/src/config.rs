@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ztl_std::describe::{CheckGoal, ComponentDescription, GoalRule, described};
 use ztl_std::listen::Listen;
 use ztl_std::scope;
 use ztl_yaml::{Diagnostic, Diagnostics, Document, Node, NodeValue};
@@ -14,7 +15,6 @@ use ztl_yaml::{Diagnostic, Diagnostics, Document, Node, NodeValue};
 use crate::admission::BusyPolicy;
 use crate::built_in::BUILT_INS;
 use crate::component_config::{ComponentConfig, TotalLimit};
-use crate::goal_rule::GoalRule;
 use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
 use crate::program::processes::ProcessRegistry;
@@ -24,6 +24,8 @@ use crate::reader::{ComponentContext, ConfigReader};
 const AT_ONCE: usize = 200;
 /// The highest such limit: each program needs two of a process's files, which are often 1024.
 const MOST: usize = 400;
+/// The longest time that a task may usually take.
+const LONGEST_USUAL: Duration = Duration::from_hours(24);
 
 /// A configuration file.
 #[derive(Debug, Clone)]
@@ -172,7 +174,10 @@ impl<'d> ConfigReader<'d> {
         let rule = &GoalRule::Any;
         let kind = short_form(self, node, None, ComponentContext { rule, wildcard })?;
         Some(ComponentConfig {
-            rule: kind.goal_rule(),
+            description: ComponentDescription {
+                can_abort: kind.can_abort(),
+                ..described(kind.goal_rule())
+            },
             at_once: kind.at_once(),
             kind,
             busy: BusyPolicy::Reject,
@@ -187,6 +192,16 @@ impl<'d> ConfigReader<'d> {
         let mut fields = self.yaml.fields(node, &what)?;
         let rule_node = fields.optional("goal");
         let rule = rule_node.map(|node| self.rule(node));
+        let mut line = |key| {
+            let node = fields.optional(key)?;
+            let text = self.yaml.text(node, "a line of text")?;
+            Some(Arc::<str>::from(text))
+        };
+        let (about, returns) = (line("about"), line("returns"));
+        let examples = fields.optional("examples");
+        let usually = fields.optional("usually");
+        let usually = usually.and_then(|node| self.time(node, LONGEST_USUAL));
+        let usually_ms = usually.and_then(|time| u32::try_from(time.as_millis()).ok());
         let at_once = fields.optional("at-once");
         let at_once = at_once.and_then(|node| self.count(node, MOST));
         let busy_node = fields.optional("busy");
@@ -226,16 +241,41 @@ impl<'d> ConfigReader<'d> {
                 }
             }
         }
+        let goal = match rule {
+            Some(rule) => rule?,
+            None => kind.goal_rule(),
+        };
+        let examples = examples.map(|node| self.examples(node, &goal));
         Some(ComponentConfig {
-            rule: match rule {
-                Some(rule) => rule?,
-                None => kind.goal_rule(),
+            description: ComponentDescription {
+                about,
+                examples: examples.unwrap_or_default(),
+                result: returns,
+                usually_ms,
+                can_abort: kind.can_abort(),
+                ..described(goal)
             },
             at_once: at_once.unwrap_or(kind.at_once()),
             kind,
             busy: busy.unwrap_or(BusyPolicy::Reject),
             needs_client,
         })
+    }
+
+    /// Goals that the component takes.
+    fn examples(&mut self, node: &'d Node, rule: &GoalRule) -> Arc<[Arc<str>]> {
+        let nodes = self.yaml.list(node, "goals, as [1, 2]").unwrap_or_default();
+        let mut examples = Vec::new();
+        for node in nodes {
+            let Some(text) = self.yaml.text(node, "a goal, in quotes if it has brackets") else {
+                continue;
+            };
+            if let Err(why) = rule.check(text, false) {
+                self.yaml.wrong(node, why);
+            }
+            examples.push(Arc::from(text));
+        }
+        examples.into()
     }
 
     fn busy(&mut self, node: &'d Node) -> Option<BusyPolicy> {

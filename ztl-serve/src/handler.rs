@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use ztl_core::{TaskId, TaskSpec};
 use ztl_std::TaskRequest;
+use ztl_std::describe::{CheckGoal, ScopeDescriptions, shown};
 use ztl_std::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 
 use crate::call::Call;
 use crate::component_config::{ComponentConfig, TotalLimit};
-use crate::goal_rule::shown;
 use crate::kind::Message;
 use crate::mailbox::Mailbox;
 use crate::program::processes::ProcessRegistry;
@@ -69,7 +69,8 @@ impl Components {
             return Ok(());
         };
         let goal = component
-            .rule
+            .description
+            .goal
             .check(spec.goal, component.kind.needs_fields())?;
         component.kind.check(&Call {
             id: NO_TASK,
@@ -147,6 +148,20 @@ impl TaskHandler for ScopeHandler {
             .map(|(handler, components)| (handler.as_str(), components.keys().map(String::as_str)));
         let all = offered(handlers);
         Box::new(move || all.clone())
+    }
+
+    fn describe(&self) -> ScopeDescriptions {
+        let handlers = self.components.by_name.iter();
+        let of = |components: &BTreeMap<String, usize>| {
+            let known = components.iter().filter_map(|(name, index)| {
+                let config = self.components.all.get(*index)?;
+                Some((name.clone(), config.description.clone()))
+            });
+            known.collect()
+        };
+        handlers
+            .map(|(handler, components)| (handler.clone(), of(components)))
+            .collect()
     }
 
     fn answers(&self) -> Answers {

@@ -11,10 +11,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ztl_core::TaskId;
+use ztl_std::describe::GoalRule;
 use ztl_std::server::TaskReporter;
 
 use crate::call::Call;
-use crate::goal_rule::GoalRule;
 use crate::mailbox::Mailbox;
 use crate::program::processes::{Process, ProcessRegistry};
 

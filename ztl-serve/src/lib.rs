@@ -34,8 +34,6 @@ mod call;
 mod component_config;
 mod config;
 mod forward;
-mod goal_rule;
-mod goal_value;
 mod handler;
 mod human;
 mod kind;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ztl_yaml::{Diagnostic, Document, Node, Reading};
 
-use crate::goal_rule::GoalRule;
+use ztl_std::describe::GoalRule;
 
 /// A file that is being read.
 pub(crate) struct ConfigReader<'d> {

@@ -11,6 +11,7 @@ use signal_hook::consts::SIGCHLD;
 use signal_hook::low_level::{pipe, unregister};
 use tracing::{debug, info, warn};
 use ztl_core::{TaskId, TaskSpec};
+use ztl_std::describe::CheckGoal;
 use ztl_std::server::TaskReporter;
 
 use crate::admission::{Admission, Admitted};
@@ -204,7 +205,11 @@ impl Supervisor {
         if self.stopping {
             return reporter.rejected("the server is stopping");
         }
-        let goal = match component.rule.check(goal, component.kind.needs_fields()) {
+        let goal = match component
+            .description
+            .goal
+            .check(goal, component.kind.needs_fields())
+        {
             Ok(goal) => goal,
             Err(reason) => {
                 return reporter.rejected(format!("{handler}:{name}: {reason}"));

@@ -60,6 +60,7 @@ mod client;
 mod controller;
 #[cfg(feature = "defmt")]
 pub mod defmt;
+pub mod describe;
 pub mod files;
 #[cfg(feature = "gateway")]
 pub mod gateway;
@@ -88,8 +89,8 @@ pub mod time;
 mod transport;
 
 pub use client::{
-    AbortOnDrop, BackgroundTask, Obstacle, RemoteTask, RequestError, RunError, ServerInfo, Status,
-    TriggerError, Triggered, WaitError,
+    AbortOnDrop, BackgroundTask, DescribedComponent, Obstacle, RemoteTask, RequestError, RunError,
+    ServerInfo, Status, TriggerError, Triggered, WaitError,
 };
 #[cfg(feature = "config")]
 pub use client::{Description, ServerTask, ServerTasks};

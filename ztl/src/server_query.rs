@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use serde::de::DeserializeOwned;
 use ztl_std::terminal::quoted;
-use ztl_std::{Description, ListedTask, RemoteTask, ServerTasks, State};
+use ztl_std::{DescribedComponent, Description, ListedTask, RemoteTask, ServerTasks, State};
 
 use crate::connect_options::ConnectOptions;
 use crate::exit::Misuse;
@@ -52,6 +52,11 @@ impl QueriedServer {
     pub(crate) fn describe(&self) -> Result<Description, Box<dyn std::error::Error>> {
         let told = self.connect("$ztl")?.describe()?;
         Ok(told.ok_or_else(|| self.original())?)
+    }
+
+    /// What its components say of themselves.
+    pub(crate) fn components(&self) -> Result<Vec<DescribedComponent>, Box<dyn std::error::Error>> {
+        Ok(self.connect("$ztl")?.describe_components()?)
     }
 
     /// Fails if the server lists its scopes without this one.

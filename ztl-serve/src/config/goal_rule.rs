@@ -1,22 +1,25 @@
 //! Reads rules for goals.
 
+use std::sync::Arc;
+
+use ztl_std::describe::{CheckGoal, GoalField, GoalRule, GoalValue};
 use ztl_yaml::{Node, NodeValue};
 
-use crate::goal_rule::{Field, GoalRule};
-use crate::goal_value::GoalValue;
 use crate::reader::ConfigReader;
 
 #[derive(Clone, Copy, PartialEq)]
 enum GoalType {
     Any,
+    Nothing,
     Text,
     Number,
     Integer,
     Bool,
 }
 
-const TYPES: [(&str, GoalType); 5] = [
+const TYPES: [(&str, GoalType); 6] = [
     ("any", GoalType::Any),
+    ("nothing", GoalType::Nothing),
     ("text", GoalType::Text),
     ("number", GoalType::Number),
     ("whole", GoalType::Integer),
@@ -39,20 +42,21 @@ impl<'d> ConfigReader<'d> {
     }
 
     /// Reads the rule of a field, which may have a default.
-    fn field(&mut self, name: &'d Node, node: &'d Node) -> Option<Field> {
+    fn field(&mut self, name: &'d Node, node: &'d Node) -> Option<GoalField> {
         let name = self.yaml.text(name, "a field's name")?;
         let (rule, default) = match node.value {
             NodeValue::Scalar { .. } => (self.rule(node)?, None),
             _ => self.rule_with_default(node)?,
         };
-        Some(Field {
-            name: name.to_owned(),
+        Some(GoalField {
+            name: name.into(),
             rule,
+            optional: default.is_some(),
             default,
         })
     }
 
-    fn rule_with_default(&mut self, node: &'d Node) -> Option<(GoalRule, Option<GoalValue>)> {
+    fn rule_with_default(&mut self, node: &'d Node) -> Option<(GoalRule, Option<Arc<str>>)> {
         let mut fields = self
             .yaml
             .fields(node, "type: number, or one-of, or fields")?;
@@ -61,6 +65,9 @@ impl<'d> ConfigReader<'d> {
         let least = fields.optional("least");
         let most = fields.optional("most");
         let longest = fields.optional("longest");
+        let step = fields.optional("step");
+        let unit = fields.optional("unit");
+        let item = fields.optional("list-of");
         let words = fields.optional("one-of");
         let parts = fields.optional("fields");
         let default = fields.optional("default");
@@ -70,7 +77,11 @@ impl<'d> ConfigReader<'d> {
             ("least", least),
             ("most", most),
             ("longest", longest),
+            ("step", step),
+            ("unit", unit),
         ];
+        let step_rule = step.map(|node| self.step(node));
+        let unit_text = unit.map(|node| self.yaml.text(node, "a unit, as mm"));
         let bounds = [least, most].map(|node| node.map(|node| self.bound(node)));
         let longest = longest.map(|node| {
             let what = "a number of characters";
@@ -78,35 +89,37 @@ impl<'d> ConfigReader<'d> {
         });
         let implied = match (&bounds, &longest) {
             ([None, None], Some(_)) => GoalType::Text,
-            ([None, None], None) => GoalType::Any,
+            ([None, None], None) if step.or(unit).is_none() => GoalType::Any,
             _ => GoalType::Number,
         };
         let kind = match kind {
             Some(kind) => kind?,
             None => implied,
         };
-        self.without_effect(kind, words, parts, beside);
-        let rule = match (words, parts) {
-            (Some(node), _) => {
+        let wholes = [("one-of", words), ("fields", parts), ("list-of", item)];
+        self.without_effect(kind, wholes, beside);
+        let rule = match (words, parts, item) {
+            (Some(node), _, _) => {
                 let nodes = self.yaml.list(node, "words, as [left, right]")?;
                 if nodes.is_empty() {
                     self.yaml.wrong(node, "there is no word in this list");
                 }
                 let mut words = Vec::new();
                 for node in nodes {
-                    words.push(self.yaml.text(node, "a word")?.to_owned());
+                    words.push(Arc::from(self.yaml.text(node, "a word")?));
                 }
-                GoalRule::OneOf(words)
+                GoalRule::OneOf(words.into())
             }
-            (None, Some(node)) => {
+            (None, Some(node), _) => {
                 let pairs = self.yaml.pairs(node, "fields, as {x: number}")?;
                 let mut fields = Vec::new();
                 for (name, node) in pairs {
                     fields.extend(self.field(name, node));
                 }
-                GoalRule::Fields(fields)
+                GoalRule::Fields(fields.into())
             }
-            (None, None) => rule_of(kind),
+            (None, None, Some(node)) => GoalRule::ListOf(Arc::new(self.rule(node)?)),
+            (None, None, None) => rule_of(kind),
         };
         let rule = match rule {
             GoalRule::Number { whole, .. } => {
@@ -117,7 +130,13 @@ impl<'d> ConfigReader<'d> {
                     self.yaml
                         .wrong(node, format!("least {low} is greater than most {high}"));
                 }
-                GoalRule::Number { whole, least, most }
+                GoalRule::Number {
+                    whole,
+                    least,
+                    most,
+                    step: step_rule.flatten(),
+                    unit: unit_text.flatten().map(Arc::from),
+                }
             }
             GoalRule::Text { .. } => GoalRule::Text {
                 longest: match longest {
@@ -134,7 +153,7 @@ impl<'d> ConfigReader<'d> {
                 if value.is_none() {
                     self.yaml.wrong(node, format!("'{text}' is not {rule}"));
                 }
-                value
+                value.map(|_| Arc::from(text))
             }
             None => None,
         };
@@ -145,15 +164,17 @@ impl<'d> ConfigReader<'d> {
     fn without_effect(
         &mut self,
         kind: GoalType,
-        words: Option<&'d Node>,
-        parts: Option<&'d Node>,
-        beside: [(&str, Option<&'d Node>); 4],
+        wholes: [(&str, Option<&'d Node>); 3],
+        beside: [(&str, Option<&'d Node>); 6],
     ) {
-        if let (Some(_), Some(node)) = (words, parts) {
-            let message = "give only one of one-of and fields";
+        let mut given = wholes
+            .into_iter()
+            .filter_map(|(key, node)| Some((key, node?)));
+        let whole = given.next().map(|(key, _)| key);
+        if let (Some(first), Some((second, node))) = (whole, given.next()) {
+            let message = format!("give only one of {first} and {second}");
             self.yaml.wrong(node, message);
         }
-        let whole = words.map(|_| "one-of").or(parts.map(|_| "fields"));
         for (key, node) in beside {
             let Some(node) = node else { continue };
             if let Some(whole) = whole {
@@ -162,7 +183,9 @@ impl<'d> ConfigReader<'d> {
                 continue;
             }
             let wanted = match key {
-                "least" | "most" if !matches!(kind, GoalType::Number | GoalType::Integer) => {
+                "least" | "most" | "step" | "unit"
+                    if !matches!(kind, GoalType::Number | GoalType::Integer) =>
+                {
                     "number"
                 }
                 "longest" if kind != GoalType::Text => "text",
@@ -171,6 +194,14 @@ impl<'d> ConfigReader<'d> {
             let message = format!("{key} has an effect only with type: {wanted}");
             self.yaml.wrong(node, message);
         }
+    }
+
+    fn step(&mut self, node: &'d Node) -> Option<f64> {
+        let step = self.bound(node)?;
+        if step <= 0.0 {
+            self.yaml.wrong(node, "a step must be greater than zero");
+        }
+        Some(step)
     }
 
     fn bound(&mut self, node: &'d Node) -> Option<f64> {
@@ -184,11 +215,14 @@ impl<'d> ConfigReader<'d> {
 fn rule_of(kind: GoalType) -> GoalRule {
     match kind {
         GoalType::Any => GoalRule::Any,
+        GoalType::Nothing => GoalRule::Nothing,
         GoalType::Text => GoalRule::Text { longest: None },
         GoalType::Number | GoalType::Integer => GoalRule::Number {
             whole: matches!(kind, GoalType::Integer),
             least: None,
             most: None,
+            step: None,
+            unit: None,
         },
         GoalType::Bool => GoalRule::Bool,
     }

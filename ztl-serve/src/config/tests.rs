@@ -3,13 +3,12 @@
 use std::any::Any;
 use std::time::Duration;
 
+use ztl_std::describe::GoalField;
 use ztl_tests::garbage::Garbage;
 
 use super::*;
 use crate::built_in::BuiltIn;
 use crate::forward::Forward;
-use crate::goal_rule::Field;
-use crate::goal_value::GoalValue;
 use crate::program::settings::{Abort, AbortBy, Program, ResultKind};
 
 fn parse(text: &str) -> Result<Config, Diagnostics> {
@@ -79,13 +78,13 @@ fn every_key_is_read() {
     assert_eq!((say.at_once, say.busy), (2, BusyPolicy::Queue(3)));
     assert!(say.kind.needs_fields());
     assert_eq!(say.needs_client, Some(Duration::from_secs(5)));
-    let GoalRule::Fields(fields) = &say.rule else {
-        panic!("{:?}", say.rule);
+    let GoalRule::Fields(fields) = &say.description.goal else {
+        panic!("{:?}", say.description.goal);
     };
-    let [Field { default: None, .. }, speed] = fields.as_slice() else {
+    let [GoalField { default: None, .. }, speed] = fields.as_ref() else {
         panic!("{fields:?}");
     };
-    assert_eq!(speed.default, Some(GoalValue::Integer(5)));
+    assert_eq!(speed.default, Some("5".into()));
     let program: Program = kind_of(say);
     let run = &program.run;
     assert_eq!(
@@ -141,18 +140,24 @@ fn short_forms_have_the_default_settings() {
     assert_eq!(kind_of::<BuiltIn>(&component_of("echo")), BuiltIn::Echo);
     let sleep = component_of("{built-in: sleep, at-once: 3}");
     assert_eq!(sleep.at_once, 3);
-    assert_eq!(sleep.rule.to_string(), "a number of at least 0");
+    assert_eq!(sleep.description.goal.to_string(), "a number of at least 0");
     assert_eq!(
-        component_of("{run: [sh], goal: number}").rule.to_string(),
+        component_of("{run: [sh], goal: number}")
+            .description
+            .goal
+            .to_string(),
         "a number"
     );
     let bounds = "{run: [sh], goal: {least: 0, most: 1.5}}";
     assert_eq!(
-        component_of(bounds).rule.to_string(),
+        component_of(bounds).description.goal.to_string(),
         "a number from 0 to 1.5"
     );
     let words = "{run: [sh], goal: {one-of: [left, right]}}";
-    assert_eq!(component_of(words).rule.to_string(), "left or right");
+    assert_eq!(
+        component_of(words).description.goal.to_string(),
+        "left or right"
+    );
 }
 
 #[test]
@@ -318,6 +323,15 @@ fn a_key_without_effect_on_goals_is_a_mistake() {
             "{one-of: [a], fields: {x: number}}",
             &["give only one of one-of and fields"],
         ),
+        (
+            "{type: text, unit: mm}",
+            &["unit has an effect only with type: number"],
+        ),
+        (
+            "{list-of: number, fields: {x: number}}",
+            &["give only one of fields and list-of"],
+        ),
+        ("{step: 0}", &["a step must be greater than zero"]),
         ("{one-of: []}", &["there is no word in this list"]),
         (
             "{type: number, default: 3}",

@@ -8,11 +8,11 @@ use std::sync::Once;
 
 use rustix::process::Signal;
 use serde::{Deserialize, Serialize};
+use ztl_std::describe::shown;
 
 use super::ignored;
 use super::template::Template;
 use crate::call::Call;
-use crate::goal_rule::shown;
 
 /// A command as the file describes it.
 #[derive(Debug, Clone, Default)]

@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_std::describe::GoalValue;
 
 use super::launch::signal_name;
 use super::output::{Keep, Kept, Output};
 use super::settings::{AbortBy, Program, ResultKind};
-use crate::goal_value::GoalValue;
 use crate::human::{human_size, human_time};
 use crate::kind::{Outcome, StopReason};
 

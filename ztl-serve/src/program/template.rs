@@ -1,9 +1,9 @@
 //! Arguments of programs, with placeholders for the goal.
 
+use ztl_std::describe::GoalRule;
 use ztl_yaml::closest;
 
 use crate::call::Call;
-use crate::goal_rule::GoalRule;
 
 /// An argument with placeholders: `--speed={goal.speed}`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -164,8 +164,8 @@ mod tests {
     use ztl_core::TaskId;
 
     use super::*;
-    use crate::goal_rule::Goal;
-    use crate::goal_value::GoalValue;
+    use ztl_std::describe::CheckedGoal;
+    use ztl_std::describe::GoalValue;
 
     fn call(goal: &str) -> Call {
         Call {
@@ -173,7 +173,7 @@ mod tests {
             scope: "/robot".to_owned(),
             handler: "arm".to_owned(),
             component: "hand".to_owned(),
-            goal: Goal {
+            goal: CheckedGoal {
                 text: goal.to_owned(),
                 fields: GoalValue::parse(goal).ok(),
             },
@@ -226,6 +226,8 @@ mod tests {
             whole: false,
             least: None,
             most: None,
+            step: None,
+            unit: None,
         };
         assert!(open("{goal}", &GoalRule::Any));
         assert!(open("{goal.x}", &GoalRule::Any));

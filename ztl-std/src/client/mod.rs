@@ -5,6 +5,7 @@
 
 mod abort_on_drop;
 mod background;
+mod components;
 mod connection;
 #[cfg(feature = "config")]
 mod description;
@@ -17,6 +18,7 @@ mod tasks;
 
 pub use abort_on_drop::AbortOnDrop;
 pub use background::BackgroundTask;
+pub use components::DescribedComponent;
 #[cfg(feature = "config")]
 pub use description::Description;
 pub use error::{RequestError, RunError, TriggerError, WaitError};

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use ztl_core::TaskId;
 
+use crate::describe::ScopeDescriptions;
 use crate::offers::Offers;
 use crate::server::TaskReporter;
 use crate::task_request::TaskRequest;
@@ -24,6 +25,12 @@ pub trait TaskController: Send + Sync + 'static {
     /// Default: an empty list.
     fn offers(&self) -> Offers {
         Offers::new()
+    }
+
+    /// What the components say of themselves, for `ztl describe` and others. Called once, on registration.
+    /// Default: nothing.
+    fn describe(&self) -> ScopeDescriptions {
+        ScopeDescriptions::new()
     }
 }
 

@@ -9,6 +9,7 @@ use ztl_core::TaskId;
 
 use super::pool::{Job, Pool};
 use super::task::{AbortRequest, TaskContext, TaskController};
+use crate::describe::ScopeDescriptions;
 use crate::offers::offered;
 use crate::server::{AbortRejection, TaskHandler, TaskReporter, TaskServer, WakeBatch};
 use crate::task_request::TaskRequest;
@@ -71,6 +72,10 @@ impl<C: TaskController> TaskHandler for Threads<C> {
             .map(|(handler, components)| (handler.as_str(), components.iter().map(String::as_str)));
         let all = offered(handlers);
         Box::new(move || all.clone())
+    }
+
+    fn describe(&self) -> ScopeDescriptions {
+        self.controller.describe()
     }
 
     fn start(&mut self, task: TaskReporter, request: TaskRequest) {

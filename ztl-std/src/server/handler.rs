@@ -5,6 +5,7 @@ use std::time::Duration;
 use ztl_core::{State, TaskId, TaskSpec};
 
 use super::reporter::TaskReporter;
+use crate::describe::ScopeDescriptions;
 use crate::task_request::TaskRequest;
 
 /// Answers questions to `$ztl` that the protocol does not define, in JSON; `None` for an unknown question.
@@ -53,6 +54,12 @@ pub trait TaskHandler: Send {
     /// mapping.
     fn description(&self) -> Box<dyn Fn() -> String + Send> {
         Box::new(|| "{}".to_owned())
+    }
+
+    /// What the components say of themselves, for the question `describe`. Called once, on registration.
+    /// Default: nothing.
+    fn describe(&self) -> ScopeDescriptions {
+        ScopeDescriptions::new()
     }
 
     /// Whether the answer about an unknown id names the id: `Invalid ID '7'`, like the original's

@@ -12,6 +12,7 @@ use super::handler::Answers;
 use super::incoming::ReturnPath;
 use super::limits::Limits;
 use super::task_table::{HeapText, TaskTable};
+use crate::describe::{MAX_LENGTH, PART, ScopeDescriptions};
 use crate::offers::quoted;
 use crate::task_list::TaskList;
 
@@ -19,10 +20,27 @@ use crate::task_list::TaskList;
 pub(super) struct ScopeInfo {
     /// What it offers, as a mapping in YAML flow style.
     pub(super) describe: Box<dyn Fn() -> String + Send>,
+    /// Handler, component and its description in JSON, for the question `describe`.
+    pub(super) components: Vec<(String, String, String)>,
     /// Answers further questions.
     pub(super) answer: Answers,
     /// Whether the answer about an unknown id names the id.
     pub(super) names_unknown_ids: bool,
+}
+
+impl ScopeInfo {
+    /// Descriptions, as they are sent. Leaves out what a client would not read, because it is too long.
+    pub(super) fn written(described: &ScopeDescriptions) -> Vec<(String, String, String)> {
+        let handlers = described.iter();
+        let all = handlers.flat_map(|(handler, components)| {
+            components.iter().map(move |(component, description)| {
+                let json = description.json().to_string();
+                (handler.clone(), component.clone(), json)
+            })
+        });
+        all.filter(|(_, _, json)| json.len() <= MAX_LENGTH)
+            .collect()
+    }
 }
 
 /// The dispatcher's memory on the heap, bounded by the server's limits.
@@ -109,6 +127,37 @@ impl ServerMemory {
         self.tasks.note_payload(id, payload, now);
     }
 
+    /// The answer to `describe`, with what follows that word: `[SCOPE][;FROM]`.
+    fn describe(&self, of: &str) -> Option<String> {
+        let (scope, from) = of.split_once(';').unwrap_or((of, "0"));
+        let from: usize = from.parse().ok()?;
+        let scopes = self
+            .visible()
+            .filter(|(name, _)| scope.is_empty() || name == scope);
+        let all = scopes.flat_map(|(name, about)| {
+            let components = about.components.iter();
+            components.map(move |component| (name, component))
+        });
+        let mut json = "{\"components\": [".to_owned();
+        let mut first = true;
+        for (number, (name, (handler, component, description))) in all.enumerate().skip(from) {
+            let text = |text: &str| serde_json::Value::from(text).to_string();
+            let (scope, handler, component) = (text(name), text(handler), text(component));
+            let one = format!(
+                "{{\"scope\": {scope}, \"handler\": {handler}, \"component\": {component}, \"is\": {description}}}"
+            );
+            if !first && json.len() + one.len() > PART {
+                return Some(format!("{json}], \"next\": {number}}}"));
+            }
+            if !first {
+                json.push_str(", ");
+            }
+            first = false;
+            json.push_str(&one);
+        }
+        Some(json + "]}")
+    }
+
     /// The answers of the handlers, by scope.
     fn ask_handlers(&self, question: &str) -> Option<String> {
         let answers = self.visible().filter_map(|(name, about)| {
@@ -178,7 +227,11 @@ impl Memory for ServerMemory {
                 let tasks = self.tasks.list(now(), |scope| self.scope_name(scope));
                 TaskList::of(tasks.collect()).into_json()
             }
-            other => self.ask_handlers(other),
+            "describe" => self.describe(""),
+            other => match other.strip_prefix("describe ") {
+                Some(of) => self.describe(of),
+                None => self.ask_handlers(other),
+            },
         };
         self.answer.as_deref()
     }
@@ -284,6 +337,7 @@ mod tests {
             ..Limits::default()
         });
         let about = ScopeInfo {
+            components: Vec::new(),
             describe: Box::new(String::new),
             answer: Box::new(|_| None),
             names_unknown_ids: true,
@@ -321,5 +375,48 @@ mod tests {
         let later = start + (KEEP_INIT + Duration::from_secs(1));
         assert!(!init(later, 2, 2), "it was rejected before");
         assert!(init(later + KEEP_INIT, 3, 2));
+    }
+
+    #[test]
+    fn descriptions_come_in_parts_and_only_from_scopes_that_the_client_may_use() {
+        let mut heap = ServerMemory::new(Limits::default());
+        for scope in ["/lab", "/secret"] {
+            let long = format!("{{\"about\": \"{}\"}}", "x".repeat(30 << 10));
+            let component = |number: u32| ("arm".to_owned(), number.to_string(), long.clone());
+            let about = ScopeInfo {
+                components: (0..5).map(component).collect(),
+                describe: Box::new(String::new),
+                answer: Box::new(|_| None),
+                names_unknown_ids: true,
+            };
+            heap.register(scope, about);
+        }
+        let ask = |heap: &mut ServerMemory, scope: &str| {
+            let (mut from, mut names, mut parts) = (0, Vec::new(), 0);
+            loop {
+                let question = format!("describe {scope};{from}");
+                let answer = heap.answer(&question).expect("known");
+                assert!(answer.len() < PART + 100);
+                let answer: serde_json::Value = serde_json::from_str(answer).expect("JSON");
+                let listed = answer["components"].as_array().expect("a list");
+                names.extend(
+                    listed
+                        .iter()
+                        .map(|it| format!("{}{}", it["scope"], it["component"])),
+                );
+                parts += 1;
+                match answer["next"].as_u64() {
+                    Some(next) => from = next,
+                    None => return (parts, names.len(), names.concat().contains("secret")),
+                }
+            }
+        };
+        assert_eq!(ask(&mut heap, ""), (5, 10, true));
+        assert_eq!(ask(&mut heap, "/lab"), (3, 5, false));
+        assert_eq!(ask(&mut heap, "/other"), (1, 0, false));
+        heap.hide(|scope| scope == "/secret");
+        assert_eq!(ask(&mut heap, ""), (3, 5, false));
+        assert_eq!(ask(&mut heap, "/secret"), (1, 0, false));
+        assert!(heap.answer("describe ;x").is_none());
     }
 }

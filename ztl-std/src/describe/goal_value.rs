@@ -8,27 +8,37 @@ use ztl_core::goal::{self, GoalError, WriteError};
 
 /// A value that Python, YAML and JSON have in common. Mappings keep their order.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum GoalValue {
+pub enum GoalValue {
+    /// Nothing.
     Null,
+    /// True or False.
     Bool(bool),
     /// Fits into `i64` or `u64`.
     Integer(i128),
+    /// A number with a fraction.
     Float(f64),
+    /// A text.
     Text(String),
+    /// Values in order.
     List(Vec<GoalValue>),
+    /// Values by key.
     Map(Vec<(GoalValue, GoalValue)>),
 }
 
 impl GoalValue {
     /// Parses a goal.
-    pub(crate) fn parse(text: &str) -> Result<Self, GoalError> {
+    ///
+    /// # Errors
+    /// Where the goal is malformed.
+    pub fn parse(text: &str) -> Result<Self, GoalError> {
         // `\L` and `\P` take one byte more than they are written with.
         let mut scratch = vec![0; text.len() * 2];
         goal::from_str_with(text, &mut scratch)
     }
 
     /// The value of a key, or the item of a list with this index.
-    pub(crate) fn part(&self, key: &str) -> Option<&Self> {
+    #[must_use]
+    pub fn part(&self, key: &str) -> Option<&Self> {
         match self {
             Self::Map(pairs) => {
                 let mut found = pairs.iter().filter(|(name, _)| name.is_key(key));
@@ -48,7 +58,10 @@ impl GoalValue {
     }
 
     /// The text that the original writes: that of Python's `str`.
-    pub(crate) fn to_text(&self) -> Result<String, WriteError> {
+    ///
+    /// # Errors
+    /// If it has too many levels.
+    pub fn to_text(&self) -> Result<String, WriteError> {
         let mut bytes = Vec::new();
         goal::to_sink(self, &mut |part: &[u8]| bytes.extend_from_slice(part))?;
         Ok(String::from_utf8_lossy(&bytes).into_owned())

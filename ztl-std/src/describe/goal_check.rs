@@ -1,58 +1,36 @@
-//! Rules for goals, checked before anything starts.
-
-use std::fmt;
+//! Checks goals against their rule, before anything starts.
 
 use ztl_core::goal;
 
-use crate::goal_value::GoalValue;
-
-/// What a goal must be.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) enum GoalRule {
-    /// Any goal.
-    #[default]
-    Any,
-    /// A text, with at most this many characters.
-    Text { longest: Option<usize> },
-    /// A finite number within bounds.
-    Number {
-        whole: bool,
-        least: Option<f64>,
-        most: Option<f64>,
-    },
-    /// True or False.
-    Bool,
-    /// One of these words.
-    OneOf(Vec<String>),
-    /// All of these fields and no others: a mapping, or a list in their order.
-    Fields(Vec<Field>),
-}
-
-/// A field of a structured goal.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Field {
-    pub(crate) name: String,
-    pub(crate) rule: GoalRule,
-    /// Used when the client leaves the field out.
-    pub(crate) default: Option<GoalValue>,
-}
+use super::{GoalRule, GoalValue};
 
 /// A goal that was checked.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Goal {
+pub struct CheckedGoal {
     /// The text that programs get. Numbers are in plain form: `0x1F` becomes `31`.
-    pub(crate) text: String,
+    pub text: String,
     /// The parsed goal, if its fields are needed.
-    pub(crate) fields: Option<GoalValue>,
+    pub fields: Option<GoalValue>,
 }
 
-impl GoalRule {
+/// A rule that goals are checked against.
+pub trait CheckGoal {
     /// Parses and checks a goal. `needs_fields` has it parsed even if the rule does not.
-    pub(crate) fn check(&self, text: &str, needs_fields: bool) -> Result<Goal, String> {
+    ///
+    /// # Errors
+    /// What is wrong, and what the goal should be.
+    fn check(&self, text: &str, needs_fields: bool) -> Result<CheckedGoal, String>;
+
+    /// The value that programs get, if it fits the rule.
+    fn fit(&self, value: GoalValue) -> Option<GoalValue>;
+}
+
+impl CheckGoal for GoalRule {
+    fn check(&self, text: &str, needs_fields: bool) -> Result<CheckedGoal, String> {
         let wrong = || format!("the goal '{}' is not {self}", shown(text));
         let plain = |value: GoalValue| value.to_text().map_err(|_| wrong());
         let goal = match self {
-            Self::Any | Self::Text { .. } | Self::OneOf(_) => {
+            Self::Any | Self::Nothing | Self::Text { .. } | Self::OneOf(_) => {
                 self.fit(GoalValue::Text(text.to_owned()))
                     .ok_or_else(wrong)?;
                 text.to_owned()
@@ -63,11 +41,14 @@ impl GoalRule {
                     .ok_or_else(wrong)?;
                 plain(value)?
             }
-            Self::Fields(_) => {
+            Self::Fields(_) | Self::ListOf(_) => {
                 let value = GoalValue::parse(text);
                 let value = value.map_err(|error| format!("{}: {error}", wrong()))?;
-                let value = self.fitting(value, text)?;
-                return Ok(Goal {
+                let value = match self {
+                    Self::Fields(_) => fitting(self, value, text)?,
+                    _ => self.fit(value).ok_or_else(wrong)?,
+                };
+                return Ok(CheckedGoal {
                     text: text.to_owned(),
                     fields: Some(value),
                 });
@@ -75,16 +56,29 @@ impl GoalRule {
         };
         let no_fields = |error| format!("the goal '{}' has no fields: {error}", shown(text));
         let fields = needs_fields.then(|| GoalValue::parse(text).map_err(no_fields));
-        Ok(Goal {
+        Ok(CheckedGoal {
             text: goal,
             fields: fields.transpose()?,
         })
     }
 
-    /// The value that programs get, if it fits the rule.
-    pub(crate) fn fit(&self, value: GoalValue) -> Option<GoalValue> {
+    fn fit(&self, value: GoalValue) -> Option<GoalValue> {
         match self {
             Self::Any => Some(value),
+            Self::Nothing => match &value {
+                GoalValue::Null => Some(value),
+                GoalValue::Text(text) if matches!(text.as_str(), "" | "None" | "null" | "~") => {
+                    Some(value)
+                }
+                _ => None,
+            },
+            Self::ListOf(item) => match value {
+                GoalValue::List(items) => {
+                    let items = items.into_iter().map(|value| item.fit(value));
+                    items.collect::<Option<_>>().map(GoalValue::List)
+                }
+                _ => None,
+            },
             Self::Text { longest } => {
                 let text = value.to_text().ok()?;
                 longest
@@ -93,14 +87,16 @@ impl GoalRule {
             }
             Self::OneOf(words) => {
                 let text = value.to_text().ok()?;
-                words.contains(&text).then_some(value)
+                words.iter().any(|word| **word == *text).then_some(value)
             }
             Self::Bool => match value {
                 GoalValue::Bool(_) => Some(value),
                 GoalValue::Text(text) => goal::from_str(&text).map(GoalValue::Bool).ok(),
                 _ => None,
             },
-            Self::Number { whole, least, most } => {
+            Self::Number {
+                whole, least, most, ..
+            } => {
                 let value = match value {
                     // In YAML 1.1, `1e3` is a text.
                     GoalValue::Text(text) => number(&text)?,
@@ -117,74 +113,57 @@ impl GoalRule {
                 let high = most.is_some_and(|most| size > most);
                 (!low && !high).then_some(value)
             }
-            Self::Fields(_) => self.fitting(value, "").ok(),
+            Self::Fields(_) => fitting(self, value, "").ok(),
         }
     }
+}
 
-    /// The fields of a structured goal by name, if each fits its rule.
-    fn fitting(&self, value: GoalValue, text: &str) -> Result<GoalValue, String> {
-        let Self::Fields(fields) = self else {
-            return Err(String::new());
-        };
-        let wrong = || format!("the goal '{}' is not {self}", shown(text));
-        let mut given: Vec<Option<GoalValue>> = vec![None; fields.len()];
-        match value {
-            GoalValue::List(items) if items.len() == fields.len() => {
-                given = items.into_iter().map(Some).collect();
-            }
-            GoalValue::Map(pairs) => {
-                for (key, value) in pairs {
-                    let name = key.to_text().map_err(|_| wrong())?;
-                    let place = fields.iter().position(|field| field.name == name);
-                    let place = place.ok_or_else(|| {
-                        format!("{}: there is no field '{}'", wrong(), shown(&name))
-                    })?;
-                    if let Some(slot) = given.get_mut(place) {
-                        *slot = Some(value);
-                    }
+/// The fields of a structured goal by name, if each fits its rule.
+fn fitting(rule: &GoalRule, value: GoalValue, text: &str) -> Result<GoalValue, String> {
+    let GoalRule::Fields(fields) = rule else {
+        return Err(String::new());
+    };
+    let wrong = || format!("the goal '{}' is not {rule}", shown(text));
+    let mut given: Vec<Option<GoalValue>> = vec![None; fields.len()];
+    match value {
+        GoalValue::List(items) if items.len() == fields.len() => {
+            given = items.into_iter().map(Some).collect();
+        }
+        GoalValue::Map(pairs) => {
+            for (key, value) in pairs {
+                let name = key.to_text().map_err(|_| wrong())?;
+                let place = fields.iter().position(|field| *field.name == *name);
+                let place = place
+                    .ok_or_else(|| format!("{}: there is no field '{}'", wrong(), shown(&name)))?;
+                if let Some(slot) = given.get_mut(place) {
+                    *slot = Some(value);
                 }
             }
-            _ => return Err(wrong()),
         }
-        let mut pairs = Vec::new();
-        for (field, value) in fields.iter().zip(given) {
-            let name = &field.name;
-            let value = match (value, &field.default) {
-                (Some(value), _) => {
-                    let text = value.to_text().unwrap_or_default();
-                    field.rule.fit(value).ok_or_else(|| {
-                        format!("'{}' for {name} is not {}", shown(&text), field.rule)
-                    })?
-                }
-                (None, Some(default)) => default.clone(),
-                (None, None) => return Err(format!("{}: {name} is missing", wrong())),
-            };
-            pairs.push((GoalValue::Text(name.clone()), value));
-        }
-        Ok(GoalValue::Map(pairs))
+        _ => return Err(wrong()),
     }
-
-    /// Whether the goals are numbers or words that the file chooses, so that no client can pass an option to a
-    /// program.
-    pub(crate) const fn is_closed(&self) -> bool {
-        matches!(self, Self::Number { .. } | Self::Bool | Self::OneOf(_))
-    }
-
-    /// The rule for a part of the goal; `None` if no goal has that part.
-    pub(crate) fn part(&self, path: &[String]) -> Option<&Self> {
-        static ANY: GoalRule = GoalRule::Any;
-        let Some((first, rest)) = path.split_first() else {
-            return Some(self);
-        };
-        match self {
-            Self::Any => Some(&ANY),
-            Self::Fields(fields) => {
-                let field = fields.iter().find(|field| field.name == *first)?;
-                field.rule.part(rest)
+    let mut pairs = Vec::new();
+    for (field, value) in fields.iter().zip(given) {
+        let name = &field.name;
+        let value = match (value, &field.default) {
+            (Some(value), _) => {
+                let text = value.to_text().unwrap_or_default();
+                field
+                    .rule
+                    .fit(value)
+                    .ok_or_else(|| format!("'{}' for {name} is not {}", shown(&text), field.rule))?
             }
-            _ => None,
-        }
+            (None, Some(default)) => {
+                let default = GoalValue::Text(default.to_string());
+                let wrong = || format!("the default for {name} is not {}", field.rule);
+                field.rule.fit(default).ok_or_else(wrong)?
+            }
+            (None, None) if field.optional => continue,
+            (None, None) => return Err(format!("{}: {name} is missing", wrong())),
+        };
+        pairs.push((GoalValue::Text(name.to_string()), value));
     }
+    Ok(GoalValue::Map(pairs))
 }
 
 /// A number as Python and YAML write it; an integer if it is one.
@@ -196,7 +175,8 @@ fn number(text: &str) -> Option<GoalValue> {
 }
 
 /// A client's text for a message: without control characters, and not too long.
-pub(crate) fn shown(text: &str) -> String {
+#[must_use]
+pub fn shown(text: &str) -> String {
     const MOST: usize = 60;
     let clean = |c: char| if c.is_control() { '\u{fffd}' } else { c };
     let mut shown: String = text.chars().take(MOST).map(clean).collect();
@@ -206,51 +186,20 @@ pub(crate) fn shown(text: &str) -> String {
     shown
 }
 
-impl fmt::Display for GoalRule {
-    /// What the rule expects, as `a number from 0 to 100`.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Any => f.write_str("anything"),
-            Self::Text { longest: None } => f.write_str("a text"),
-            Self::Text {
-                longest: Some(longest),
-            } => write!(f, "a text of at most {longest} characters"),
-            Self::Number { whole, least, most } => {
-                f.write_str(if *whole { "a whole number" } else { "a number" })?;
-                match (least, most) {
-                    (Some(least), Some(most)) => write!(f, " from {least} to {most}"),
-                    (Some(least), None) => write!(f, " of at least {least}"),
-                    (None, Some(most)) => write!(f, " of at most {most}"),
-                    (None, None) => Ok(()),
-                }
-            }
-            Self::Bool => f.write_str("True or False"),
-            Self::OneOf(words) => match words.split_last() {
-                Some((last, [])) => f.write_str(last),
-                Some((last, others)) => write!(f, "{} or {last}", others.join(", ")),
-                None => Ok(()),
-            },
-            Self::Fields(fields) => {
-                f.write_str("{")?;
-                for (place, field) in fields.iter().enumerate() {
-                    let separator = if place == 0 { "" } else { ", " };
-                    write!(f, "{separator}{}: {}", field.name, field.rule)?;
-                }
-                f.write_str("}")
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::describe::GoalField;
 
     fn number_rule(whole: bool, least: f64, most: f64) -> GoalRule {
         GoalRule::Number {
             whole,
             least: Some(least),
             most: Some(most),
+            step: None,
+            unit: None,
         }
     }
 
@@ -286,7 +235,7 @@ mod tests {
 
     #[test]
     fn rules_for_words_texts_and_booleans() {
-        let sides = GoalRule::OneOf(["left", "right", "straight on"].map(str::to_owned).to_vec());
+        let sides = GoalRule::OneOf(["left", "right", "straight on"].map(Arc::from).into());
         assert_eq!(text(&sides, "straight on").as_deref(), Ok("straight on"));
         let said = "the goal 'up' is not left, right or straight on";
         assert_eq!(text(&sides, "up").expect_err("up"), said);
@@ -307,19 +256,23 @@ mod tests {
 
     #[test]
     fn fields_are_given_by_name_or_in_order() {
-        let field = |name: &str, rule: GoalRule, default| Field {
-            name: name.to_owned(),
+        let field = |name: &str, rule: GoalRule, default: Option<&str>| GoalField {
+            name: name.into(),
             rule,
-            default,
+            optional: default.is_some(),
+            default: default.map(Arc::from),
         };
-        let rule = GoalRule::Fields(vec![
-            field("x", number_rule(false, -1.0, 1.0), None),
-            field(
-                "turn",
-                GoalRule::OneOf(vec!["left".to_owned()]),
-                Some(GoalValue::Text("left".to_owned())),
-            ),
-        ]);
+        let rule = GoalRule::Fields(
+            [
+                field("x", number_rule(false, -1.0, 1.0), None),
+                field(
+                    "turn",
+                    GoalRule::OneOf(["left".into()].into()),
+                    Some("left"),
+                ),
+            ]
+            .into(),
+        );
         let of = |goal: &str| {
             let fields = rule.check(goal, false)?.fields.expect("fields");
             fields.to_text().map_err(|error| error.to_string())

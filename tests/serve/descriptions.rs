@@ -1,0 +1,149 @@
+//! What components say of themselves: `describe`.
+
+use serde_json::{Value, json};
+use ztl_std::describe::GoalValue;
+use ztl_std::encoded;
+use ztl_tests::lab::{FakeServer, Process, Random, SCOPE, run_python, seed, ztl};
+
+use crate::rig::Rig;
+
+const COMPONENTS: &str = "
+    open: {built-in: echo, goal: {least: 0, most: 80, step: 5, unit: mm}, about: opens the gripper, examples: [40, 0x10], returns: how far it is, usually: 1500 ms}
+    count: {built-in: echo, goal: {type: whole, most: 7}}
+    say: {built-in: echo, goal: {type: text, longest: 5}}
+    turn: {built-in: echo, goal: {one-of: [left, right]}}
+    light: {built-in: echo, goal: truth}
+    path: {built-in: echo, goal: {list-of: {least: -1, most: 1}}}
+    pose: {built-in: echo, goal: {fields: {z: {most: 3}, a: truth, side: {one-of: [left, right], default: left}}}}
+    free: echo
+";
+
+/// A value that may be a goal. Texts are words, because the server takes the goal `'5'` for a number.
+fn value(random: &mut Random, depth: usize) -> Value {
+    match random.below(if depth > 1 { 5 } else { 7 }) {
+        0 => json!(random.pick(&[-2, -1, 0, 1, 3, 7, 8, 80, 81])),
+        1 => json!(random.pick(&[-1.5, -0.25, 0.5, 2.75, 80.5, 1e9 + 0.5])),
+        2 => json!(random.pick(&["left", "right", "straight", "abcde", "äöüßé"])),
+        3 => json!(random.pick(&[true, false])),
+        4 => json!({"z": random.pick(&[0.5, 3.5]), "a": random.pick(&[true, false])}),
+        5 => {
+            let items = (0..random.below(4)).map(|_| value(random, depth + 1));
+            items.collect()
+        }
+        _ => {
+            let mut map = serde_json::Map::new();
+            for key in ["z", "a", "side", "more"] {
+                if random.once_in(2) {
+                    map.insert(key.to_owned(), value(random, depth + 1));
+                }
+            }
+            Value::Object(map)
+        }
+    }
+}
+
+/// Whether the value is what JSON Schema calls it. A goal is text, so that the server also takes a number for
+/// a text, and the list or mapping of a text goal.
+fn is_plain(component: &str, value: &Value) -> bool {
+    !matches!(component, "say" | "turn") || value.is_string()
+}
+
+#[test]
+fn the_server_and_the_json_schema_take_the_same_goals() {
+    let rig = Rig::new(COMPONENTS);
+    let port = rig.server.port.to_string();
+    let told = Process::run(ztl().args(["describe", "--json", "-p", &port]));
+    let told: Value = serde_json::from_str(&told.stdout).expect("JSON");
+    let components = told["components"].as_array().expect("components");
+    assert_eq!(components.len(), 8, "{told}");
+    let mut remote = rig.remote();
+    let mut random = Random::new(seed());
+    let (mut asked, mut verdicts) = (Vec::new(), Vec::new());
+    for component in components {
+        let name = component["component"].as_str().expect("a name");
+        for _ in 0..60 {
+            let value = value(&mut random, 0);
+            if !is_plain(name, &value) {
+                continue;
+            }
+            let goal: GoalValue = serde_json::from_value(value.clone()).expect("a goal");
+            let goal = goal.to_text().expect("a goal");
+            let question = format!("takes {}", encoded("p", name, &goal));
+            let answer = remote.ask_server(&question).expect("an answer");
+            let answer: Value = serde_json::from_str(&answer.expect("known")).expect("JSON");
+            verdicts.push((format!("{name}:{goal}"), answer[SCOPE].is_null()));
+            asked.push(json!([component["schema"], value]));
+        }
+    }
+    let check = "import json, sys, jsonschema\n\
+        print(json.dumps([jsonschema.Draft202012Validator(s).is_valid(v) for s, v in json.load(sys.stdin)]))";
+    let valid = run_python(&["-c", check], &Value::from(asked).to_string());
+    let valid: Vec<bool> = serde_json::from_str(&valid).expect("verdicts");
+    assert_eq!(valid.len(), verdicts.len());
+    for (valid, (goal, taken)) in valid.iter().zip(&verdicts) {
+        assert_eq!(
+            valid,
+            taken,
+            "JSON Schema and server, seed {}: {goal}",
+            seed()
+        );
+    }
+    for expected in [true, false] {
+        assert!(valid.iter().filter(|it| **it == expected).count() > 50);
+    }
+}
+
+#[test]
+fn people_see_goals_and_what_they_mean() {
+    let rig = Rig::new(COMPONENTS);
+    let port = rig.server.port.to_string();
+    let told = Process::run(ztl().args(["describe", "-p", &port])).stdout;
+    for part in [
+        "p:open ",
+        "a number from 0 to 80 mm",
+        "opens the gripper; for example 40 or 0x10; returns how far it is; usually 1s 500ms\n",
+        "{z: a number of at most 3, a: True or False, side: left or right}",
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    assert!(!told.contains("p:free"), "{told}");
+    let reason = rig.rejection("open", "81");
+    assert!(
+        reason.contains("is not a number from 0 to 80 mm"),
+        "{reason}"
+    );
+}
+
+#[test]
+fn hostile_descriptions_end_and_reach_no_terminal() {
+    let probe = "$ztl;5;0;{ztl: 1, version: '0.1.0', boot: 7, scopes: {\"/lab\": {}}, running: {}}";
+    let deep = format!("{}{}", "{\"list-of\": ".repeat(100), "}".repeat(100));
+    let deep = deep.replace("\"list-of\": }", "\"list-of\": {}}");
+    for is in [
+        r#"{"goal": {"type": "number", "unit": "\u001b[2J\u0007"}, "about": "\u001b]0;x\u0007\n"}"#
+            .to_owned(),
+        format!("{{\"goal\": {deep}, \"about\": \"deep\"}}"),
+        "[".repeat(1_000),
+        "7".to_owned(),
+    ] {
+        // Each answer promises another one.
+        let server = FakeServer::with_questions(move |request| {
+            let Some((_, from)) = request.split_once("describe ;") else {
+                return probe.as_bytes().to_vec();
+            };
+            let next = from.parse().unwrap_or(0) + 1;
+            let one = format!(
+                r#"{{"scope": "/lab", "handler": "a\u001b", "component": "b", "is": {is}}}"#
+            );
+            let many = vec![one; 600].join(", ");
+            format!("$ztl;5;0;{{\"components\": [{many}], \"next\": {next}}}").into_bytes()
+        });
+        let port = server.port.to_string();
+        for options in [&["describe"][..], &["describe", "--yaml"]] {
+            let ended = Process::run(ztl().args(options).args(["-p", &port]));
+            assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+            let control = |c: char| c.is_control() && c != '\n';
+            assert!(!ended.stdout.contains(control), "{options:?}");
+        }
+    }
+}
