@@ -9,7 +9,7 @@ use crate::graph::{Chain, Graph, Node, Ref, Rest};
 use crate::integer;
 use crate::time::{self, Date, DateTime, Time, TimeDelta, TimeZone};
 
-/// A value of a [`Pickle`]. Values are compared by their structure: `1`, `1.0` and `True` differ, and so do dicts and
+/// A value of a [`Pickle`](crate::Pickle). Values are compared by their structure: `1`, `1.0` and `True` differ, and so do dicts and
 /// sets in another order; `nan` equals itself; sharing makes no difference.
 #[derive(Clone, Copy)]
 pub struct Value<'a> {
