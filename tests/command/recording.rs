@@ -464,6 +464,37 @@ fn tasks_are_not_replayed_without_a_yes() {
 }
 
 #[test]
+fn keys_typed_before_the_question_are_no_yes() {
+    let stage = Stage::new();
+    let replay = stage.replay(&[]);
+    let mut command = Command::new("sh");
+    // `read` takes the first line; the others wait for the replay.
+    let script = "echo waiting; read line; exec \"$@\"";
+    command.args(["-c", script, "sh"]).arg(replay.get_program());
+    command.args(replay.get_args());
+    let mut terminal = Terminal::start(&command, (100, 24));
+    terminal.shows("waiting");
+    terminal.type_in("go\ry\ryes\r");
+    terminal.shows("Send them? [y/N]");
+    terminal.type_in("n\r");
+    assert_eq!(terminal.end().code(), Some(2), "{}", terminal.screen());
+    stage.nothing_was_sent();
+}
+
+#[test]
+fn a_signal_at_the_question_is_a_no() {
+    let stage = Stage::new();
+    for signal in ["INT", "TERM", "HUP"] {
+        let mut terminal = Terminal::start(&stage.replay(&[]), (100, 24));
+        terminal.shows("Send them? [y/N]");
+        terminal.signal(signal);
+        assert_eq!(terminal.end().code(), Some(2), "{signal}");
+        terminal.shows("nothing was sent");
+        stage.nothing_was_sent();
+    }
+}
+
+#[test]
 fn a_replayed_task_is_sent_once() {
     let stage = Stage::new();
     let mut terminal = Terminal::start(&stage.replay(&[]), (100, 24));

@@ -7,7 +7,9 @@ use std::io::{IsTerminal as _, stdin};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::Scope;
+use std::time::Duration;
 
 use ztl_record::{Content, Reader, TaskEvent};
 use ztl_std::remotes::Remote;
@@ -16,9 +18,12 @@ use ztl_std::{RemoteTask, State, TaskSpec};
 use crate::chosen_publisher::configuration;
 use crate::connect_options::ConnectOptions;
 use crate::exit::Misuse;
+use crate::keyboard;
 use crate::signals;
 use crate::terminal::{error_line, flat, line, part};
 
+/// How often the question looks for a signal.
+const TURN: Duration = Duration::from_millis(20);
 /// Most tasks that run at a time; each has a thread and a connection.
 const RUNNING: usize = 256;
 /// Most tasks that are named in the question for each robot.
@@ -156,16 +161,30 @@ impl TaskOptions {
     }
 }
 
-/// Asks on the terminal. Only a clear yes is one.
+/// Asks on the terminal. Only a clear yes that is typed after the question is one; a signal is a no.
 fn is_agreed() -> Result<bool, Box<dyn std::error::Error>> {
     if !stdin().is_terminal() {
-        let mistake =
-            "--tasks asks on a terminal, and stdin is none; agree with --yes; nothing was sent";
+        let mistake = "--tasks asks on a terminal, but stdin is not a terminal; agree with --yes; nothing was sent";
         return Err(Misuse(mistake.to_owned()).into());
     }
+    keyboard::drop_input();
     part("Send them? [y/N] ");
-    let mut answer = String::new();
-    stdin().read_line(&mut answer)?;
+    let (sender, typed) = mpsc::channel();
+    // A signal does not interrupt a read.
+    std::thread::Builder::new()
+        .name("ztl-answer".to_owned())
+        .spawn(move || {
+            let mut answer = String::new();
+            let read = stdin().read_line(&mut answer);
+            sender.send(read.map(|_| answer))
+        })?;
+    let answer = loop {
+        match typed.recv_timeout(TURN) {
+            Ok(answer) => break answer?,
+            Err(RecvTimeoutError::Timeout) if !signals::stopped() => {}
+            Err(_) => return Ok(false),
+        }
+    };
     Ok(!signals::stopped() && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str()))
 }
 
