@@ -368,6 +368,26 @@ fn what_is_replayed_is_heard_as_it_was_published() {
     );
 }
 
+/// The body of a task's event.
+fn event(id: i64, state: &str, goal: &str) -> Vec<u8> {
+    let mut fields = vec![("id", Pickle::from(id)), ("time", 1_700_000_000.5.into())];
+    let texts = [
+        ("state", state),
+        ("handler", "test"),
+        ("component", "echo"),
+        ("goal", goal),
+    ];
+    let asked = texts.len() - if state == "INITIATED" { 0 } else { 3 };
+    let texts = texts.into_iter().take(asked);
+    fields.extend(texts.map(|(key, text)| (key, Pickle::text(text).expect("text"))));
+    Pickle::dict(fields).expect("a dict").to_bytes()
+}
+
+/// The topic of a task's events.
+fn topic(id: i64) -> String {
+    format!("{SCOPE}/$tasks/{id}")
+}
+
 /// A server, a recording of two of its tasks by two publishers, and a configuration file that names it.
 struct Stage {
     server: Server,
@@ -377,20 +397,6 @@ struct Stage {
 impl Stage {
     fn new() -> Self {
         let (server, scratch) = (Server::ours(), Scratch::new());
-        let event = |id: i64, state: &str, goal: &str| {
-            let mut fields = vec![("id", Pickle::from(id)), ("time", 1_700_000_000.5.into())];
-            let texts = [
-                ("state", state),
-                ("handler", "test"),
-                ("component", "echo"),
-                ("goal", goal),
-            ];
-            let asked = texts.len() - if state == "INITIATED" { 0 } else { 3 };
-            let texts = texts.into_iter().take(asked);
-            fields.extend(texts.map(|(key, text)| (key, Pickle::text(text).expect("text"))));
-            Pickle::dict(fields).expect("a dict").to_bytes()
-        };
-        let topic = |id: i64| format!("{SCOPE}/$tasks/{id}");
         let (one, two) = (topic(1), topic(2));
         written(
             &scratch.path("run.mcap"),
@@ -458,6 +464,37 @@ fn tasks_are_not_replayed_without_a_yes() {
 }
 
 #[test]
+fn keys_typed_before_the_question_are_no_yes() {
+    let stage = Stage::new();
+    let replay = stage.replay(&[]);
+    let mut command = Command::new("sh");
+    // `read` takes the first line; the others wait for the replay.
+    let script = "echo waiting; read line; exec \"$@\"";
+    command.args(["-c", script, "sh"]).arg(replay.get_program());
+    command.args(replay.get_args());
+    let mut terminal = Terminal::start(&command, (100, 24));
+    terminal.shows("waiting");
+    terminal.type_in("go\ry\ryes\r");
+    terminal.shows("Send them? [y/N]");
+    terminal.type_in("n\r");
+    assert_eq!(terminal.end().code(), Some(2), "{}", terminal.screen());
+    stage.nothing_was_sent();
+}
+
+#[test]
+fn a_signal_at_the_question_is_a_no() {
+    let stage = Stage::new();
+    for signal in ["INT", "TERM", "HUP"] {
+        let mut terminal = Terminal::start(&stage.replay(&[]), (100, 24));
+        terminal.shows("Send them? [y/N]");
+        terminal.signal(signal);
+        assert_eq!(terminal.end().code(), Some(2), "{signal}");
+        terminal.shows("nothing was sent");
+        stage.nothing_was_sent();
+    }
+}
+
+#[test]
 fn a_replayed_task_is_sent_once() {
     let stage = Stage::new();
     let mut terminal = Terminal::start(&stage.replay(&[]), (100, 24));
@@ -473,6 +510,35 @@ fn a_replayed_task_is_sent_once() {
         ended.stdout.contains("robot test:echo:one COMPLETED"),
         "{ended:?}"
     );
+}
+
+#[test]
+fn a_task_that_was_recorded_after_the_question_is_not_sent() {
+    let stage = Stage::new();
+    let file = stage.scratch.path("run.mcap");
+    // A recorder that has written some, and writes on.
+    let mut recording = Recording::create(&stage.scratch.path("live.mcap")).expect("a file");
+    let mut write = |id, goal| {
+        let body = event(id, "INITIATED", goal);
+        let message = Formats::default().prepare(&topic(id), &body);
+        let message = message.expect("a message");
+        recording
+            .write("robot", message, Instant::now())
+            .expect("room");
+        recording.flush().expect("room");
+        std::fs::read(stage.scratch.path("live.mcap")).expect("a file")
+    };
+    let (before, after) = (write(1, "one"), write(3, "three"));
+    assert!(after.starts_with(&before) && before.len() < after.len());
+    std::fs::write(&file, &before).expect("a file");
+    let mut terminal = Terminal::start(&stage.replay(&[]), (100, 24));
+    terminal.shows("Send them? [y/N]");
+    std::fs::write(&file, &after).expect("a file");
+    terminal.type_in("y\r");
+    assert_eq!(terminal.end().code(), Some(0), "{}", terminal.screen());
+    let tasks = stage.tasks().stdout;
+    assert!(tasks.contains("\"test:echo:one\""), "{tasks}");
+    assert!(!tasks.contains("three"), "{tasks}");
 }
 
 #[test]

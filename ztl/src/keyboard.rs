@@ -62,9 +62,14 @@ impl Keyboard {
 
     /// Drops keys pressed until now, so that they do not answer the next question.
     pub(crate) fn clear(&self) {
-        mode::drop_input();
+        drop_input();
         while self.keys.try_recv().is_ok() {}
     }
+}
+
+/// Drops what was typed on the terminal and is not read yet.
+pub(crate) fn drop_input() {
+    mode::drop_input();
 }
 
 impl Drop for Keyboard {

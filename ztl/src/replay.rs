@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use tracing::Level;
-use ztl_record::{Content, Reader};
+use ztl_record::{Content, Read, Reader};
 use ztl_std::Publisher;
 
 use crate::exit::{Done, Misuse};
@@ -83,7 +83,7 @@ impl Replay {
                 "--tasks does not play faster than recorded: robots move as fast as they do";
             return Err(Misuse(mistake.to_owned()).into());
         }
-        let messages = self.open()?;
+        let mut messages = self.open()?;
         let (access, warnings) = match self.access.access() {
             Ok(read) => read,
             Err(mistake) => {
@@ -94,7 +94,7 @@ impl Replay {
         for warning in warnings {
             error_line(format_args!("ztl: warning: {warning}"));
         }
-        let robots = match self.tasks.tasks {
+        let agreed = match self.tasks.tasks {
             true => Some(
                 self.tasks
                     .agreed(self.open()?, |topic| self.is_chosen(topic))?,
@@ -115,10 +115,18 @@ impl Replay {
                 Some(publisher)
             }
         };
-        match robots {
-            None => self.play(messages, publisher.as_ref(), None),
-            Some(robots) => std::thread::scope(|scope| {
-                let mut running = RunningTasks::new(scope, robots);
+        match agreed {
+            None => {
+                let played = self.play(messages.by_ref(), publisher.as_ref(), None);
+                if messages.damage().is_any() {
+                    let path = self.file.display();
+                    error_line(format_args!("ztl: warning: {path} {}", messages.damage()));
+                }
+                played
+            }
+            Some(agreed) => std::thread::scope(|scope| {
+                let messages = messages.take(agreed.messages);
+                let mut running = RunningTasks::new(scope, agreed);
                 let played = self.play(messages, publisher.as_ref(), Some(&mut running));
                 let all_completed = running.wait();
                 match played? {
@@ -158,14 +166,14 @@ impl Replay {
     /// Plays the messages at their times.
     fn play(
         &self,
-        mut messages: Reader,
+        messages: impl Iterator<Item = Read>,
         publisher: Option<&Publisher>,
         mut tasks: Option<&mut RunningTasks<'_, '_>>,
     ) -> Done {
         let start = Instant::now();
         let mut first = None;
         let mut published: u64 = 0;
-        for read in messages.by_ref() {
+        for read in messages {
             if !self.is_chosen(&read.topic) {
                 continue;
             }
@@ -190,9 +198,6 @@ impl Replay {
             }
         }
         let path = self.file.display();
-        if messages.damage().is_any() {
-            error_line(format_args!("ztl: warning: {path} {}", messages.damage()));
-        }
         if first.is_none() && !signals::stopped() {
             return Err(format!("{path} has no messages to replay").into());
         }

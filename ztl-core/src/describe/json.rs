@@ -51,7 +51,7 @@ impl<T: AsRef<str>> Display for Texts<'_, T> {
     }
 }
 
-/// Writes a pair behind others, if its value is there. JSON has no infinite numbers; such a bound is none.
+/// Writes a pair behind others, if its value is there. JSON has no infinite numbers, so an infinite bound is left out.
 pub(super) fn bound(f: &mut Formatter<'_>, key: &str, value: Option<f64>) -> fmt::Result {
     match value.filter(|value| value.is_finite()) {
         Some(value) => write!(f, ", \"{key}\": {value}"),

@@ -33,7 +33,7 @@ pub(super) fn value(bytes: &[u8]) -> Pickle {
     }
 }
 
-/// A number as JSON writes it. An integer beyond 64 bits is none, since it would lose digits.
+/// A number as JSON writes it. Rejects an integer beyond 64 bits, since it would lose digits.
 fn number(text: &str) -> Option<Pickle> {
     let starts = text.starts_with(|c: char| c == '-' || c.is_ascii_digit());
     let ends = text.ends_with(|c: char| c.is_ascii_digit());

@@ -1,12 +1,15 @@
-//! The tasks of a recording, sent to robots again. Nothing is sent before a person has agreed to the list of robots,
-//! and no INIT is sent twice.
+//! The tasks of a recording, sent to robots again. Only tasks that a person has agreed to are sent, and no INIT is sent
+//! twice.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::io::{IsTerminal as _, stdin};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::Scope;
+use std::time::Duration;
 
 use ztl_record::{Content, Reader, TaskEvent};
 use ztl_std::remotes::Remote;
@@ -15,9 +18,12 @@ use ztl_std::{RemoteTask, State, TaskSpec};
 use crate::chosen_publisher::configuration;
 use crate::connect_options::ConnectOptions;
 use crate::exit::Misuse;
+use crate::keyboard;
 use crate::signals;
 use crate::terminal::{error_line, flat, line, part};
 
+/// How often the question looks for a signal.
+const TURN: Duration = Duration::from_millis(20);
 /// Most tasks that run at a time; each has a thread and a connection.
 const RUNNING: usize = 256;
 /// Most tasks that are named in the question for each robot.
@@ -43,9 +49,21 @@ pub(super) struct TaskOptions {
 }
 
 /// The robots that a person has agreed to, by scope.
-pub(super) type Robots = BTreeMap<String, Robot>;
+type Robots = BTreeMap<String, Robot>;
 
-pub(super) struct Robot {
+/// Identifies a task of a recording: its scope, its id and the time of the event.
+type TaskKey = (String, String, u64);
+
+/// What a person has agreed to.
+pub(super) struct Agreed {
+    /// Messages in the file when it was read for the question. Later ones are not played.
+    pub(super) messages: usize,
+    robots: Robots,
+    /// The name and the payload of each task.
+    tasks: BTreeMap<TaskKey, (String, String)>,
+}
+
+struct Robot {
     name: String,
     connection: RemoteTask,
 }
@@ -54,18 +72,25 @@ impl TaskOptions {
     /// Shows the robots and their tasks, and asks. An error if the answer is not yes.
     pub(super) fn agreed(
         &self,
-        messages: Reader,
+        mut reader: Reader,
         is_chosen: impl Fn(&str) -> bool,
-    ) -> Result<Robots, Box<dyn std::error::Error>> {
-        let mut asked = BTreeSet::new();
+    ) -> Result<Agreed, Box<dyn std::error::Error>> {
+        let mut messages = 0;
+        let mut asked = BTreeMap::new();
         let mut tasks: BTreeMap<String, (usize, Vec<String>)> = BTreeMap::new();
-        for read in messages.filter(|read| is_chosen(&read.topic)) {
+        for read in reader.by_ref() {
+            messages += 1;
             let Content::Task(event, _) = read.content else {
                 continue;
             };
-            if let Some((name, _)) = request(&event)
-                && asked.insert((event.scope.clone(), event.id, read.publish_time))
+            if !is_chosen(&read.topic) {
+                continue;
+            }
+            if let Some((name, payload)) = request(&event)
+                && let Entry::Vacant(entry) =
+                    asked.entry((event.scope.clone(), event.id, read.publish_time))
             {
+                entry.insert((name.clone(), payload));
                 let (number, names) = tasks.entry(event.scope).or_default();
                 *number += 1;
                 if names.len() < NAMED && !names.contains(&name) {
@@ -75,6 +100,12 @@ impl TaskOptions {
         }
         if tasks.is_empty() {
             return Err("no tasks in this recording".into());
+        }
+        if reader.damage().is_any() {
+            error_line(format_args!(
+                "ztl: warning: the recording {}",
+                reader.damage()
+            ));
         }
         let mut robots = Robots::new();
         line("These tasks will be sent to robots, which will move:");
@@ -93,7 +124,11 @@ impl TaskOptions {
             robots.insert(scope, Robot { name, connection });
         }
         match self.yes || is_agreed()? {
-            true => Ok(robots),
+            true => Ok(Agreed {
+                messages,
+                robots,
+                tasks: asked,
+            }),
             false => Err(Misuse("not agreed; nothing was sent".to_owned()).into()),
         }
     }
@@ -126,16 +161,30 @@ impl TaskOptions {
     }
 }
 
-/// Asks on the terminal. Only a clear yes is one.
+/// Asks on the terminal. Only a clear yes that is typed after the question is one; a signal is a no.
 fn is_agreed() -> Result<bool, Box<dyn std::error::Error>> {
     if !stdin().is_terminal() {
-        let mistake =
-            "--tasks asks on a terminal, and stdin is none; agree with --yes; nothing was sent";
+        let mistake = "--tasks asks on a terminal, but stdin is not a terminal; agree with --yes; nothing was sent";
         return Err(Misuse(mistake.to_owned()).into());
     }
+    keyboard::drop_input();
     part("Send them? [y/N] ");
-    let mut answer = String::new();
-    stdin().read_line(&mut answer)?;
+    let (sender, typed) = mpsc::channel();
+    // A signal does not interrupt a read.
+    std::thread::Builder::new()
+        .name("ztl-answer".to_owned())
+        .spawn(move || {
+            let mut answer = String::new();
+            let read = stdin().read_line(&mut answer);
+            sender.send(read.map(|_| answer))
+        })?;
+    let answer = loop {
+        match typed.recv_timeout(TURN) {
+            Ok(answer) => break answer?,
+            Err(RecvTimeoutError::Timeout) if !signals::stopped() => {}
+            Err(_) => return Ok(false),
+        }
+    };
     Ok(!signals::stopped() && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str()))
 }
 
@@ -165,39 +214,38 @@ fn request(event: &TaskEvent) -> Option<(String, String)> {
 pub(super) struct RunningTasks<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
     robots: Robots,
-    /// Scope, id and time of those that were sent: another recorder's events of the same tasks send nothing.
-    sent: BTreeSet<(String, String, u64)>,
+    /// The tasks that were agreed to and are not sent yet.
+    unsent: BTreeMap<TaskKey, (String, String)>,
     running: Arc<AtomicUsize>,
     incomplete: Arc<AtomicBool>,
     threads: Vec<std::thread::ScopedJoinHandle<'scope, ()>>,
 }
 
 impl<'scope, 'env> RunningTasks<'scope, 'env> {
-    pub(super) fn new(scope: &'scope Scope<'scope, 'env>, robots: Robots) -> Self {
+    pub(super) fn new(scope: &'scope Scope<'scope, 'env>, agreed: Agreed) -> Self {
         Self {
             scope,
-            robots,
-            sent: BTreeSet::new(),
+            robots: agreed.robots,
+            unsent: agreed.tasks,
             running: Arc::default(),
             incomplete: Arc::default(),
             threads: Vec::new(),
         }
     }
 
-    /// Sends the task that a client asked for, once.
+    /// Sends the task that a client asked for, as it was agreed to, once.
     pub(super) fn on_event(&mut self, event: &TaskEvent, time: u64) {
-        let Some((task, payload)) = request(event) else {
+        // Its other events may have the same time.
+        if request(event).is_none() {
+            return;
+        }
+        let key = (event.scope.clone(), event.id.clone(), time);
+        let Some((task, payload)) = self.unsent.remove(&key) else {
             return;
         };
         let Some(robot) = self.robots.get(&event.scope) else {
             return;
         };
-        if !self
-            .sent
-            .insert((event.scope.clone(), event.id.clone(), time))
-        {
-            return;
-        }
         let name = format!("{} {}", flat(&robot.name), flat(&task));
         if self.running.fetch_add(1, Ordering::AcqRel) >= RUNNING {
             self.running.fetch_sub(1, Ordering::AcqRel);
