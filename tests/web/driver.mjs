@@ -124,6 +124,21 @@ const scenarios = {
     await saying(other, '#goals', 'ABORTED').waitFor();
   },
 
+  // A double click and a held Enter start one task each.
+  async presses() {
+    const page = await open();
+    await start(page, 'test/mark', 'x');
+    await page.locator('#start').click();
+    await page.getByText('not sent again').waitFor();
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    await page.locator('#goal').fill('y');
+    await page.locator('#goal').focus();
+    for (let repeat = 0; repeat < 15; repeat += 1) await page.keyboard.down('Enter');
+    await page.keyboard.up('Enter');
+    await saying(page, '#running', 'test:mark:y').waitFor();
+    assert.equal(await page.locator('#goals .card').count(), 2);
+  },
+
   // The console and the server are killed and return. Nothing starts twice.
   async killed() {
     const page = await open();

@@ -40,6 +40,14 @@ fn two_pages_see_and_stop_the_same_tasks() {
 }
 
 #[test]
+fn a_double_click_and_a_held_enter_start_one_task_each() {
+    let _busy = busy();
+    let console = Console::of_one();
+    passes("presses", &console.url, &console);
+    assert_eq!(console.marks(), 2);
+}
+
+#[test]
 fn a_killed_console_and_a_killed_server_return_and_start_nothing_twice() {
     let _busy = busy();
     let mut console = Console::new();

@@ -9,6 +9,8 @@ const OTHER = '*';
 const NOTHING = 'None';
 // How long ago a Stop may have ended that a page shows which was not there.
 const RECENT = 10_000;
+// How soon after a goal the same one is taken for a second press of the same kind, such as a double click.
+const SAME_PRESS = 700;
 
 let robots = [];
 let tasks = { tasks: [], gaps: [] };
@@ -175,8 +177,19 @@ at('form').addEventListener('submit', (event) => {
   start(`${prefix}/${name}`, name, at('goal').value);
 });
 
+// A held Enter submits again and again.
+at('form').addEventListener('keydown', (event) => {
+  if (event.key === 'Enter' && event.repeat) event.preventDefault();
+});
+
 function start(action, name, text) {
-  const goal = { action, name, text, state: 'sent', progress: '', ended: false };
+  const [last] = goals;
+  if (last?.action === action && last.text === text
+    && (last.state === 'sent' || performance.now() - last.pressed < SAME_PRESS)) {
+    setText(at('form-said'), 'not sent again: the same goal was just sent');
+    return;
+  }
+  const goal = { action, name, text, state: 'sent', progress: '', ended: false, pressed: performance.now() };
   goal.id = bridge.goal(action, text, {
     feedback: (told) => { goal.state = 'running'; goal.progress = told.progress; showGoals(); },
     result: (told) => { goal.state = told.state; goal.progress = told.text; goal.ended = true; showGoals(); },

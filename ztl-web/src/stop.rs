@@ -1,17 +1,18 @@
 //! Stop: aborts every task on every server, and tells for each robot whether it has confirmed that nothing runs.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use ztl_std::{RemoteId, RemoteTask, ServerTask};
+use ztl_std::{RemoteId, ServerTask};
 
 use crate::board::{Board, locked, set, wall_clock_ms};
-use crate::robots::Server;
+use crate::robots::{Connect, Server};
 use crate::watcher::PATIENCE;
 
 /// How long a robot may take to stop its tasks until it counts as not confirmed.
@@ -20,6 +21,10 @@ const LIMIT: Duration = Duration::from_secs(4);
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 /// Most Stops at a time.
 const MOST: usize = 8;
+/// How long an ABORT may take to be answered until it is sent again. A server holds the answer for up to 1.5 s.
+const ABORT: Duration = Duration::from_secs(2);
+/// Most ABORTs to a server at a time; each has a thread.
+const MOST_ABORTS: usize = 128;
 /// Most tasks that a message names.
 const NAMED: usize = 5;
 
@@ -94,9 +99,9 @@ fn decide(all: &Mutex<Vec<Confirmation>>, index: usize, told: Result<String, Str
 fn server_stops(board: &Board, index: usize, server: &Server) -> Result<String, String> {
     let deadline = Instant::now() + LIMIT;
     let mut aborts = Aborts {
-        server,
-        remotes: HashMap::new(),
-        tried: HashSet::new(),
+        connect: Arc::clone(&server.connect),
+        sent: HashMap::new(),
+        answers: channel(),
         failed: None,
     };
     let mut remote = (server.connect)("$ztl")?.with_timeout(PATIENCE);
@@ -116,7 +121,7 @@ fn server_stops(board: &Board, index: usize, server: &Server) -> Result<String, 
                 }
                 return Err(format!(
                     "a server of the original lists no tasks; {} of this console were asked to stop",
-                    aborts.tried.len()
+                    aborts.sent.len()
                 ));
             }
             Err(error) => return Err(error.to_string()),
@@ -124,7 +129,7 @@ fn server_stops(board: &Board, index: usize, server: &Server) -> Result<String, 
         let running: Vec<&ServerTask> = listed.tasks.iter().filter(|task| task.may_run).collect();
         let is_sent = own.iter().any(|goal| goal.id().is_none());
         if running.is_empty() && listed.gaps.is_empty() && !is_sent {
-            return Ok(match aborts.tried.len() {
+            return Ok(match aborts.sent.len() {
                 0 => "nothing ran".to_owned(),
                 1 => "1 task has ended".to_owned(),
                 many => format!("{many} tasks have ended"),
@@ -139,6 +144,7 @@ fn server_stops(board: &Board, index: usize, server: &Server) -> Result<String, 
                 .map(|task| format!("{} {}", task.id, task.task()))
                 .collect();
             let mut why = match running.len() {
+                0 if listed.gaps.is_empty() => "a goal of this console has no answer".to_owned(),
                 0 => listed.gaps.join("; "),
                 many => format!("{many} may still run: {}", names.join(", ")),
             };
@@ -151,32 +157,70 @@ fn server_stops(board: &Board, index: usize, server: &Server) -> Result<String, 
     }
 }
 
-/// Sends one ABORT to each task.
-struct Aborts<'a> {
-    server: &'a Server,
-    remotes: HashMap<String, RemoteTask>,
-    tried: HashSet<(String, RemoteId)>,
+type Key = (String, RemoteId);
+
+/// Sends an ABORT to each task, each on its own thread, because a server holds the answer until the task ends.
+struct Aborts {
+    connect: Connect,
+    sent: HashMap<Key, Abort>,
+    answers: (Sender<Answer>, Receiver<Answer>),
     failed: Option<String>,
 }
 
-impl Aborts<'_> {
+#[derive(PartialEq, Eq)]
+enum Abort {
+    UnderWay,
+    Answered,
+    Failed,
+}
+
+type Answer = (Key, Result<(), String>);
+
+impl Aborts {
+    /// Sends an ABORT, unless one is under way or answered.
     fn abort(&mut self, scope: &str, id: &RemoteId) {
-        if !self.tried.insert((scope.to_owned(), id.clone())) {
+        while let Ok((key, answer)) = self.answers.1.try_recv() {
+            let state = match answer {
+                Ok(()) => Abort::Answered,
+                Err(why) => {
+                    self.failed = Some(why);
+                    Abort::Failed
+                }
+            };
+            self.sent.insert(key, state);
+        }
+        let key = (scope.to_owned(), id.clone());
+        let under_way = self
+            .sent
+            .values()
+            .filter(|abort| **abort == Abort::UnderWay);
+        if under_way.count() >= MOST_ABORTS
+            || self
+                .sent
+                .get(&key)
+                .is_some_and(|abort| *abort != Abort::Failed)
+        {
             return;
         }
-        if !self.remotes.contains_key(scope) {
-            match (self.server.connect)(scope) {
-                Ok(remote) => {
-                    let remote = remote.with_timeout(PATIENCE);
-                    self.remotes.insert(scope.to_owned(), remote);
-                }
-                Err(error) => self.failed = Some(error),
-            }
-        }
-        if let Some(remote) = self.remotes.get_mut(scope)
-            && let Err(error) = remote.send_abort(id)
-        {
-            self.failed = Some(error.to_string());
+        self.sent.insert(key.clone(), Abort::UnderWay);
+        let (connect, answers, of) = (
+            Arc::clone(&self.connect),
+            self.answers.0.clone(),
+            key.clone(),
+        );
+        let thread = thread::Builder::new().name("ztl-web-abort".to_owned());
+        let spawned = thread.spawn(move || {
+            let (scope, id) = &of;
+            let answer = connect(scope).and_then(|remote| {
+                let answer = remote.with_timeout(ABORT).send_abort(id);
+                answer.map(drop).map_err(|error| error.to_string())
+            });
+            // Fails if the Stop has ended.
+            let _ = answers.send((of, answer));
+        });
+        if let Err(error) = spawned {
+            self.failed = Some(format!("no thread for an ABORT: {error}"));
+            self.sent.insert(key, Abort::Failed);
         }
     }
 }
