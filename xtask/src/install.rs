@@ -24,7 +24,7 @@ const PROGRAMS: &[[&str; 2]] = &[
     // For the client in JavaScript.
     ["nodejs", "node --eval 'console.log(\"Node\", process.version)'"],
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
-    // Shows the pages of `ztl report` and `ztl web`.
+    // Shows the page of `ztl report`.
     ["chromium", "chromium --version"],
     // `setsid` gives a program a terminal of its own.
     ["util-linux", "setsid --version"],
@@ -206,7 +206,7 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     let works = || {
         succeeds(cmd!(
             sh,
-            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, roslibpy, mcap.reader, jsonschema'"
+            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, mcap.reader, jsonschema'"
         ))
     };
     let stamp = venv.join("requirements.stamp");
@@ -226,20 +226,21 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     Ok(python)
 }
 
-/// Installs npm packages: zeromq for `examples/clients/client.mjs`; what drives and examines the page of `ztl web`, and
-/// a rosbridge client.
+/// Installs the npm package of `examples/clients/client.mjs`.
 pub(crate) fn javascript(project: &Project) -> Result<()> {
-    const PACKAGES: &str = "zeromq@6.8.0 roslib@2.1.0 axe-core@4.14.1 playwright-core@1.65.1";
+    const PACKAGE: &str = "zeromq@6.8.0";
     let sh = &project.sh;
     let home = project.target.join("clients");
     let package = home.join("node_modules/zeromq");
-    // Also loads a package: zeromq breaks after an update of Node.
+    // Also loads the package: it breaks after an update of Node.
     let works = || succeeds(cmd!(sh, "node --eval require(process.argv[1]) {package}"));
-    make_once(sh, &home.join("package.stamp"), PACKAGES, works, || {
-        // zeromq contains a compiled library; its script would only rebuild it.
-        let options = "--ignore-scripts --no-save --no-audit --no-fund --prefix".split(' ');
-        let packages = PACKAGES.split(' ');
-        cmd!(sh, "npm install {options...} {home} {packages...}").run()
+    make_once(sh, &home.join("package.stamp"), PACKAGE, works, || {
+        // The package contains a compiled library; its script would only rebuild it.
+        cmd!(
+            sh,
+            "npm install --ignore-scripts --no-save --no-audit --no-fund --prefix {home} {PACKAGE}"
+        )
+        .run()
     })
 }
 
