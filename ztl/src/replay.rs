@@ -17,6 +17,8 @@ use crate::terminal::{error_line, line};
 use crate::{log, signals};
 use tasks::{RunningTasks, TaskOptions};
 
+/// A delay longer than this moves all later messages, if tasks are sent.
+const LATE: Duration = Duration::from_millis(100);
 /// How often it looks for subscribers and for room.
 const TURN: Duration = Duration::from_millis(20);
 
@@ -72,6 +74,12 @@ fn speed(text: &str) -> Result<f64, &'static str> {
     speed
         .filter(|speed| (0.001..=1000.0).contains(speed))
         .ok_or("expected a number from 0.001 to 1000")
+}
+
+/// How far the later messages move if one of time `after` is played at `now`.
+fn delay(now: Duration, after: Duration) -> Duration {
+    let late = now.saturating_sub(after);
+    if late > LATE { late } else { Duration::ZERO }
 }
 
 impl Replay {
@@ -163,14 +171,14 @@ impl Replay {
         Ok(true)
     }
 
-    /// Plays the messages at their times.
+    /// Plays the messages at their times. With tasks, a delay moves what follows: overdue tasks never start together.
     fn play(
         &self,
         messages: impl Iterator<Item = Read>,
         publisher: Option<&Publisher>,
         mut tasks: Option<&mut RunningTasks<'_, '_>>,
     ) -> Done {
-        let start = Instant::now();
+        let mut start = Instant::now();
         let mut first = None;
         let mut published: u64 = 0;
         for read in messages {
@@ -180,11 +188,13 @@ impl Replay {
             let first = *first.get_or_insert(read.log_time);
             let after = Duration::from_nanos(read.log_time.saturating_sub(first));
             let after = Duration::try_from_secs_f64(after.as_secs_f64() / self.speed);
-            let until_then = after
-                .unwrap_or(Duration::MAX)
-                .saturating_sub(start.elapsed());
+            let after = after.unwrap_or(Duration::MAX);
+            let until_then = after.saturating_sub(start.elapsed());
             if signals::stopped() || (!until_then.is_zero() && signals::wait_for(until_then)) {
                 break;
+            }
+            if tasks.is_some() {
+                start += delay(start.elapsed(), after);
             }
             if let (Some(tasks), Content::Task(event, _)) = (&mut tasks, &read.content) {
                 tasks.on_event(event, read.publish_time);
@@ -205,5 +215,19 @@ impl Replay {
             line(format_args!("Published: {published} messages of {path}"));
         }
         Ok(signals::exit_code_or(ExitCode::SUCCESS))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_long_delay_moves_later_messages() {
+        let ms = Duration::from_millis;
+        assert_eq!(delay(ms(1000), ms(1000)), Duration::ZERO);
+        assert_eq!(delay(ms(1100), ms(1000)), Duration::ZERO);
+        assert_eq!(delay(ms(9000), ms(1000)), ms(8000));
+        assert_eq!(delay(ms(0), Duration::MAX), Duration::ZERO);
     }
 }

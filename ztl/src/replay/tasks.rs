@@ -26,8 +26,6 @@ use crate::terminal::{error_line, flat, line, part};
 const TURN: Duration = Duration::from_millis(20);
 /// Most tasks that run at a time; each has a thread and a connection.
 const RUNNING: usize = 256;
-/// Most tasks that are named in the question for each robot.
-const NAMED: usize = 5;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct TaskOptions {
@@ -77,7 +75,7 @@ impl TaskOptions {
     ) -> Result<Agreed, Box<dyn std::error::Error>> {
         let mut messages = 0;
         let mut asked = BTreeMap::new();
-        let mut tasks: BTreeMap<String, (usize, Vec<String>)> = BTreeMap::new();
+        let mut tasks: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
         for read in reader.by_ref() {
             messages += 1;
             let Content::Task(event, _) = read.content else {
@@ -91,11 +89,11 @@ impl TaskOptions {
                     asked.entry((event.scope.clone(), event.id, read.publish_time))
             {
                 entry.insert((name.clone(), payload));
-                let (number, names) = tasks.entry(event.scope).or_default();
-                *number += 1;
-                if names.len() < NAMED && !names.contains(&name) {
-                    names.push(name);
-                }
+                *tasks
+                    .entry(event.scope)
+                    .or_default()
+                    .entry(name)
+                    .or_default() += 1;
             }
         }
         if tasks.is_empty() {
@@ -109,16 +107,18 @@ impl TaskOptions {
         }
         let mut robots = Robots::new();
         line("These tasks will be sent to robots, which will move:");
-        for (scope, (number, names)) in tasks {
+        for (scope, names) in tasks {
             let (name, remote) = self.robot(&scope)?;
-            let names = names.join(", ");
             line(format_args!(
-                "  {} ({}, {}): {number} tasks, such as {}",
+                "  {} ({}, {}): {} tasks",
                 flat(&name),
                 flat(&remote.endpoint()),
                 flat(&scope),
-                flat(&names)
+                names.values().sum::<usize>()
             ));
+            for (task, count) in names {
+                line(format_args!("    {count} x '{}'", flat(&task)));
+            }
             let connection = RemoteTask::connect(&remote.endpoint(), &scope)?;
             let connection = ConnectOptions::default().apply(connection, remote.keys.as_ref())?;
             robots.insert(scope, Robot { name, connection });
