@@ -156,7 +156,7 @@ impl<'a> Zig<'a> {
         // Without symbols a backtrace would show only numbers.
         let std = [
             "-Zbuild-std=std,panic_unwind",
-            "-Zbuild-std-features=panic-unwind",
+            "-Zbuild-std-features=panic-unwind,optimize_for_size",
         ];
         Ok(cmd!(
             sh,
