@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use ztl_script::drawing::{Axis, Drawing, Layout, NARROW, WIDE, escape};
+use ztl_script::drawing::{Axis, Drawing, Layout, escape};
 
 use super::series::Series;
 use super::streams::{IMAGES as MOST_IMAGES, Stream};
 use super::tasks::Task;
-use super::{Recorded, Span};
+use super::{Drawn, Span};
 use crate::form::to_base64;
 
 /// Heights of rows, in units of the drawing.
@@ -21,7 +21,7 @@ const IMAGE: (f64, f64) = (84.0, 63.0);
 const TASKS: usize = 300;
 
 /// All images, once, for both layouts.
-pub(super) fn images(recorded: &Recorded) -> String {
+pub(super) fn images(recorded: &Drawn, number: usize) -> String {
     let images = recorded
         .streams
         .shown
@@ -29,7 +29,7 @@ pub(super) fn images(recorded: &Recorded) -> String {
         .flat_map(|stream| &stream.images);
     let images = images.enumerate().map(|(nth, (_, jpeg))| {
         format!(
-            "<image id=\"image-{nth}\" width=\"{}\" height=\"{}\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,{}\"/>\n",
+            "<image id=\"image-{number}-{nth}\" width=\"{}\" height=\"{}\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,{}\"/>\n",
             IMAGE.0,
             IMAGE.1,
             to_base64(jpeg)
@@ -41,9 +41,9 @@ pub(super) fn images(recorded: &Recorded) -> String {
     )
 }
 
-pub(super) fn timeline(recorded: &Recorded) -> String {
-    [&WIDE, &NARROW]
-        .map(|layout| timeline_in(recorded, layout))
+pub(super) fn timeline(recorded: &Drawn, layouts: [&'static Layout; 2], number: usize) -> String {
+    layouts
+        .map(|layout| timeline_in(recorded, layout, number))
         .concat()
 }
 
@@ -53,10 +53,12 @@ struct Rows {
     layout: &'static Layout,
     axis: Axis,
     span: Span,
+    /// In the names of its images.
+    number: usize,
     y: f64,
 }
 
-fn timeline_in(recorded: &Recorded, layout: &'static Layout) -> String {
+fn timeline_in(recorded: &Drawn, layout: &'static Layout, number: usize) -> String {
     let (left, right) = layout.bars();
     let length = Duration::from_nanos(recorded.span.length());
     let mut rows = Rows {
@@ -64,6 +66,7 @@ fn timeline_in(recorded: &Recorded, layout: &'static Layout) -> String {
         layout,
         axis: Axis::new(Duration::ZERO, length, left, right),
         span: recorded.span,
+        number,
         y: 20.0,
     };
     let mut nth_image = 0;
@@ -143,7 +146,8 @@ impl Rows {
                 self.drawing.line("due", (x, place.0), (x, place.1));
                 let _ = writeln!(
                     self.drawing.out,
-                    "<use href=\"#image-{nth_image}\" transform=\"translate({x:.1} {:.1}) scale({scale:.2})\"/>",
+                    "<use href=\"#image-{}-{nth_image}\" transform=\"translate({x:.1} {:.1}) scale({scale:.2})\"/>",
+                    self.number,
                     place.0 + 3.0
                 );
                 *nth_image += 1;
@@ -253,7 +257,8 @@ pub(super) fn class(state: &str) -> &'static str {
     match state {
         "COMPLETED" => "completed",
         "ABORTED" => "aborted",
-        "FAILED" | "REJECTED" => "failed",
+        "FAILED" | "REJECTED" | "REFUSED" | "NOT STARTED" => "failed",
+        "UNKNOWN" => "unknown",
         _ => "open",
     }
 }
@@ -262,7 +267,8 @@ fn sign(state: &str) -> &'static str {
     match state {
         "COMPLETED" => "✓",
         "ABORTED" => "■",
-        "FAILED" | "REJECTED" => "✗",
+        "FAILED" | "REJECTED" | "REFUSED" | "NOT STARTED" => "✗",
+        "UNKNOWN" => "?",
         _ => "›",
     }
 }

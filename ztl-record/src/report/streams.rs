@@ -60,7 +60,7 @@ impl Streams {
     }
 
     pub(super) fn on_message(&mut self, read: &Read) {
-        let key = (read.topic.clone(), read.publisher.clone());
+        let key = (read.topic.clone(), read.source.name.clone());
         if self.shown.len() >= STREAMS && !self.shown.contains_key(&key) {
             self.hidden += 1;
             return;
@@ -69,7 +69,7 @@ impl Streams {
         let stream = self.shown.entry(key).or_default();
         stream.messages += 1;
         match &read.content {
-            Content::Task(..) => {}
+            Content::Run(_) | Content::Task(..) => {}
             Content::Value(pickle) => stream.on_value(span, at, pickle.value()),
             Content::Text(text) => match text.trim().parse() {
                 Ok(number) => stream.on_number(span, at, "", number),

@@ -1,6 +1,9 @@
 //! The tasks of a recording.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
+
+use ztl_script::event::{RunEvent, RunStarted, TaskState};
+use ztl_script::record::Record;
 
 use crate::task::TaskEvent;
 
@@ -72,6 +75,81 @@ impl Tasks {
             task.to = Some(at);
         }
     }
+
+    /// Adds the tasks of a run that started at this time, if no server has told of them.
+    pub(super) fn add_run(&mut self, run: &Record, start: u64) {
+        let known: BTreeSet<(String, String)> = self
+            .shown
+            .iter()
+            .map(|task| (task.scope.clone(), task.id.clone()))
+            .collect();
+        let mut tasks: HashMap<u32, Task> = HashMap::new();
+        for event in &run.events {
+            let at = u64::try_from(event.at.as_nanos()).unwrap_or(u64::MAX);
+            let at = start.saturating_add(at);
+            match &event.event {
+                RunEvent::TaskStarting {
+                    task,
+                    scene,
+                    step,
+                    part,
+                    ..
+                } => {
+                    let planned = planned(&run.started, (*scene, *step, *part));
+                    let (name, scope) = planned.unwrap_or_default();
+                    let new = Task {
+                        scope: scope.to_owned(),
+                        id: String::new(),
+                        name: Some(name),
+                        from: at,
+                        accepted: None,
+                        to: None,
+                        state: String::new(),
+                        text: String::new(),
+                    };
+                    tasks.insert(task.0, new);
+                }
+                RunEvent::TaskState {
+                    task,
+                    state,
+                    id,
+                    text,
+                    ..
+                } => {
+                    let Some(task) = tasks.get_mut(&task.0) else {
+                        continue;
+                    };
+                    task.state = state.to_string().to_uppercase();
+                    task.text = cut(text);
+                    if let Some(id) = id {
+                        task.id = id.to_string();
+                    }
+                    if *state == TaskState::Accepted {
+                        task.accepted.get_or_insert(at);
+                    }
+                    task.to = state.is_over().then_some(at);
+                }
+                _ => {}
+            }
+        }
+        let is_new = |task: &Task| !known.contains(&(task.scope.clone(), task.id.clone()));
+        let room = TASKS.saturating_sub(self.shown.len());
+        let mut new: Vec<Task> = tasks.into_values().filter(is_new).collect();
+        new.sort_by_key(|task| task.from);
+        self.shown.extend(new.into_iter().take(room));
+        self.shown.sort_by_key(|task| task.from);
+        // Their places have changed.
+        self.newest.clear();
+    }
+}
+
+/// The task at a place of a run: its name, and the scope of its server.
+fn planned(run: &RunStarted, (scene, step, part): (usize, usize, usize)) -> Option<(String, &str)> {
+    let scene = run.outline.scenes.get(scene)?;
+    let task = scene.steps.get(step)?.tasks.get(part)?;
+    let remote = run.remotes.iter().find(|remote| remote.name == task.remote);
+    let name = format!("{}:{}:{}", task.handler, task.component, task.goal);
+    Some((cut(&name), remote.map_or("", |remote| &remote.scope)))
 }
 
 fn name(event: &TaskEvent) -> Option<String> {
