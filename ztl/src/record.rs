@@ -61,7 +61,7 @@ pub(crate) struct Record {
 }
 
 /// Parses TOPIC=RATE or TOPIC=RATExCHANNELS.
-fn sound(text: &str) -> Result<(String, SoundFormat), &'static str> {
+pub(crate) fn sound(text: &str) -> Result<(String, SoundFormat), &'static str> {
     const FORM: &str =
         "expected TOPIC=RATE or TOPIC=RATExCHANNELS, such as /robot/microphone/=16000";
     let (topic, format) = text.rsplit_once('=').ok_or(FORM)?;

@@ -34,6 +34,8 @@ use run_record::RunRecord;
 use simulated_servers::SimulatedServers;
 use view::View;
 
+/// What logs subscriptions, which concern the recording alone.
+const SUBSCRIBER: &str = "object-subscriber";
 /// Time limit for writing the last lines.
 const LAST_LINES: Duration = Duration::from_secs(2);
 /// Time from a second Ctrl-C to the end of the process; longer than the run needs to end by itself.
@@ -77,6 +79,11 @@ pub(crate) struct RunScript {
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
 
+    /// In a recording, the bytes of this topic are sound: 16-bit samples, so many a second (repeatable)
+    #[cfg(feature = "record")]
+    #[arg(long, value_name = "TOPIC=RATE[xCHANNELS]", value_parser = crate::record::sound, requires = "record")]
+    sound: Vec<(String, ztl_record::SoundFormat)>,
+
     /// Use the original's output and keys on a terminal too
     #[arg(long)]
     plain: bool,
@@ -111,8 +118,8 @@ impl RunScript {
         if let Some(lines) = lines.clone() {
             // The addresses of simulated servers do not matter.
             let quiet: &[&str] = match self.simulate {
-                Some(_) => &["remote-task", "remote-config"],
-                None => &[],
+                Some(_) => &["remote-task", "remote-config", SUBSCRIBER],
+                None => &[SUBSCRIBER],
             };
             log::init_to(Level::INFO, quiet, lines);
         }
@@ -201,7 +208,12 @@ impl RunScript {
         let mut show = Runner::new(Arc::clone(&script), options, connect(remotes, connecting));
         // Before anything is sent.
         let record = self.record.as_deref();
-        let record = record.map(|path| RunRecord::create(path, &streams, show.handle()));
+        #[cfg(feature = "record")]
+        let sounds = self.sound.as_slice();
+        #[cfg(not(feature = "record"))]
+        let sounds = ();
+        let record =
+            record.map(|path| RunRecord::create(path, (&streams, sounds), show.handle()));
         let record = record.transpose()?;
         if !live {
             notes.clear();

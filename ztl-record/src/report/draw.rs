@@ -17,6 +17,8 @@ const SOUND: f64 = 44.0;
 const MARKS: f64 = 22.0;
 /// Size of an image in the wide layout.
 const IMAGE: (f64, f64) = (84.0, 63.0);
+/// The width of a letter of a remark, roughly.
+const LETTER: f64 = 6.6;
 /// Most tasks in the drawing; the table has more.
 const TASKS: usize = 300;
 
@@ -90,7 +92,10 @@ fn timeline_in(recorded: &Drawn, layout: &'static Layout, number: usize) -> Stri
         ..
     } = rows;
     drawing.height = y + 6.0;
+    // Behind the rows.
+    let rows = std::mem::take(&mut drawing.out);
     drawing.scale(&axis, 0.0, y);
+    drawing.out += &rows;
     drawing.end(&format!("Timeline of {}", recorded.name))
 }
 
@@ -123,9 +128,8 @@ impl Rows {
             let ranges = stream.lines.values().filter_map(|series| series.range);
             let all = ranges.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
             let (least, greatest) = all.unwrap_or_default();
-            let names: Vec<&str> = stream.lines.keys().map(String::as_str).collect();
-            let names = names.join(", ");
-            let remark = format!("{} to {} {names}", short(least), short(greatest));
+            let remark = format!("{} to {}", short(least), short(greatest));
+            self.line_names(stream.lines.keys(), &remark);
             let place = self.row(name, &remark, LINES);
             for (nth, (line, series)) in stream.lines.iter().enumerate() {
                 self.line(nth, line, series, (least, greatest), place);
@@ -162,8 +166,23 @@ impl Rows {
             for (at, text) in &stream.marks {
                 let x = self.axis.x(self.span.at(*at));
                 let place = (place.0 + 4.0, place.1 - 4.0);
-                self.drawing.bar("mark", (x, x + 2.0), place, "", text);
+                self.drawing.bar("value", (x, x + 2.0), place, "", text);
             }
+        }
+    }
+
+    /// The names of lines in their colours, behind the remark. Those without room are left out.
+    fn line_names<'n>(&mut self, names: impl Iterator<Item = &'n String>, remark: &str) {
+        let (x, width) = self.layout.remark();
+        let mut at = x + (remark.chars().count() + 2) as f64 * LETTER;
+        for (nth, name) in names.enumerate() {
+            let length = name.chars().count() as f64 * LETTER;
+            if at + length > x + width {
+                return;
+            }
+            let class = format!("remark l{nth}");
+            self.drawing.text(&class, at, self.y + 14.0, name);
+            at += length + 2.0 * LETTER;
         }
     }
 
@@ -249,7 +268,10 @@ impl Rows {
 
 pub(super) fn task_name(task: &Task) -> String {
     let name = task.name.as_deref().unwrap_or("task");
-    format!("{name} ({} {})", task.scope, task.id)
+    match task.id.as_str() {
+        "" => format!("{name} ({})", task.scope),
+        id => format!("{name} ({} {id})", task.scope),
+    }
 }
 
 /// The class of a state in the style sheet.

@@ -64,7 +64,7 @@ fn row(class: &str, columns: &[&str], cells: &[String]) -> String {
     let cells = columns
         .iter()
         .zip(cells)
-        .map(|(column, cell)| format!("<td data-name=\"{column}\">{}</td>", escape(cell)));
+        .map(|(column, cell)| format!("<td class=\"long\" data-name=\"{column}\">{}</td>", escape(cell)));
     let cells: String = cells.collect();
     format!("<tr class=\"{class}\">{cells}</tr>\n")
 }

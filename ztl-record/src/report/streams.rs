@@ -44,7 +44,7 @@ pub(super) struct Stream {
     pub(super) sound: Option<(SoundFormat, Series)>,
     /// Time and JPEG.
     pub(super) images: Vec<(u64, Vec<u8>)>,
-    /// Which image is next.
+    /// When there is room for the next image.
     next: u64,
     pub(super) marks: Vec<(u64, String)>,
 }
@@ -174,15 +174,14 @@ impl Stream {
         }
     }
 
-    /// Keeps an image if its time has come. Returns its bytes that are kept.
+    /// Keeps an image if there is room for it beside the one before. Returns its bytes that are kept.
     fn on_image(&mut self, span: Span, at: u64, bytes: &[u8], room: usize) -> usize {
-        let passed = u128::from(at.saturating_sub(span.from)) * u128::from(IMAGES);
-        let slot = (passed / u128::from(span.length().max(1))).min(u128::from(IMAGES - 1));
-        let slot = u64::try_from(slot).unwrap_or(0);
-        if slot < self.next || bytes.len() > room {
+        let width = span.length() / IMAGES;
+        let is_last = at.saturating_add(width) > span.to && !self.images.is_empty();
+        if at < self.next || is_last || bytes.len() > room {
             return 0;
         }
-        self.next = slot + 1;
+        self.next = at.saturating_add(width);
         self.images.push((at, bytes.to_vec()));
         bytes.len()
     }

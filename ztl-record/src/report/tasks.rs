@@ -76,17 +76,14 @@ impl Tasks {
         }
     }
 
-    /// Adds the tasks of a run that started at this time, if no server has told of them.
-    pub(super) fn add_run(&mut self, run: &Record, start: u64) {
-        let known: BTreeSet<(String, String)> = self
-            .shown
-            .iter()
-            .map(|task| (task.scope.clone(), task.id.clone()))
-            .collect();
+    /// Adds the tasks of a run whose first event was at this time, if no server has told of them.
+    pub(super) fn add_run(&mut self, run: &Record, first: u64) {
+        let mut told: BTreeSet<usize> = (0..self.shown.len()).collect();
         let mut tasks: HashMap<u32, Task> = HashMap::new();
         for event in &run.events {
-            let at = u64::try_from(event.at.as_nanos()).unwrap_or(u64::MAX);
-            let at = start.saturating_add(at);
+            let begin = run.events.first().map_or(event.at, |first| first.at);
+            let at = event.at.saturating_sub(begin).as_nanos();
+            let at = first.saturating_add(u64::try_from(at).unwrap_or(u64::MAX));
             match &event.event {
                 RunEvent::TaskStarting {
                     task,
@@ -132,10 +129,24 @@ impl Tasks {
                 _ => {}
             }
         }
-        let is_new = |task: &Task| !known.contains(&(task.scope.clone(), task.id.clone()));
-        let room = TASKS.saturating_sub(self.shown.len());
-        let mut new: Vec<Task> = tasks.into_values().filter(is_new).collect();
+        let mut new: Vec<Task> = tasks.into_values().collect();
         new.sort_by_key(|task| task.from);
+        new.retain(|task| {
+            let is_it = |other: &Task| match task.id.is_empty() {
+                false => other.scope == task.scope && other.id == task.id,
+                // A client learns no id of a task that was rejected at once.
+                true => {
+                    let is_same = other.scope == task.scope && other.name == task.name;
+                    is_same && other.state == "REJECTED" && other.from >= task.from
+                }
+            };
+            let is_told = |index: &&usize| self.shown.get(**index).is_some_and(is_it);
+            match told.iter().find(is_told).copied() {
+                Some(index) => !told.remove(&index),
+                None => true,
+            }
+        });
+        let room = TASKS.saturating_sub(self.shown.len());
         self.shown.extend(new.into_iter().take(room));
         self.shown.sort_by_key(|task| task.from);
         // Their places have changed.

@@ -10,6 +10,12 @@ use ztl_std::Remotes;
 #[cfg(feature = "record")]
 use in_recording::InRecording;
 
+/// Topics with sound.
+#[cfg(feature = "record")]
+type Sounds<'a> = &'a [(String, ztl_record::SoundFormat)];
+#[cfg(not(feature = "record"))]
+type Sounds<'a> = ();
+
 /// Writes the events of a run.
 pub(super) enum RunRecord {
     Lines(Lines),
@@ -22,17 +28,20 @@ impl RunRecord {
     /// there are warnings.
     pub(super) fn create(
         path: &Path,
-        remotes: &Remotes,
+        (remotes, sounds): (&Remotes, Sounds<'_>),
         runner: RunnerHandle,
     ) -> Result<Self, Box<dyn std::error::Error>> {
         if !crate::report::is_called_recording(path) {
             return Ok(Self::Lines(Lines::create(path)?));
         }
         #[cfg(feature = "record")]
-        return Ok(Self::Recording(InRecording::create(path, remotes, runner)?));
+        {
+            let recording = InRecording::create(path, (remotes, sounds), runner)?;
+            return Ok(Self::Recording(recording));
+        }
         #[cfg(not(feature = "record"))]
         {
-            let _ = (remotes, runner);
+            let _ = (remotes, sounds, runner);
             let path = path.display();
             Err(format!(
                 "{path} would be a recording, which this build cannot write (docs/dist.md); give a name such as run.jsonl"
@@ -99,11 +108,14 @@ mod in_recording {
     impl InRecording {
         pub(super) fn create(
             path: &Path,
-            remotes: &Remotes,
+            (remotes, sounds): (&Remotes, super::Sounds<'_>),
             runner: RunnerHandle,
         ) -> Result<Self, Box<dyn std::error::Error>> {
             let mut formats = Formats::default();
             set_tellers(&mut formats, remotes);
+            for (topic, format) in sounds {
+                formats.set_sound(topic, *format);
+            }
             let keys = KeyOptions::default();
             let publishers = remotes.publisher_names().map(|name| {
                 let publisher = ChosenPublisher::named(name, remotes.publisher(name)?.clone());
