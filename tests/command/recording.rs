@@ -570,8 +570,14 @@ fn the_question_says_who_told_of_each_task() {
     let screen = terminal.shows("Send them? [y/N]");
     let lines: Vec<&str> = screen.lines().map(str::trim).collect();
     for (teller, task) in [
-        ("told by keyed (tcp://keyed:6000, authenticated by its key KEY)", "1 x 'test:echo:two'"),
-        ("told by robot (tcp://robot:6000, not authenticated)", "1 x 'test:echo:one'"),
+        (
+            "told by keyed (tcp://keyed:6000, authenticated by its key KEY)",
+            "1 x 'test:echo:two'",
+        ),
+        (
+            "told by robot (tcp://robot:6000, not authenticated)",
+            "1 x 'test:echo:one'",
+        ),
     ] {
         let line = lines.iter().position(|line| *line == teller);
         let line = line.unwrap_or_else(|| panic!("no {teller}: {screen}"));
@@ -633,7 +639,10 @@ fn a_forged_event_of_a_task_is_recorded_as_a_value() {
     for read in Reader::open(&file).expect("a file") {
         let is_task = matches!(read.content, Content::Task(..));
         assert_eq!(is_task, read.source.name == "robot", "{read:?}");
-        assert!(read.source.endpoint.starts_with("tcp://localhost:"), "{read:?}");
+        assert!(
+            read.source.endpoint.starts_with("tcp://localhost:"),
+            "{read:?}"
+        );
     }
 }
 

@@ -171,14 +171,22 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
     assert!(times.is_sorted(), "one clock");
     // The run's events are those of a record, at their times.
     let run = run_of(&read);
-    let events: Vec<Value> = run.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let events: Vec<Value> = run
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
     assert_eq!(events[0]["event"], "run_started");
     assert_eq!(events.last().unwrap()["event"], "run_ended");
-    let of_run = read.iter().filter(|read| matches!(read.content, Content::Run(_)));
+    let of_run = read
+        .iter()
+        .filter(|read| matches!(read.content, Content::Run(_)));
     let (first, last) = (of_run.clone().next().unwrap(), of_run.last().unwrap());
     let at = |event: &Value| event["at_ms"].as_f64().unwrap();
     let passed = (last.log_time - first.log_time) as f64 / 1e6;
-    assert!((passed - (at(events.last().unwrap()) - at(&events[0]))).abs() < 1.0, "{passed}");
+    assert!(
+        (passed - (at(events.last().unwrap()) - at(&events[0]))).abs() < 1.0,
+        "{passed}"
+    );
     assert_eq!(first.topic, "/$run");
     // Beside them are the value, and the server's events of the second task.
     let is_value = |read: &&Read| matches!(&read.content, Content::Value(value) if value.value().as_f64() == Some(12.5));
@@ -190,18 +198,29 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
     assert!(told, "{read:?}");
 
     let mut report = ztl();
-    report.current_dir(files.path("")).args(["report", "one.mcap", "--csv"]);
+    report
+        .current_dir(files.path(""))
+        .args(["report", "one.mcap", "--csv"]);
     let ended = Process::run(&mut report);
-    assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""), "{ended:?}");
+    assert_eq!(
+        (ended.code, ended.stderr.as_str()),
+        (Some(0), ""),
+        "{ended:?}"
+    );
     let tasks = fs::read_to_string(files.path("one.tasks.csv")).unwrap();
     assert_eq!(tasks.lines().count(), 3, "{tasks}");
     // It says the same of the run as the report of a record.
     fs::write(files.path("lines.jsonl"), run).unwrap();
     let mut report = ztl();
-    report.current_dir(files.path("")).args(["report", "lines.jsonl"]);
+    report
+        .current_dir(files.path(""))
+        .args(["report", "lines.jsonl"]);
     assert_eq!(Process::run(&mut report).code, Some(0));
     let page = |name| fs::read_to_string(files.path(name)).unwrap();
-    let (recorded, lines) = (page("one.html"), page("lines.html").replace("lines.jsonl", "one.mcap"));
+    let (recorded, lines) = (
+        page("one.html"),
+        page("lines.html").replace("lines.jsonl", "one.mcap"),
+    );
     let mut rest = recorded.lines();
     for line in lines.lines() {
         assert!(rest.any(|other| other == line), "not in it: {line}");
@@ -212,7 +231,8 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
 
 #[test]
 fn a_recording_on_a_full_disk_ends_with_a_warning_and_the_show_goes_on() {
-    let (_server, files) = stage("one:\n  first: {test: {echo: hello}}\n  second: {test: {echo: again}}\n");
+    let (_server, files) =
+        stage("one:\n  first: {test: {echo: hello}}\n  second: {test: {echo: again}}\n");
     let play = PLAY.replace("one.jsonl", "one.mcap");
     let show = ztl();
     let mut limited = std::process::Command::new("sh");
@@ -235,7 +255,10 @@ fn a_recording_that_exists_stops_the_run_before_anything_is_sent() {
     let ended = Process::run(ztl().current_dir(files.path("")).args(play.split(' ')));
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(ended.stderr.contains("not overwritten"), "{ended:?}");
-    assert_eq!(fs::read_to_string(files.path("one.mcap")).unwrap(), "precious");
+    assert_eq!(
+        fs::read_to_string(files.path("one.mcap")).unwrap(),
+        "precious"
+    );
     let port = server.port.to_string();
     let tasks = Process::run(ztl().args(["ps", "-p", &port, "--json"]));
     assert!(tasks.stdout.contains("\"tasks\":[]"), "{tasks:?}");

@@ -161,11 +161,15 @@ fn recording(path: &Path) {
         let message = Message::of_run(line.as_bytes().to_vec(), SystemTime::now());
         recording.write(&source, message, at).unwrap();
         let number = (at - start).as_secs_f64().sin();
-        let fields = ["x", "y", "<x-evil>", &"W".repeat(100)].map(|name| (Pickle::text(name).unwrap(), number));
+        let fields = ["x", "y", "<x-evil>", &"W".repeat(100)]
+            .map(|name| (Pickle::text(name).unwrap(), number));
         let values = [
             ("number", number.into()),
             ("numbers", Pickle::dict(fields).unwrap()),
-            ("image", Pickle::bytes(b"\xff\xd8\xff\xe0 no image").unwrap()),
+            (
+                "image",
+                Pickle::bytes(b"\xff\xd8\xff\xe0 no image").unwrap(),
+            ),
             ("sound", Pickle::bytes(&[7; 80]).unwrap()),
             ("text", Pickle::text("<script>alert(1)</script>").unwrap()),
         ];

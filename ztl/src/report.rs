@@ -37,7 +37,9 @@ impl Report {
                 false => read(path)?,
                 true => match drawings.read(path, records.len())? {
                     Recorded::Run(runs, damage) => (runs, damage),
-                    Recorded::Streams(html, damage) => return self.of_streams(path, &html, &damage),
+                    Recorded::Streams(html, damage) => {
+                        return self.of_streams(path, &html, &damage);
+                    }
                 },
             };
             records.extend(runs);
@@ -164,7 +166,9 @@ struct Drawings;
 impl Drawings {
     fn read(&mut self, path: &Path, _: usize) -> Result<Recorded, String> {
         let path = path.display();
-        Err(format!("{path} is a recording, which this build cannot read (docs/dist.md)"))
+        Err(format!(
+            "{path} is a recording, which this build cannot read (docs/dist.md)"
+        ))
     }
 
     fn below_overviews(self, _: &[Record]) -> Vec<(usize, String)> {

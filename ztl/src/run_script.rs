@@ -212,8 +212,7 @@ impl RunScript {
         let sounds = self.sound.as_slice();
         #[cfg(not(feature = "record"))]
         let sounds = ();
-        let record =
-            record.map(|path| RunRecord::create(path, (&streams, sounds), show.handle()));
+        let record = record.map(|path| RunRecord::create(path, (&streams, sounds), show.handle()));
         let record = record.transpose()?;
         if !live {
             notes.clear();

@@ -61,10 +61,12 @@ fn start(recorded: &Drawn) -> String {
 
 /// A row of a table, of cells with text. Narrow pages show the column's name in each cell.
 fn row(class: &str, columns: &[&str], cells: &[String]) -> String {
-    let cells = columns
-        .iter()
-        .zip(cells)
-        .map(|(column, cell)| format!("<td class=\"long\" data-name=\"{column}\">{}</td>", escape(cell)));
+    let cells = columns.iter().zip(cells).map(|(column, cell)| {
+        format!(
+            "<td class=\"long\" data-name=\"{column}\">{}</td>",
+            escape(cell)
+        )
+    });
     let cells: String = cells.collect();
     format!("<tr class=\"{class}\">{cells}</tr>\n")
 }
