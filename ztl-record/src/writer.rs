@@ -102,6 +102,7 @@ impl Recording {
     /// # Errors
     /// If the file cannot be written, as on a full disk. The recording has ended then.
     pub fn write(&mut self, source: &Source, message: Message, at: Instant) -> io::Result<Written> {
+        self.check()?;
         let log_time = self.clock.at(at).max(self.span.map_or(0, |(_, last)| last));
         let times = (log_time, message.made.unwrap_or(log_time));
         let data = message.data.into_bytes(log_time)?;
@@ -198,10 +199,16 @@ impl Recording {
         self.write_chunk()
     }
 
-    fn write_chunk(&mut self) -> io::Result<()> {
-        if self.has_failed {
-            return Err(io::Error::other("the recording has ended"));
+    /// An error if the recording has ended early.
+    fn check(&self) -> io::Result<()> {
+        match self.has_failed {
+            true => Err(io::Error::other("the recording has ended")),
+            false => Ok(()),
         }
+    }
+
+    fn write_chunk(&mut self) -> io::Result<()> {
+        self.check()?;
         match self.chunk.write_to(&mut self.file, 2 * CHUNK) {
             Ok(written) => self.whole += written,
             Err(error) => {
