@@ -88,48 +88,70 @@ fn aborts(socket: &zmq::Socket) -> Vec<f64> {
     times
 }
 
-/// ABORTs of a server that is quiet, and of the same while it publishes images, in turn.
+/// A server whose images are heard by another process.
+struct Images {
+    server: Process,
+    tasks: String,
+    subscriber: Process,
+}
+
+impl Images {
+    fn start() -> Self {
+        let program = std::env::current_exe().expect("this program");
+        let mut server = Process::start(Command::new(program).env("ZTL_BENCH_ECHO", "images"));
+        let (tasks, images) = (server.next_line(PATIENCE), server.next_line(PATIENCE));
+        let subscriber = Process::start(ztl().args(["subscribe", &images, "--rate"]));
+        Self {
+            server,
+            tasks,
+            subscriber,
+        }
+    }
+
+    /// Publishes during `act`.
+    fn during<T>(&mut self, act: impl FnOnce() -> T) -> T {
+        self.server.write_line("on");
+        let done = act();
+        self.server.write_line("off");
+        done
+    }
+}
+
+/// ABORTs of a server that is quiet, of the same while it publishes images, and while another process does so: what the
+/// machine does to it, and not the server. In turn.
 pub(crate) fn aborts_beside_images(_: &Bench) {
-    let program = std::env::current_exe().expect("this program");
-    let mut server = Process::start(Command::new(program).env("ZTL_BENCH_ECHO", "images"));
-    let (tasks, images) = (server.next_line(PATIENCE), server.next_line(PATIENCE));
+    let (mut own, mut other) = (Images::start(), Images::start());
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
-    socket.connect(&tasks).expect("an address");
-    // A process of its own, which takes what comes.
-    let mut subscriber = ztl();
-    subscriber.args(["subscribe", &images, "--rate"]);
-    let subscriber = Process::start(&mut subscriber);
+    socket.connect(&own.tasks).expect("an address");
     aborts(&socket);
-    let mut seen = Vec::new();
+    let mut seen: Vec<[(f64, f64); 3]> = Vec::new();
     for _ in 0..ROUNDS {
         let quiet = aborts(&socket);
-        server.write_line("on");
-        let busy = aborts(&socket);
-        server.write_line("off");
-        seen.push([&quiet, &busy].map(|times| (percentile(times, 50), percentile(times, 99))));
+        let busy = own.during(|| aborts(&socket));
+        let beside = other.during(|| aborts(&socket));
+        seen.push(
+            [quiet, busy, beside].map(|times| (percentile(&times, 50), percentile(&times, 99))),
+        );
     }
-    let rates = subscriber.stdout();
+    let rates = own.subscriber.stdout();
     let rates = rates.lines().filter_map(|line| line.split(' ').next());
     let heard = rates.flat_map(str::parse).fold(0.0, f64::max);
-    let of = |place: usize, p99: bool| {
-        let value = |(p50, last): (f64, f64)| if p99 { last } else { p50 };
-        Interval::of(
-            seen.iter()
-                .map(move |row: &[(f64, f64); 2]| value(row[place])),
-        )
-    };
-    println!("ABORT of a running task, until it has ended (µs):");
-    println!("  quiet: p50 {}, p99 {}", of(0, false), of(0, true));
     println!(
-        "  while the server publishes {IMAGES} images of {IMAGE} bytes a second ({heard:.0} a second were heard): p50 {}, p99 {}",
-        of(1, false),
-        of(1, true)
+        "ABORT of a running task, until it has ended (µs); {IMAGES} images of {IMAGE} bytes a second, of which {heard:.0} were heard:"
     );
-    let ratio = Interval::of(seen.iter().map(|[quiet, busy]| busy.1 / quiet.1));
+    let names = ["quiet", "the server publishes them", "another process does"];
+    for (place, name) in names.into_iter().enumerate() {
+        let p50 = Interval::of(seen.iter().map(|row| row[place].0));
+        let p99 = Interval::of(seen.iter().map(|row| row[place].1));
+        println!("  {name}: p50 {p50}, p99 {p99}");
+    }
+    let ratio = |base: usize| Interval::of(seen.iter().map(|row| row[1].1 / row[base].1));
+    let quiet = ratio(0);
     println!(
-        "  p99 of the quiet one's: {ratio}; wanted at most {ABORT}: {}",
-        verdict(ratio.stays_below(ABORT))
+        "  p99, of a quiet server's: {quiet}; wanted at most {ABORT}: {}",
+        verdict(quiet.stays_below(ABORT))
     );
+    println!("  p99, of the one beside another publisher: {}", ratio(2));
 }
 
 /// Images and values that are recorded, each second.
