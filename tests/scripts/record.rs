@@ -180,7 +180,8 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
     let of_run = read
         .iter()
         .filter(|read| matches!(read.content, Content::Run(_)));
-    let (first, last) = (of_run.clone().next().unwrap(), of_run.last().unwrap());
+    let mut of_run = of_run;
+    let (first, last) = (of_run.next().unwrap(), of_run.next_back().unwrap());
     let at = |event: &Value| event["at_ms"].as_f64().unwrap();
     let passed = (last.log_time - first.log_time) as f64 / 1e6;
     assert!(

@@ -245,7 +245,7 @@ pub(crate) fn javascript(project: &Project) -> Result<()> {
     let packages = packages.map(|name| home.join("node_modules").join(name));
     let load = "process.argv.slice(1).forEach(require)";
     // Also loads the packages: one breaks after an update of Node.
-    let works = || succeeds(cmd!(sh, "node --eval {load} {packages...}"));
+    let works = || succeeds(cmd!(sh, "node --eval {load}").args(&packages));
     let content = PACKAGES.join(" ");
     make_once(sh, &home.join("package.stamp"), &content, works, || {
         // One package contains a compiled library; its script would only rebuild it.

@@ -19,6 +19,10 @@ pub(crate) struct ChosenPublisher {
 }
 
 /// A publisher that is subscribed to.
+#[cfg_attr(
+    not(feature = "record"),
+    expect(dead_code, reason = "this build has no recordings")
+)]
 pub(crate) struct Connected {
     /// As it was given.
     pub(crate) name: String,
@@ -73,7 +77,7 @@ impl ChosenPublisher {
         let keys = keys.read(self.remote.and_then(|remote| remote.keys).as_ref())?;
         let mut key = None;
         if let Some((own, publisher)) = keys {
-            key = Some(publisher.clone());
+            key = Some(publisher);
             builder = builder.keys(own, publisher);
         }
         let subscriber = builder.connect(&self.endpoint);

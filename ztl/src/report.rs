@@ -111,6 +111,10 @@ impl Report {
 }
 
 /// What a recording has.
+#[cfg_attr(
+    not(feature = "record"),
+    expect(dead_code, reason = "this build has no recordings")
+)]
 enum Recorded {
     Run(Vec<Record>, Vec<Damage>),
     /// The page of one without a run.

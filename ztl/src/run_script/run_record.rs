@@ -35,10 +35,7 @@ impl RunRecord {
             return Ok(Self::Lines(Lines::create(path)?));
         }
         #[cfg(feature = "record")]
-        {
-            let recording = InRecording::create(path, (remotes, sounds), runner)?;
-            return Ok(Self::Recording(recording));
-        }
+        return InRecording::create(path, (remotes, sounds), runner).map(Self::Recording);
         #[cfg(not(feature = "record"))]
         {
             let _ = (remotes, sounds, runner);
