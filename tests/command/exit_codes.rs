@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::Instant;
 
 use ztl_pickle::Pickle;
-use ztl_record::{Formats, Recording, Written};
+use ztl_record::{Formats, Recording, Source, Written};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, ztl};
 
 const DOCUMENT: &str = include_str!("../../docs/tools.md");
@@ -47,9 +47,10 @@ fn record_a_task(file: &Path) {
     let fields = fields.map(|(key, value)| (key, text(value)));
     let event = Pickle::dict(fields.chain([("id", 1.into())])).expect("a dict");
     let topic = format!("{SCOPE}/$tasks/1");
-    let message = Formats::default().prepare(&topic, &event.to_bytes());
+    let robot = Source::named("robot");
+    let message = Formats::default().prepare(&robot, &topic, &event.to_bytes());
     let mut recording = Recording::create(file).expect("a file");
-    let written = recording.write("robot", message.expect("a message"), Instant::now());
+    let written = recording.write(&robot, message.expect("a message"), Instant::now());
     assert_eq!(written.expect("room"), Written::Yes);
     recording.finish().expect("room");
 }

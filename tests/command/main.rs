@@ -6,6 +6,7 @@ mod doctor;
 mod errors;
 mod examples;
 mod exit_codes;
+mod foxglove;
 mod options;
 mod output;
 mod recording;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use ztl_pickle::Pickle;
-use ztl_record::{Content, Formats, Read, Reader, Recording};
+use ztl_record::{Content, Formats, Read, Reader, Recording, Source};
 use ztl_std::{Publisher, Subscriber};
 use ztl_tests::lab::{
     Ended, PATIENCE, Process, Random, SCOPE, Scratch, Server, Terminal, our_client_at, port_of,
@@ -319,14 +319,25 @@ fn a_full_disk_ends_the_recording_with_an_error_and_leaves_it_readable() {
     assert!(ended.stderr.contains("has no end"), "{ended:?}");
 }
 
+/// A publisher that is known by its key if it is called `keyed`.
+fn source(name: &str) -> Source {
+    Source {
+        name: name.to_owned(),
+        endpoint: format!("tcp://{name}:6000"),
+        key: if name == "keyed" { "KEY" } else { "" }.to_owned(),
+    }
+}
+
 /// Writes a recording of these topics and bodies.
 fn written(file: &Path, messages: &[(&str, &str, Vec<u8>)]) {
     let mut recording = Recording::create(file).expect("a file");
     let start = Instant::now();
     for (nth, (publisher, topic, body)) in messages.iter().enumerate() {
-        let message = Formats::default().prepare(topic, body).expect("a message");
+        let source = source(publisher);
+        let message = Formats::default().prepare(&source, topic, body);
         let at = start + Duration::from_millis(10 * nth as u64);
-        recording.write(publisher, message, at).expect("room");
+        let message = message.expect("a message");
+        recording.write(&source, message, at).expect("room");
     }
     recording.finish().expect("room");
 }
@@ -520,10 +531,11 @@ fn a_task_that_was_recorded_after_the_question_is_not_sent() {
     let mut recording = Recording::create(&stage.scratch.path("live.mcap")).expect("a file");
     let mut write = |id, goal| {
         let body = event(id, "INITIATED", goal);
-        let message = Formats::default().prepare(&topic(id), &body);
+        let robot = source("robot");
+        let message = Formats::default().prepare(&robot, &topic(id), &body);
         let message = message.expect("a message");
         recording
-            .write("robot", message, Instant::now())
+            .write(&robot, message, Instant::now())
             .expect("room");
         recording.flush().expect("room");
         std::fs::read(stage.scratch.path("live.mcap")).expect("a file")
@@ -539,6 +551,99 @@ fn a_task_that_was_recorded_after_the_question_is_not_sent() {
     let tasks = stage.tasks().stdout;
     assert!(tasks.contains("\"test:echo:one\""), "{tasks}");
     assert!(!tasks.contains("three"), "{tasks}");
+}
+
+#[test]
+fn the_question_says_who_told_of_each_task() {
+    let stage = Stage::new();
+    let file = stage.scratch.path("run.mcap");
+    std::fs::remove_file(&file).expect("a file");
+    let (one, two) = (topic(1), topic(2));
+    written(
+        &file,
+        &[
+            ("robot", &one, event(1, "INITIATED", "one")),
+            ("keyed", &two, event(2, "INITIATED", "two")),
+        ],
+    );
+    let mut terminal = Terminal::start(&stage.replay(&[]), (100, 24));
+    let screen = terminal.shows("Send them? [y/N]");
+    let lines: Vec<&str> = screen.lines().map(str::trim).collect();
+    for (teller, task) in [
+        (
+            "told by keyed (tcp://keyed:6000, authenticated by its key KEY)",
+            "1 x 'test:echo:two'",
+        ),
+        (
+            "told by robot (tcp://robot:6000, not authenticated)",
+            "1 x 'test:echo:one'",
+        ),
+    ] {
+        let line = lines.iter().position(|line| *line == teller);
+        let line = line.unwrap_or_else(|| panic!("no {teller}: {screen}"));
+        assert_eq!(lines[line + 1], task, "{screen}");
+    }
+    terminal.type_in("n\r");
+    assert_eq!(terminal.end().code(), Some(2));
+}
+
+#[test]
+fn a_task_that_two_publishers_tell_of_differently_is_not_sent() {
+    let stage = Stage::new();
+    let file = stage.scratch.path("run.mcap");
+    std::fs::remove_file(&file).expect("a file");
+    let one = topic(1);
+    written(
+        &file,
+        &[
+            ("robot", &one, event(1, "INITIATED", "one")),
+            ("forger", &one, event(1, "INITIATED", "two")),
+        ],
+    );
+    let ended = Process::run(&mut stage.replay(&["--yes"]));
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    let why = "robot (tcp://robot:6000, not authenticated) and forger (tcp://forger:6000, not authenticated) tell of task 1 of /test differently";
+    assert!(ended.stderr.contains(why), "{ended:?}");
+    stage.nothing_was_sent();
+}
+
+/// A publisher that tells of the tasks of a robot whose own publisher is configured.
+#[test]
+fn a_forged_event_of_a_task_is_recorded_as_a_value() {
+    let scratch = Scratch::new();
+    let robot = Publisher::bind("tcp://127.0.0.1:*", "").expect("a port");
+    let camera = Publisher::bind("tcp://127.0.0.1:*", "").expect("a port");
+    let (robot_port, camera_port) = (port_of(robot.endpoint()), port_of(camera.endpoint()));
+    let config = scratch.path("remotes.yaml");
+    let remotes = format!(
+        "remotes: {{robot: {{host: localhost, port: 1, scope: {SCOPE}}}}}\n\
+         publishers:\n  robot: {{host: localhost, port: {robot_port}, scope: {SCOPE}}}\n  \
+         camera: {{host: localhost, port: {camera_port}, scope: /}}\n"
+    );
+    std::fs::write(&config, remotes).expect("a file");
+    let file = scratch.path("run.mcap");
+    let mut command = record(&file, &["robot", "camera"]);
+    command.args(["--scope", SCOPE, "-c"]).arg(&config);
+    let recorder = Process::start(&mut command);
+    let (mine, forged) = (event(1, "INITIATED", "one"), event(2, "INITIATED", "two"));
+    until("both are recorded", PATIENCE, || {
+        robot.publish_bytes(&topic(1), &mine, false);
+        camera.publish_bytes(&topic(2), &forged, false);
+        let read: Vec<Read> = Reader::open(&file).ok()?.collect();
+        let is_from = |name| read.iter().any(|read: &Read| read.source.name == name);
+        (is_from("robot") && is_from("camera")).then_some(())
+    });
+    recorder.wait_for("recorded as a value, not as an event of a task");
+    recorder.signal("INT");
+    assert_eq!(recorder.end(PATIENCE).code, Some(0));
+    for read in Reader::open(&file).expect("a file") {
+        let is_task = matches!(read.content, Content::Task(..));
+        assert_eq!(is_task, read.source.name == "robot", "{read:?}");
+        assert!(
+            read.source.endpoint.starts_with("tcp://localhost:"),
+            "{read:?}"
+        );
+    }
 }
 
 #[test]

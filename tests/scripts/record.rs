@@ -3,7 +3,9 @@
 use std::fs;
 
 use serde_json::Value;
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, until, ztl};
+use ztl_record::{Content, Read, Reader};
+use ztl_std::Publisher;
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, port_of, until, ztl};
 
 const DOCS: &str = include_str!("../../docs/record.md");
 
@@ -120,4 +122,145 @@ fn a_record_is_readable_up_to_a_crash() {
         .collect();
     assert_eq!(states[0], "completed", "{tasks}");
     assert_eq!(states.len(), 2, "{tasks}");
+}
+
+/// The messages of a recording.
+#[track_caller]
+fn recorded(path: &std::path::Path) -> Vec<Read> {
+    let mut reader = Reader::open(path).expect("a file");
+    let read = reader.by_ref().collect();
+    assert!(!reader.damage().is_any(), "{}", reader.damage());
+    read
+}
+
+/// The events of a run in a recording, a line for each.
+fn run_of(read: &[Read]) -> String {
+    let events = read.iter().filter_map(|read| match &read.content {
+        Content::Run(event) => Some(String::from_utf8(event.clone()).expect("JSON") + "\n"),
+        _ => None,
+    });
+    events.collect()
+}
+
+#[test]
+fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
+    let files = Scratch::new();
+    let robot = format!("port: 0\npublish: 0\nscopes:\n  {SCOPE}: {{test: {{echo: echo}}}}\n");
+    fs::write(files.path("robot.yaml"), robot).unwrap();
+    let server = Server::start(ztl().arg("serve").arg(files.path("robot.yaml")));
+    let announced = "Publishing events of tasks at tcp://127.0.0.1:";
+    let (port, events) = (server.port, server.process.wait_for_port(announced));
+    let sensor = Publisher::bind("tcp://127.0.0.1:*", "/sensor").unwrap();
+    sensor.publish_state("/", &12.5.into());
+    let sensors = port_of(sensor.endpoint());
+    let remotes = format!(
+        "remotes: {{test: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n\
+         publishers:\n  robot: {{host: localhost, port: {events}, scope: {SCOPE}}}\n  \
+         sensor: {{host: localhost, port: {sensors}, scope: /sensor}}\n"
+    );
+    fs::write(files.path("remotes.yaml"), remotes).unwrap();
+    // Time to connect to the publishers, as much as they need: the run waits for a task.
+    let script = "one:\n  first: {test: {echo: hello}}\n  second(delay=1): {test: {echo: again}}\n";
+    fs::write(files.path("one.yaml"), script).unwrap();
+    let play = PLAY.replace("one.jsonl", "one.mcap");
+    let ended = Process::run(ztl().current_dir(files.path("")).args(play.split(' ')));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+
+    let read = recorded(&files.path("one.mcap"));
+    let times: Vec<u64> = read.iter().map(|read| read.log_time).collect();
+    assert!(times.is_sorted(), "one clock");
+    // The run's events are those of a record, at their times.
+    let run = run_of(&read);
+    let events: Vec<Value> = run
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert_eq!(events[0]["event"], "run_started");
+    assert_eq!(events.last().unwrap()["event"], "run_ended");
+    let of_run = read
+        .iter()
+        .filter(|read| matches!(read.content, Content::Run(_)));
+    let mut of_run = of_run;
+    let (first, last) = (of_run.next().unwrap(), of_run.next_back().unwrap());
+    let at = |event: &Value| event["at_ms"].as_f64().unwrap();
+    let passed = (last.log_time - first.log_time) as f64 / 1e6;
+    assert!(
+        (passed - (at(events.last().unwrap()) - at(&events[0]))).abs() < 1.0,
+        "{passed}"
+    );
+    assert_eq!(first.topic, "/$run");
+    // Beside them are the value, and the server's events of the second task.
+    let is_value = |read: &&Read| matches!(&read.content, Content::Value(value) if value.value().as_f64() == Some(12.5));
+    assert!(read.iter().any(|read| is_value(&read)), "{read:?}");
+    let told = read.iter().any(|read| match &read.content {
+        Content::Task(event, _) => event.text == "again" && read.source.name == "robot",
+        _ => false,
+    });
+    assert!(told, "{read:?}");
+
+    let mut report = ztl();
+    report
+        .current_dir(files.path(""))
+        .args(["report", "one.mcap", "--csv"]);
+    let ended = Process::run(&mut report);
+    assert_eq!(
+        (ended.code, ended.stderr.as_str()),
+        (Some(0), ""),
+        "{ended:?}"
+    );
+    let tasks = fs::read_to_string(files.path("one.tasks.csv")).unwrap();
+    assert_eq!(tasks.lines().count(), 3, "{tasks}");
+    // It says the same of the run as the report of a record.
+    fs::write(files.path("lines.jsonl"), run).unwrap();
+    let mut report = ztl();
+    report
+        .current_dir(files.path(""))
+        .args(["report", "lines.jsonl"]);
+    assert_eq!(Process::run(&mut report).code, Some(0));
+    let page = |name| fs::read_to_string(files.path(name)).unwrap();
+    let (recorded, lines) = (
+        page("one.html"),
+        page("lines.html").replace("lines.jsonl", "one.mcap"),
+    );
+    let mut rest = recorded.lines();
+    for line in lines.lines() {
+        assert!(rest.any(|other| other == line), "not in it: {line}");
+    }
+    assert!(recorded.contains("class=\"series s0\""));
+    assert!(!lines.contains("class=\"series s0\""));
+}
+
+#[test]
+fn a_recording_on_a_full_disk_ends_with_a_warning_and_the_show_goes_on() {
+    let (_server, files) =
+        stage("one:\n  first: {test: {echo: hello}}\n  second: {test: {echo: again}}\n");
+    let play = PLAY.replace("one.jsonl", "one.mcap");
+    let show = ztl();
+    let mut limited = std::process::Command::new("sh");
+    // 1 block of 512 bytes: the beginning of the file, and not the first chunk.
+    let script = "trap '' XFSZ; ulimit -f 1; exec \"$@\"";
+    limited.args(["-c", script, "sh"]).arg(show.get_program());
+    limited.current_dir(files.path("")).args(play.split(' '));
+    let ended = Process::run(&mut limited);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let why = "cannot write one.mcap: File too large (os error 27); the recording has ended";
+    assert!(ended.stderr.contains(why), "{ended:?}");
+    assert!(fs::metadata(files.path("one.mcap")).unwrap().len() <= 512);
+}
+
+#[test]
+fn a_recording_that_exists_stops_the_run_before_anything_is_sent() {
+    let (server, files) = stage("one:\n  first: {test: {echo: hello}}\n");
+    fs::write(files.path("one.mcap"), "precious").unwrap();
+    let play = PLAY.replace("one.jsonl", "one.mcap");
+    let ended = Process::run(ztl().current_dir(files.path("")).args(play.split(' ')));
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(ended.stderr.contains("not overwritten"), "{ended:?}");
+    assert_eq!(
+        fs::read_to_string(files.path("one.mcap")).unwrap(),
+        "precious"
+    );
+    let port = server.port.to_string();
+    let tasks = Process::run(ztl().args(["ps", "-p", &port, "--json"]));
+    assert!(tasks.stdout.contains("\"tasks\":[]"), "{tasks:?}");
 }

@@ -4,7 +4,11 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use std::time::{Duration, Instant, SystemTime};
+
 use serde_json::Value;
+use ztl_pickle::Pickle;
+use ztl_record::{Formats, Message, Recording, SoundFormat, Source};
 use ztl_tests::lab::{Ended, Process, Scratch, ztl};
 
 const EVENING: &str = include_str!("../../ztl-script/src/fixtures/evening.jsonl");
@@ -87,16 +91,22 @@ fn measuring(page: &str) -> String {
 #[track_caller]
 fn measured(records: &[(&str, String)]) -> Vec<(u64, Value)> {
     let files = Scratch::new();
-    let mut report = ztl();
-    report.current_dir(files.path("")).arg("report");
     for (name, text) in records {
         fs::write(files.path(name), text).unwrap();
-        report.arg(name);
     }
+    let names: Vec<&str> = records.iter().map(|(name, _)| *name).collect();
+    measured_files(&files, &names)
+}
+
+/// The measurements of the page for the records in these files.
+#[track_caller]
+fn measured_files(files: &Scratch, names: &[&str]) -> Vec<(u64, Value)> {
+    let mut report = ztl();
+    report.current_dir(files.path("")).arg("report").args(names);
     let ended = Process::run(report.args(["-o", "page.html"]));
     assert_eq!(ended.code, Some(0), "{ended:?}");
     fs::write(files.path("measure.html"), measuring("page.html")).unwrap();
-    let dom = browse(&files.path("measure.html"), &files);
+    let dom = browse(&files.path("measure.html"), files);
     let (_, found) = dom
         .split_once("<pre id=\"found\">")
         .expect("the measuring page");
@@ -133,6 +143,59 @@ fn the_page_is_laid_out_in_a_browser() {
         assert_eq!(found["timelines"], 2 + 4 + 3, "{found}");
         assert_eq!(found["rows"], 14 + 11, "{found}");
         assert!(found["height"].as_u64() > Some(2000), "{found}");
+    }
+}
+
+/// A recording of the run in a record, with streams of all kinds beside it, whose names are hostile.
+fn recording(path: &Path) {
+    let topic = |name: &str| format!("/<x-evil>{}/{name}", "W".repeat(100));
+    let mut formats = Formats::default();
+    let (rate, channels) = (800, 1);
+    formats.set_sound(&topic("sound"), SoundFormat { rate, channels });
+    let mut recording = Recording::create(path).unwrap();
+    let start = Instant::now();
+    let source = Source::named("sensors");
+    for line in EVENING.lines() {
+        let event: Value = serde_json::from_str(line).unwrap();
+        let at = start + Duration::from_secs_f64(event["at_ms"].as_f64().unwrap() / 1e3);
+        let message = Message::of_run(line.as_bytes().to_vec(), SystemTime::now());
+        recording.write(&source, message, at).unwrap();
+        let number = (at - start).as_secs_f64().sin();
+        let fields = ["x", "y", "<x-evil>", &"W".repeat(100)]
+            .map(|name| (Pickle::text(name).unwrap(), number));
+        let values = [
+            ("number", number.into()),
+            ("numbers", Pickle::dict(fields).unwrap()),
+            (
+                "image",
+                Pickle::bytes(b"\xff\xd8\xff\xe0 no image").unwrap(),
+            ),
+            ("sound", Pickle::bytes(&[7; 80]).unwrap()),
+            ("text", Pickle::text("<script>alert(1)</script>").unwrap()),
+        ];
+        for (name, value) in values {
+            let message = formats.prepare(&source, &topic(name), &value.to_bytes());
+            recording.write(&source, message.unwrap(), at).unwrap();
+        }
+    }
+    recording.finish().unwrap();
+}
+
+#[test]
+fn the_page_of_a_recorded_run_is_laid_out_in_a_browser() {
+    let files = Scratch::new();
+    recording(&files.path("evening.mcap"));
+    for (width, found) in measured_files(&files, &["evening.mcap"]) {
+        fits(width, &found);
+        // The run's, and that of its streams.
+        assert_eq!(found["timelines"], 1 + 4 + 1, "{found}");
+        assert_eq!(found["rows"], 14, "{found}");
+    }
+    // Compared with a record.
+    fs::write(files.path("matinee.jsonl"), MATINEE).unwrap();
+    for (width, found) in measured_files(&files, &["evening.mcap", "matinee.jsonl"]) {
+        fits(width, &found);
+        assert_eq!(found["timelines"], 2 + 4 + 3 + 1, "{found}");
     }
 }
 

@@ -226,19 +226,32 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     Ok(python)
 }
 
-/// Installs the npm package of `examples/clients/client.mjs`.
+/// Installs npm packages: of `examples/clients/client.mjs`, and of Foxglove's reader of recordings.
 pub(crate) fn javascript(project: &Project) -> Result<()> {
-    const PACKAGE: &str = "zeromq@6.8.0";
+    const PACKAGES: [&str; 4] = [
+        "zeromq@6.8.0",
+        "@mcap/core@2.2.2",
+        "@foxglove/schemas@2.1.0",
+        "ajv@8.20.0",
+    ];
     let sh = &project.sh;
     let home = project.target.join("clients");
-    let package = home.join("node_modules/zeromq");
-    // Also loads the package: it breaks after an update of Node.
-    let works = || succeeds(cmd!(sh, "node --eval require(process.argv[1]) {package}"));
-    make_once(sh, &home.join("package.stamp"), PACKAGE, works, || {
-        // The package contains a compiled library; its script would only rebuild it.
+    let packages = [
+        "zeromq",
+        "@mcap/core",
+        "@foxglove/schemas/jsonschema",
+        "ajv",
+    ];
+    let packages = packages.map(|name| home.join("node_modules").join(name));
+    let load = "process.argv.slice(1).forEach(require)";
+    // Also loads the packages: one breaks after an update of Node.
+    let works = || succeeds(cmd!(sh, "node --eval {load}").args(&packages));
+    let content = PACKAGES.join(" ");
+    make_once(sh, &home.join("package.stamp"), &content, works, || {
+        // One package contains a compiled library; its script would only rebuild it.
         cmd!(
             sh,
-            "npm install --ignore-scripts --no-save --no-audit --no-fund --prefix {home} {PACKAGE}"
+            "npm install --ignore-scripts --no-save --no-audit --no-fund --prefix {home} {PACKAGES...}"
         )
         .run()
     })

@@ -34,6 +34,9 @@ pub(crate) struct Soak {
     /// Tasks through one server.
     #[arg(long, default_value_t = 1_000_000, value_parser = clap::value_parser!(u32).range(10..))]
     many: u32,
+    /// Seconds of recording images and values; each takes 10 MB of the disk.
+    #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(1..))]
+    recording: u32,
 }
 
 /// Builds the programs to measure.
@@ -55,13 +58,27 @@ impl Soak {
                 .env("ZTL_MANY_TASKS", self.many.to_string())
                 .run()?;
         }
-        Ok(())
+        install::python(project)?;
+        let bench = project.cargo("bench --package ztl-tests --bench server -- streams-recording");
+        let seconds = self.recording.to_string();
+        Ok(bench.env("ZTL_RECORD_SECONDS", seconds).run()?)
     }
 }
 
 /// Parts of the benchmark that can be run alone: the cycles of a microcontroller, and parts of the server comparison.
-pub(crate) const PARTS: [&str; 9] = [
-    "firmware", "rates", "most", "cpu", "core", "goal", "end", "idle", "streams",
+pub(crate) const PARTS: [&str; 11] = [
+    "firmware",
+    "rates",
+    "most",
+    "cpu",
+    "core",
+    "goal",
+    "end",
+    "idle",
+    // With those below it.
+    "streams",
+    "streams-abort",
+    "streams-recording",
 ];
 
 /// `cargo xtask bench`: compares figures within one run; never passes or fails by time.

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 /// What a channel contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) enum Form {
+    /// Events of a run, as `docs/record.md` has them.
+    Run,
     /// Events of tasks.
     Task,
     Value,
@@ -18,7 +20,8 @@ pub(crate) enum Form {
 }
 
 impl Form {
-    pub(crate) const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 7] = [
+        Self::Run,
         Self::Task,
         Self::Value,
         Self::Text,
@@ -30,6 +33,7 @@ impl Form {
     /// The name of its schema, and the schema in JSON; bytes have none. Foxglove knows those of its own by name.
     pub(crate) const fn schema(self) -> Option<(&'static str, &'static str)> {
         match self {
+            Self::Run => Some(("ztl.RunEvent", include_str!("schemas/run_event.json"))),
             Self::Task => Some(("ztl.TaskEvent", include_str!("schemas/task_event.json"))),
             Self::Value => Some(("ztl.Value", include_str!("schemas/value.json"))),
             Self::Text => Some(("ztl.Text", include_str!("schemas/text.json"))),

@@ -1,11 +1,13 @@
 //! From a published message to a stored one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use ztl_pickle::{Error, Kind, Pickle, Value};
 
 use crate::form::{Form, Image, Sound, Stamp, Text, to_base64};
 use crate::plain::is_plain;
+use crate::source::Source;
 use crate::task::{TASKS, TaskEvent};
 
 /// How a JPEG begins.
@@ -24,10 +26,24 @@ pub struct SoundFormat {
     pub channels: u32,
 }
 
+impl SoundFormat {
+    /// How long so many bytes last, in nanoseconds.
+    pub(crate) fn length(self, bytes: usize) -> u64 {
+        let frame = 2 * u64::from(self.channels.max(1));
+        let frames = bytes as u64 / frame;
+        frames.saturating_mul(1_000_000_000) / u64::from(self.rate.max(1))
+    }
+}
+
+/// The topic of the events of a run.
+pub const RUN: &str = "/$run";
+
 /// How streams are stored that do not say it themselves.
 #[derive(Debug, Clone, Default)]
 pub struct Formats {
     sounds: BTreeMap<String, SoundFormat>,
+    /// The addresses of those who tell of the tasks of a scope.
+    tellers: BTreeMap<String, BTreeSet<String>>,
 }
 
 /// A message that is ready to be written.
@@ -40,6 +56,31 @@ pub struct Message {
     pub(crate) data: Data,
     /// When it was made, in nanoseconds since 1970, if it says so.
     pub(crate) made: Option<u64>,
+    /// Whether it looks like an event of a task that its publisher may not tell of.
+    is_foreign_event: bool,
+}
+
+impl Message {
+    /// An event of a run: its JSON, and the wall clock.
+    #[must_use]
+    pub fn of_run(json: Vec<u8>, wall: SystemTime) -> Self {
+        let made = wall.duration_since(UNIX_EPOCH).ok();
+        Self {
+            topic: RUN.to_owned(),
+            form: Form::Run,
+            pickled: false,
+            data: Data::Ready(json),
+            made: made.and_then(|made| u64::try_from(made.as_nanos()).ok()),
+            is_foreign_event: false,
+        }
+    }
+
+    /// Whether it is stored as a value though it looks like an event of a task, since its publisher is not the one of
+    /// the task's server ([`Formats::set_teller`]).
+    #[must_use]
+    pub const fn is_foreign_event(&self) -> bool {
+        self.is_foreign_event
+    }
 }
 
 /// What is stored. Images and sound get their time when they are written.
@@ -53,20 +94,19 @@ pub(crate) enum Data {
 impl Data {
     /// The bytes for the file.
     pub(crate) fn into_bytes(self, at: u64) -> std::io::Result<Vec<u8>> {
-        let timestamp = Stamp::of(at);
         Ok(match self {
             Self::Ready(bytes) => bytes,
             Self::Image(bytes) => serde_json::to_vec(&Image {
-                timestamp,
+                timestamp: Stamp::of(at),
                 frame_id: String::new(),
                 format: "jpeg".to_owned(),
                 data: to_base64(&bytes),
             })?,
-            Self::Sound(SoundFormat { rate, channels }, bytes) => serde_json::to_vec(&Sound {
-                timestamp,
+            Self::Sound(format, bytes) => serde_json::to_vec(&Sound {
+                timestamp: Stamp::of(at.saturating_sub(format.length(bytes.len()))),
                 format: "pcm-s16".to_owned(),
-                sample_rate: rate,
-                number_of_channels: channels,
+                sample_rate: format.rate,
+                number_of_channels: format.channels,
                 data: to_base64(&bytes),
             })?,
         })
@@ -79,20 +119,39 @@ impl Formats {
         self.sounds.insert(topic.to_owned(), format);
     }
 
+    /// Says that the publisher with this address tells of the tasks of a scope. If any is known for a scope, only those
+    /// are believed.
+    pub fn set_teller(&mut self, scope: &str, endpoint: &str) {
+        let tellers = self.tellers.entry(scope.to_owned()).or_default();
+        tellers.insert(endpoint.to_owned());
+    }
+
+    /// Whether a publisher is believed when it tells of the tasks of a scope.
+    fn may_tell(&self, source: &Source, scope: &str) -> bool {
+        let tellers = self.tellers.get(scope);
+        tellers.is_none_or(|tellers| tellers.contains(&source.endpoint))
+    }
+
     /// Prepares a message: finds out what it contains.
     ///
     /// # Errors
     /// If it is a pickle that could run code or exceeds a limit. Other bytes that are not a pickle are stored as text or
     /// bytes.
-    pub fn prepare(&self, topic: &str, body: &[u8]) -> Result<Message, Error> {
+    pub fn prepare(&self, source: &Source, topic: &str, body: &[u8]) -> Result<Message, Error> {
         match Pickle::read(body) {
-            Ok(pickle) => self.pickled(topic, body, pickle.value()),
+            Ok(pickle) => self.pickled(source, topic, body, pickle.value()),
             Err(error @ (Error::Refused(_) | Error::TooLarge { .. })) => Err(error),
             Err(_) => Ok(self.raw(topic, body)),
         }
     }
 
-    fn pickled(&self, topic: &str, body: &[u8], value: Value<'_>) -> Result<Message, Error> {
+    fn pickled(
+        &self,
+        source: &Source,
+        topic: &str,
+        body: &[u8],
+        value: Value<'_>,
+    ) -> Result<Message, Error> {
         if let Kind::Bytes(bytes) = value.kind() {
             return Ok(self.bytes(topic, bytes, true));
         }
@@ -102,18 +161,23 @@ impl Formats {
             .iter()
             .find_map(|name| value.get(name)?.as_f64())
             .and_then(nanoseconds);
-        let message = |topic: &str, form, data| Message {
-            topic: topic.to_owned(),
+        let message = |topic: String, form, data| Message {
+            topic,
             form,
             pickled: true,
             data: Data::Ready(data),
             made,
+            is_foreign_event: false,
         };
-        if let (Some(json), true) = (&json, is_plain)
-            && let Some(scope) = scope_of_event(topic, json)
+        let scope = match &json {
+            Some(json) if is_plain => scope_of_event(topic, json),
+            _ => None,
+        };
+        if let (Some(scope), Some(json)) = (scope, &json)
+            && self.may_tell(source, scope)
         {
             let topic = format!("{scope}{}", TASKS.trim_end_matches('/'));
-            return Ok(message(&topic, Form::Task, json.clone().into_bytes()));
+            return Ok(message(topic, Form::Task, json.clone().into_bytes()));
         }
         let data = match (json, is_plain) {
             (Some(json), true) => format!("{{\"value\":{json}}}"),
@@ -122,7 +186,10 @@ impl Formats {
             }
             (None, _) => format!("{{\"pickle\":\"{}\"}}", to_base64(body)),
         };
-        Ok(message(topic, Form::Value, data.into_bytes()))
+        Ok(Message {
+            is_foreign_event: scope.is_some(),
+            ..message(topic.to_owned(), Form::Value, data.into_bytes())
+        })
     }
 
     fn raw(&self, topic: &str, body: &[u8]) -> Message {
@@ -139,6 +206,7 @@ impl Formats {
                     // A struct with one text always has JSON.
                     data: Data::Ready(serde_json::to_vec(&text).unwrap_or_default()),
                     made: None,
+                    is_foreign_event: false,
                 }
             }
             _ => self.bytes(topic, body, false),
@@ -158,6 +226,7 @@ impl Formats {
             pickled,
             data,
             made: None,
+            is_foreign_event: false,
         }
     }
 }

@@ -16,6 +16,7 @@ use ztl_pickle::Pickle;
 use crate::form::{Form, Image, Sound, Text, from_base64};
 use crate::plain::Plain;
 use crate::prepare::SoundFormat;
+use crate::source::Source;
 use crate::task::{TASKS, TaskEvent};
 
 /// Longest record in bytes. A message of 64 MiB, the longest that is published, takes 4/3 of it.
@@ -28,8 +29,8 @@ const BLOCK: usize = 1 << 18;
 pub struct Read {
     /// The topic that it was published at.
     pub topic: String,
-    /// The publisher, as it was called when it was recorded.
-    pub publisher: String,
+    /// The publisher, as it was when it was recorded.
+    pub source: Arc<Source>,
     /// When it was received, in nanoseconds since 1970.
     pub log_time: u64,
     /// When it was made, in nanoseconds since 1970; if it does not say, when it was received.
@@ -43,6 +44,8 @@ pub struct Read {
 /// What a message contains.
 #[derive(Debug, Clone)]
 pub enum Content {
+    /// What happened in a run: the JSON of the event, as `docs/record.md` describes it. It was not published.
+    Run(Vec<u8>),
     /// What happened to a task, and the published event.
     Task(TaskEvent, Pickle),
     /// A value.
@@ -64,6 +67,7 @@ impl Read {
         match &self.content {
             Content::Task(_, value) | Content::Value(value) => value.to_bytes(),
             Content::Text(text) => text.clone().into_bytes(),
+            Content::Run(json) => json.clone(),
             Content::Image(bytes) | Content::Sound(_, bytes) | Content::Bytes(bytes) => {
                 match Pickle::bytes(bytes) {
                     Ok(pickle) if self.pickled => pickle.to_bytes(),
@@ -135,7 +139,7 @@ struct Waiting {
 
 struct Channel {
     topic: String,
-    publisher: String,
+    source: Arc<Source>,
     /// `None` if ZTL has not recorded it.
     form: Option<Form>,
     pickled: bool,
@@ -248,7 +252,11 @@ impl Reader {
                 let metadata = |key| channel.metadata.get(key).cloned().unwrap_or_default();
                 let known = Channel {
                     form: Form::of(schema, &channel.message_encoding),
-                    publisher: metadata("publisher"),
+                    source: Arc::new(Source {
+                        name: metadata("publisher"),
+                        endpoint: metadata("endpoint"),
+                        key: metadata("key"),
+                    }),
                     pickled: metadata("wire") == "pickle",
                     topic: channel.topic,
                 };
@@ -362,6 +370,7 @@ impl Waiting {
         } = self;
         let mut topic = channel.topic.clone();
         let content = match channel.form? {
+            Form::Run => Content::Run(data),
             Form::Task => {
                 let scope = topic.strip_suffix(TASKS.trim_end_matches('/'))?;
                 let event = TaskEvent::read(scope, &serde_json::from_slice(&data).ok()?)?;
@@ -393,7 +402,7 @@ impl Waiting {
         };
         Some(Read {
             topic,
-            publisher: channel.publisher.clone(),
+            source: Arc::clone(&channel.source),
             log_time: header.log_time,
             publish_time: header.publish_time,
             content,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use ztl_pickle::Pickle;
 use ztl_tests::lab::{Random, Scratch, seed};
 
-use crate::{Content, Formats, Read, Reader, Recording, SoundFormat, Written, report};
+use crate::{Content, Drawn, Formats, Read, Reader, Recording, SoundFormat, Source, Written};
 
 /// What numpy 2 writes for `numpy.array([1, 2], dtype="u1")`, and other values that JSON cannot tell.
 fn values() -> Vec<Vec<u8>> {
@@ -36,6 +36,14 @@ fn values() -> Vec<Vec<u8>> {
     values.push(b"\xff\xd8\xff\xe0 an image, raw".to_vec());
     values.push(b"\xfe\xff bytes, raw".to_vec());
     values
+}
+
+fn robot() -> Source {
+    Source {
+        name: "robot".to_owned(),
+        endpoint: "tcp://robot:6000".to_owned(),
+        key: String::new(),
+    }
 }
 
 fn formats() -> Formats {
@@ -86,9 +94,9 @@ fn recording(path: PathBuf) -> Vec<(String, Vec<u8>)> {
     let start = Instant::now();
     let messages = messages();
     for (nth, (topic, body)) in messages.iter().enumerate() {
-        let message = formats().prepare(topic, body).expect("a message");
+        let message = formats().prepare(&robot(), topic, body).expect("a message");
         let at = start + Duration::from_millis(nth as u64);
-        let written = recording.write("robot", message, at).expect("room");
+        let written = recording.write(&robot(), message, at).expect("room");
         assert_eq!(written, Written::Yes);
         if nth % 5 == 0 {
             recording.flush().expect("room");
@@ -118,7 +126,7 @@ fn what_is_recorded_is_read_again_at_its_times() {
     assert_eq!(read.len(), messages.len());
     for (read, (topic, body)) in read.iter().zip(&messages) {
         assert_eq!(&read.topic, topic);
-        assert_eq!(read.publisher, "robot");
+        assert_eq!(*read.source, robot());
         assert!(same(&read.body(), body), "{topic}: {read:?}");
     }
     let steps = read
@@ -152,7 +160,9 @@ fn what_is_recorded_is_read_again_at_its_times() {
 #[test]
 fn a_pickle_that_would_run_code_is_refused() {
     let body = b"cos\nsystem\n(S'reboot'\ntR.";
-    let error = Formats::default().prepare("/lab/", body).unwrap_err();
+    let error = Formats::default()
+        .prepare(&robot(), "/lab/", body)
+        .unwrap_err();
     assert_eq!(error.to_string(), "refused: os.system");
 }
 
@@ -162,9 +172,13 @@ fn times_never_go_backwards() {
     let path = scratch.path("run.mcap");
     let mut recording = Recording::create(&path).expect("a file");
     let later = Instant::now() + Duration::from_secs(1);
-    let message = formats().prepare("/lab/", b"x").expect("a message");
+    let message = formats()
+        .prepare(&robot(), "/lab/", b"x")
+        .expect("a message");
     for at in [later, later - Duration::from_millis(300), later] {
-        recording.write("robot", message.clone(), at).expect("room");
+        recording
+            .write(&robot(), message.clone(), at)
+            .expect("room");
     }
     recording.finish().expect("room");
     let times: Vec<u64> = Reader::open(&path)
@@ -192,14 +206,101 @@ fn a_publisher_with_ever_new_topics_takes_bounded_memory() {
     let mut refused = 0;
     for nth in 0..5000 {
         let message = formats()
-            .prepare(&format!("/lab/{nth}"), b"x")
+            .prepare(&robot(), &format!("/lab/{nth}"), b"x")
             .expect("a message");
         let written = recording
-            .write("robot", message, Instant::now())
+            .write(&robot(), message, Instant::now())
             .expect("room");
         refused += usize::from(written == Written::TooManyTopics);
     }
     assert_eq!((recording.topics(), refused), (4096, 904));
+}
+
+#[test]
+fn a_publisher_with_long_topics_takes_bounded_memory() {
+    let scratch = Scratch::new();
+    let mut recording = Recording::create(&scratch.path("run.mcap")).expect("a file");
+    let mut written = |topic: String| {
+        let message = formats()
+            .prepare(&robot(), &topic, b"x")
+            .expect("a message");
+        let written = recording.write(&robot(), message, Instant::now());
+        written.expect("room")
+    };
+    let long = "x".repeat(300_000);
+    for nth in 0..3 {
+        assert_eq!(written(format!("/{nth}{long}")), Written::Yes);
+    }
+    assert_eq!(written(format!("/3{long}")), Written::TooManyTopics);
+    assert_eq!(written("/short".to_owned()), Written::Yes);
+    assert_eq!(written(format!("/0{long}")), Written::Yes);
+}
+
+/// The index that a recording has is the one that its chunks need: the crate `mcap` finds each message by it.
+#[test]
+fn the_index_finds_every_message() {
+    let scratch = Scratch::new();
+    let path = scratch.path("run.mcap");
+    let messages = recording(path.clone());
+    let bytes = std::fs::read(&path).expect("a file");
+    let summary = mcap::Summary::read(&bytes).expect("an index").expect("one");
+    let stats = summary.stats.as_ref().expect("statistics");
+    assert_eq!(stats.message_count, messages.len() as u64);
+    assert_eq!(stats.chunk_count as usize, summary.chunk_indexes.len());
+    assert!(summary.chunk_indexes.len() > 3);
+    assert_eq!(stats.channel_count as usize, summary.channels.len());
+    let mut found = 0;
+    for chunk in &summary.chunk_indexes {
+        let indexes = summary
+            .read_message_indexes(&bytes, chunk)
+            .expect("indexes");
+        for entry in indexes.values().flatten() {
+            let message = summary
+                .seek_message(&bytes, chunk, entry)
+                .expect("a message");
+            assert_eq!(message.log_time, entry.log_time);
+            found += 1;
+        }
+    }
+    assert_eq!(found, messages.len());
+    // Also with all checksums.
+    let all = mcap::MessageStream::new(&bytes).expect("a file");
+    assert_eq!(all.filter(Result::is_ok).count(), found);
+}
+
+#[test]
+fn only_the_publisher_of_its_server_tells_of_a_task() {
+    let scratch = Scratch::new();
+    let path = scratch.path("run.mcap");
+    let camera = Source {
+        name: "camera".to_owned(),
+        endpoint: "tcp://camera:6000".to_owned(),
+        key: "a key".to_owned(),
+    };
+    let mut formats = formats();
+    formats.set_teller("/lab", &robot().endpoint);
+    let mut recording = Recording::create(&path).expect("a file");
+    let told = event("INITIATED", &[("payload", "move")]);
+    for (source, topic, foreign) in [
+        (&robot(), "/lab/$tasks/7", false),
+        (&camera, "/lab/$tasks/7", true),
+        // Nobody is known to tell of it.
+        (&camera, "/other/$tasks/7", false),
+    ] {
+        let message = formats.prepare(source, topic, &told).expect("a message");
+        assert_eq!(message.is_foreign_event(), foreign, "{topic}");
+        let written = recording.write(source, message, Instant::now());
+        assert_eq!(written.expect("room"), Written::Yes);
+    }
+    recording.finish().expect("room");
+    let read: Vec<Read> = Reader::open(&path).expect("a file").collect();
+    let told: Vec<_> = read
+        .iter()
+        .map(|read| (&*read.source, matches!(read.content, Content::Task(..))))
+        .collect();
+    assert_eq!(told, [(&robot(), true), (&camera, false), (&camera, true)]);
+    // It is replayed as it was heard.
+    assert!(read.iter().all(|one| same(&one.body(), &read[0].body())));
 }
 
 #[test]
@@ -274,7 +375,7 @@ fn damaged_recordings_harm_neither_reader_nor_report() {
             let _ = read.body();
         }
         // An error if nothing is readable.
-        let _ = report(&damaged);
+        let _ = Drawn::read(&damaged).map(|drawn| drawn.page());
     }
 }
 
@@ -306,8 +407,9 @@ fn a_report_draws_streams_above_tasks_and_escapes_them() {
     let scratch = Scratch::new();
     let path = scratch.path("run.mcap");
     recording(path.clone());
-    let (html, damage) = report(&path).expect("a page");
-    assert!(!damage.is_any(), "{damage}");
+    let drawn = Drawn::read(&path).expect("a page");
+    assert!(!drawn.damage.is_any(), "{}", drawn.damage);
+    let html = drawn.page();
     let place = |part: &str| {
         html.find(part)
             .unwrap_or_else(|| panic!("no {part}: {html}"))
@@ -316,7 +418,7 @@ fn a_report_draws_streams_above_tasks_and_escapes_them() {
     assert!(stream < place("data-task=\"7\""));
     place("<path class=\"wave\"");
     place(
-        "<image id=\"image-1\" width=\"84\" height=\"63\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,/9j/",
+        "<image id=\"image-0-1\" width=\"84\" height=\"63\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,/9j/",
     );
     place("head:pan:&lt;b&gt;");
     assert!(!html.contains("<b>"));

@@ -2,38 +2,52 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
-use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::io::{self, ErrorKind, Write as _};
 use std::path::Path;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use mcap::records::MessageHeader;
-use mcap::{McapError, WriteOptions, Writer};
+use mcap::records::op;
 
 use crate::form::Form;
+use crate::mcap_format::{
+    Chunk, MAGIC, Summary, put_bytes, put_record, put_sized, put_text, put_u16,
+};
 use crate::prepare::Message;
+use crate::source::Source;
 
-/// Most channels: a publisher may choose its topics, and each takes memory.
+/// Most channels, and most bytes of their topics: a publisher may choose its topics, and each takes memory.
 const CHANNELS: usize = 4096;
-/// Size of a chunk in bytes, if it is not flushed before.
-const CHUNK: u64 = 1 << 20;
+const TOPICS: usize = 1 << 20;
+/// Size of a chunk in bytes, if it is not flushed before and no message is longer.
+const CHUNK: usize = 1 << 20;
 
-/// A recording that is being written.
+/// A recording that is being written. The memory that it takes does not grow with its length.
 pub struct Recording {
-    writer: Writer<Target>,
-    /// The same file, to flush it to the disk.
     file: File,
     clock: Clock,
-    channels: HashMap<ChannelKey, Channel>,
+    chunk: Chunk,
+    /// Where the last whole chunk ends. After an error, the file ends there.
+    whole: u64,
+    has_failed: bool,
+    /// The channels of each topic.
+    channels: HashMap<String, Vec<Channel>>,
+    count: u16,
+    topic_bytes: usize,
     schemas: BTreeMap<Form, u16>,
-    last: u64,
+    /// The times of the first and the last message.
+    span: Option<(u64, u64)>,
 }
 
-/// Publisher, topic, form, and whether bytes were published in a pickle.
-type ChannelKey = (String, String, Form, bool);
-
+/// The messages of one publisher and form at a topic.
 struct Channel {
     id: u16,
-    sequence: u32,
+    publisher: String,
+    form: Form,
+    /// Whether bytes were published in a pickle.
+    pickled: bool,
+    messages: u64,
+    /// Its record, for the end of the file.
+    record: Vec<u8>,
 }
 
 /// Whether a message is in the recording.
@@ -51,112 +65,129 @@ impl Recording {
     /// # Errors
     /// If it cannot be created, or exists already: a recording is never overwritten.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().write(true).create_new(true).open(path);
-        let file = file.map_err(|error| match error.kind() {
+        // Read for its index; that moves the place where a file is read and written, so it is written at its end.
+        let mut options = OpenOptions::new();
+        let file = options.read(true).append(true).create_new(true).open(path);
+        let mut file = file.map_err(|error| match error.kind() {
             ErrorKind::AlreadyExists => io::Error::new(
                 error.kind(),
                 "it exists, and a recording is not overwritten; give another name",
             ),
             _ => error,
         })?;
-        let target = Target {
-            file: file.try_clone()?,
-            waiting: Vec::new(),
-            written: 0,
-            whole: 0,
-            failed: false,
-        };
-        let options = WriteOptions::new()
-            .compression(None)
-            .chunk_size(Some(CHUNK))
-            // A chunk is written when it is complete, so that a reader never finds half of its header.
-            .disable_seeking(true)
-            .profile("ztl")
-            .library(concat!("ztl-record ", env!("CARGO_PKG_VERSION")));
-        let mut recording = Self {
-            writer: options.create(target).map_err(to_io)?,
+        let mut begin = MAGIC.to_vec();
+        put_record(&mut begin, op::HEADER, |out| {
+            put_text(out, "ztl");
+            put_text(out, concat!("ztl-record ", env!("CARGO_PKG_VERSION")));
+        });
+        file.write_all(&begin)?;
+        file.sync_all()?;
+        sync_directory(path);
+        Ok(Self {
             file,
             clock: Clock::new(),
+            chunk: Chunk::default(),
+            whole: begin.len() as u64,
+            has_failed: false,
             channels: HashMap::new(),
+            count: 0,
+            topic_bytes: 0,
             schemas: BTreeMap::new(),
-            last: 0,
-        };
-        recording.flush()?;
-        recording.file.sync_all()?;
-        sync_directory(path);
-        Ok(recording)
+            span: None,
+        })
     }
 
     /// Writes a message that was received at this time.
     ///
     /// # Errors
     /// If the file cannot be written, as on a full disk. The recording has ended then.
-    pub fn write(&mut self, publisher: &str, message: Message, at: Instant) -> io::Result<Written> {
-        let Message {
-            topic,
-            form,
-            pickled,
-            data,
-            made,
-        } = message;
-        let key = (publisher.to_owned(), topic, form, pickled);
-        if !self.channels.contains_key(&key) && self.channels.len() >= CHANNELS {
-            return Ok(Written::TooManyTopics);
+    pub fn write(&mut self, source: &Source, message: Message, at: Instant) -> io::Result<Written> {
+        self.check()?;
+        let log_time = self.clock.at(at).max(self.span.map_or(0, |(_, last)| last));
+        let times = (log_time, message.made.unwrap_or(log_time));
+        let data = message.data.into_bytes(log_time)?;
+        if self.chunk.len() > 0 && self.chunk.len() + data.len() > CHUNK {
+            self.write_chunk()?;
         }
-        let log_time = self.clock.at(at).max(self.last);
-        let data = data.into_bytes(log_time)?;
-        let written = self.write_to(key, (log_time, made.unwrap_or(log_time)), &data);
-        written.map_err(to_io)?;
-        self.last = log_time;
+        let key = (message.form, message.pickled);
+        let Some((id, sequence)) = self.channel(source, &message.topic, key) else {
+            return Ok(Written::TooManyTopics);
+        };
+        self.chunk.put_message(id, sequence, times, &data);
+        let (first, _) = self.span.unwrap_or(times);
+        self.span = Some((first, log_time));
+        if self.chunk.len() > CHUNK {
+            self.write_chunk()?;
+        }
         Ok(Written::Yes)
     }
 
-    fn write_to(
+    /// The channel of a message, and how many messages it had; `None` if there are too many.
+    fn channel(
         &mut self,
-        key: ChannelKey,
-        (log_time, publish_time): (u64, u64),
-        data: &[u8],
-    ) -> Result<(), McapError> {
-        let channel = match self.channels.get_mut(&key) {
-            Some(channel) => channel,
-            None => {
-                let id = self.add_channel(&key)?;
-                let channel = Channel { id, sequence: 0 };
-                self.channels.entry(key).or_insert(channel)
-            }
+        source: &Source,
+        topic: &str,
+        (form, pickled): (Form, bool),
+    ) -> Option<(u16, u32)> {
+        let is_it = |channel: &&mut Channel| {
+            channel.publisher == source.name && channel.form == form && channel.pickled == pickled
         };
-        let header = MessageHeader {
-            channel_id: channel.id,
-            sequence: channel.sequence,
-            log_time,
-            publish_time,
-        };
-        channel.sequence = channel.sequence.wrapping_add(1);
-        self.writer.write_to_known_channel(&header, data)
+        let known = self.channels.get_mut(topic);
+        if let Some(channel) = known.and_then(|known| known.iter_mut().find(is_it)) {
+            // Numbers wrap, as MCAP has them.
+            let sequence = channel.messages as u32;
+            channel.messages += 1;
+            return Some((channel.id, sequence));
+        }
+        if usize::from(self.count) >= CHANNELS || self.topic_bytes + topic.len() > TOPICS {
+            return None;
+        }
+        self.count += 1;
+        self.topic_bytes += topic.len();
+        let schema = self.schema(form);
+        let wire = if pickled { "pickle" } else { "raw" };
+        let metadata = source.metadata().chain([("wire", wire)]);
+        let id = self.count;
+        let mut record = Vec::new();
+        put_record(&mut record, op::CHANNEL, |out| {
+            put_u16(out, id);
+            put_u16(out, schema);
+            put_text(out, topic);
+            put_text(out, form.encoding());
+            put_sized(out, |out| {
+                for (key, value) in metadata {
+                    put_text(out, key);
+                    put_text(out, value);
+                }
+            });
+        });
+        self.chunk.records().extend_from_slice(&record);
+        self.channels
+            .entry(topic.to_owned())
+            .or_default()
+            .push(Channel {
+                id,
+                publisher: source.name.clone(),
+                form,
+                pickled,
+                messages: 1,
+                record,
+            });
+        Some((id, 0))
     }
 
-    fn add_channel(
-        &mut self,
-        (publisher, topic, form, pickled): &ChannelKey,
-    ) -> Result<u16, McapError> {
-        let schema = match (self.schemas.get(form), form.schema()) {
+    /// The schema of a form; 0 if it has none.
+    fn schema(&mut self, form: Form) -> u16 {
+        let next = self.schemas.len() as u16 + 1;
+        match (self.schemas.get(&form), schema_record(form, next)) {
             (Some(id), _) => *id,
             (None, None) => 0,
-            (None, Some((name, schema))) => {
-                let id = self
-                    .writer
-                    .add_schema(name, "jsonschema", schema.as_bytes())?;
-                self.schemas.insert(*form, id);
-                id
+            (None, Some(record)) => {
+                self.chunk.records().extend_from_slice(&record);
+                self.schemas.insert(form, next);
+                next
             }
-        };
-        let wire = if *pickled { "pickle" } else { "raw" };
-        let metadata = BTreeMap::from([
-            ("publisher".to_owned(), publisher.clone()),
-            ("wire".to_owned(), wire.to_owned()),
-        ]);
-        self.writer
-            .add_channel(schema, topic, form.encoding(), &metadata)
+        }
     }
 
     /// Gives everything to the operating system, so that a crash of this process loses none of it. The file has no
@@ -165,7 +196,33 @@ impl Recording {
     /// # Errors
     /// As [`write`](Self::write).
     pub fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush().map_err(to_io)
+        self.write_chunk()
+    }
+
+    /// An error if the recording has ended early.
+    fn check(&self) -> io::Result<()> {
+        match self.has_failed {
+            true => Err(io::Error::other("the recording has ended")),
+            false => Ok(()),
+        }
+    }
+
+    fn write_chunk(&mut self) -> io::Result<()> {
+        self.check()?;
+        match self.chunk.write_to(&mut self.file, 2 * CHUNK) {
+            Ok(written) => self.whole += written,
+            Err(error) => {
+                self.cut();
+                return Err(error);
+            }
+        }
+        Ok(())
+    }
+
+    /// After an error: half a chunk helps no reader. If it cannot be removed, readers stop there.
+    fn cut(&mut self) {
+        self.has_failed = true;
+        let _ = self.file.set_len(self.whole);
     }
 
     /// The file, to bring to the disk what was flushed, while others write the recording.
@@ -179,7 +236,7 @@ impl Recording {
     /// How many topics it has.
     #[must_use]
     pub fn topics(&self) -> usize {
-        self.channels.len()
+        usize::from(self.count)
     }
 
     /// Writes the end of the file with its index, and brings it to the disk.
@@ -187,9 +244,49 @@ impl Recording {
     /// # Errors
     /// As [`write`](Self::write).
     pub fn finish(mut self) -> io::Result<()> {
-        self.writer.finish().map_err(to_io)?;
-        self.file.sync_all()
+        self.write_chunk()?;
+        let mut schemas: Vec<(u16, Form)> =
+            self.schemas.iter().map(|(form, id)| (*id, *form)).collect();
+        schemas.sort_unstable();
+        let schemas: Vec<Vec<u8>> = schemas
+            .into_iter()
+            .filter_map(|(id, form)| schema_record(form, id))
+            .collect();
+        let mut channels: Vec<&Channel> = self.channels.values().flatten().collect();
+        channels.sort_unstable_by_key(|channel| channel.id);
+        let summary = Summary {
+            counts: (schemas.len() as u16, u32::from(self.count)),
+            schemas: schemas.concat(),
+            channels: channels
+                .iter()
+                .flat_map(|channel| &channel.record)
+                .copied()
+                .collect(),
+            messages: channels
+                .iter()
+                .map(|channel| (channel.id, channel.messages))
+                .collect(),
+            span: self.span.unwrap_or_default(),
+        };
+        let written = summary.write_to(&self.file, self.whole);
+        if let Err(error) = written.and_then(|()| self.file.sync_all()) {
+            self.cut();
+            return Err(error);
+        }
+        Ok(())
     }
+}
+
+fn schema_record(form: Form, id: u16) -> Option<Vec<u8>> {
+    let (name, schema) = form.schema()?;
+    let mut record = Vec::new();
+    put_record(&mut record, op::SCHEMA, |out| {
+        put_u16(out, id);
+        put_text(out, name);
+        put_text(out, "jsonschema");
+        put_bytes(out, schema.as_bytes());
+    });
+    Some(record)
 }
 
 /// The clock of a recording: the wall clock at its start, and from then on the monotonic clock. So times never go
@@ -216,59 +313,6 @@ impl Clock {
     }
 }
 
-/// The file. Bytes wait until they are flushed or many. After an error the file ends where the last flush ended.
-struct Target {
-    file: File,
-    waiting: Vec<u8>,
-    written: u64,
-    whole: u64,
-    failed: bool,
-}
-
-impl Target {
-    fn write_waiting(&mut self) -> io::Result<()> {
-        if self.failed {
-            return Err(io::Error::other("the recording has ended"));
-        }
-        let written = self.file.write_all(&self.waiting);
-        if let Err(error) = written {
-            self.failed = true;
-            // Half a chunk helps no reader. If this fails, readers stop there.
-            let _ = self.file.set_len(self.whole);
-            return Err(error);
-        }
-        self.written += self.waiting.len() as u64;
-        self.waiting.clear();
-        Ok(())
-    }
-}
-
-impl Write for Target {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.waiting.extend_from_slice(bytes);
-        if self.waiting.len() as u64 > CHUNK {
-            self.write_waiting()?;
-        }
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.write_waiting()?;
-        self.whole = self.written;
-        Ok(())
-    }
-}
-
-impl Seek for Target {
-    /// Only tells the position: the writer does not seek.
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match to {
-            SeekFrom::Current(0) => Ok(self.written + self.waiting.len() as u64),
-            _ => Err(ErrorKind::Unsupported.into()),
-        }
-    }
-}
-
 /// Makes the name of a new file survive a power cut, where the system can.
 fn sync_directory(path: &Path) {
     let directory = match path.parent() {
@@ -277,12 +321,5 @@ fn sync_directory(path: &Path) {
     };
     if let Ok(directory) = File::open(directory) {
         let _ = directory.sync_all();
-    }
-}
-
-fn to_io(error: McapError) -> io::Error {
-    match error {
-        McapError::Io(error) => error,
-        other => io::Error::other(other),
     }
 }

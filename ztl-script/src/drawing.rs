@@ -6,7 +6,7 @@ mod text;
 use std::fmt::Write as _;
 use std::time::Duration;
 
-pub use layout::{Layout, NARROW, WIDE};
+pub use layout::{BELOW_OVERVIEW, Layout, NARROW, WIDE};
 pub use text::{escape, shorten};
 
 /// The styles of pages with timelines.

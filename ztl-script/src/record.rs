@@ -182,15 +182,19 @@ pub struct Record {
 pub struct Damage {
     /// The file.
     pub file: String,
-    /// The line, from 1.
-    pub line: u64,
+    /// The line, from 1; `None`: about all of it.
+    pub line: Option<u64>,
     /// What is wrong there.
     pub text: String,
 }
 
 impl fmt::Display for Damage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}: {}", self.file, self.line, self.text)
+        f.write_str(&self.file)?;
+        if let Some(line) = self.line {
+            write!(f, ":{line}")?;
+        }
+        write!(f, ": {}", self.text)
     }
 }
 
@@ -219,7 +223,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
             }
             damage.push(Damage {
                 file: name.to_owned(),
-                line: number,
+                line: Some(number),
                 text,
             });
         };
@@ -272,7 +276,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
     let mut about_file = |line, text: String| {
         damage.push(Damage {
             file: name.to_owned(),
-            line,
+            line: Some(line),
             text,
         });
     };

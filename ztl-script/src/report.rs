@@ -32,6 +32,14 @@ impl Report {
         }
     }
 
+    /// Shows a drawing below the overview of a run, by its place among the records: HTML for
+    /// [`BELOW_OVERVIEW`](crate::drawing::BELOW_OVERVIEW).
+    pub fn add_drawing(&mut self, run: usize, html: &str) {
+        if let Some(run) = self.runs.get_mut(run) {
+            run.drawing.push_str(html);
+        }
+    }
+
     /// The page, in HTML.
     #[must_use]
     pub fn html(&self) -> String {

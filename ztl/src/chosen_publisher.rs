@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ztl_std::keys::PublicKey;
 use ztl_std::remotes::{Remote, usual_path};
 use ztl_std::{Remotes, Subscriber};
 
@@ -10,12 +11,38 @@ use crate::exit::Misuse;
 
 /// A publisher.
 pub(crate) struct ChosenPublisher {
+    /// As it was given.
+    name: String,
     endpoint: String,
     /// Its entry in the configuration file.
     remote: Option<Remote>,
 }
 
+/// A publisher that is subscribed to.
+#[cfg_attr(
+    not(feature = "record"),
+    expect(dead_code, reason = "this build has no recordings")
+)]
+pub(crate) struct Connected {
+    /// As it was given.
+    pub(crate) name: String,
+    pub(crate) endpoint: String,
+    /// The key that it has to prove.
+    pub(crate) key: Option<PublicKey>,
+    pub(crate) subscriber: Subscriber,
+}
+
 impl ChosenPublisher {
+    /// A publisher of a configuration file.
+    #[cfg(feature = "record")]
+    pub(crate) fn named(name: &str, remote: Remote) -> Self {
+        Self {
+            name: name.to_owned(),
+            endpoint: remote.endpoint(),
+            remote: Some(remote),
+        }
+    }
+
     /// Finds a publisher by its name in the configuration file, or by its address.
     pub(crate) fn find(text: &str, config: Option<&Path>) -> Result<Self, Misuse> {
         let (endpoint, remote) = match text.contains("://") {
@@ -25,7 +52,11 @@ impl ChosenPublisher {
                 (remote.endpoint(), Some(remote))
             }
         };
-        Ok(Self { endpoint, remote })
+        Ok(Self {
+            name: text.to_owned(),
+            endpoint,
+            remote,
+        })
     }
 
     /// Subscribes to these scopes, or to the publisher's scope in the configuration file, or to all.
@@ -33,7 +64,7 @@ impl ChosenPublisher {
         self,
         scopes: &[String],
         keys: &KeyOptions,
-    ) -> Result<Subscriber, Box<dyn std::error::Error>> {
+    ) -> Result<Connected, Box<dyn std::error::Error>> {
         let mut builder = Subscriber::builder();
         if scopes.is_empty()
             && let Some(remote) = &self.remote
@@ -44,11 +75,18 @@ impl ChosenPublisher {
             builder = builder.scope(scope);
         }
         let keys = keys.read(self.remote.and_then(|remote| remote.keys).as_ref())?;
+        let mut key = None;
         if let Some((own, publisher)) = keys {
+            key = Some(publisher);
             builder = builder.keys(own, publisher);
         }
-        let connected = builder.connect(&self.endpoint);
-        Ok(connected.map_err(|error| Misuse(error.to_string()))?)
+        let subscriber = builder.connect(&self.endpoint);
+        Ok(Connected {
+            name: self.name,
+            endpoint: self.endpoint,
+            key,
+            subscriber: subscriber.map_err(|error| Misuse(error.to_string()))?,
+        })
     }
 }
 

@@ -41,6 +41,8 @@ mod ps;
 mod publish;
 #[cfg(feature = "record")]
 mod record;
+#[cfg(feature = "record")]
+mod recorder;
 mod remote_task;
 mod remotes_options;
 #[cfg(feature = "record")]

@@ -182,7 +182,8 @@ impl Replay {
         let mut first = None;
         let mut published: u64 = 0;
         for read in messages {
-            if !self.is_chosen(&read.topic) {
+            // The events of a run were not published.
+            if matches!(read.content, Content::Run(_)) || !self.is_chosen(&read.topic) {
                 continue;
             }
             let first = *first.get_or_insert(read.log_time);

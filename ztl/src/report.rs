@@ -13,7 +13,7 @@ use crate::terminal::{error_line, line};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Report {
-    /// Records written by `ztl run-script --record`; several are compared. Or one recording of `ztl record`
+    /// Records and recordings written by `ztl run-script --record`; several are compared. Or one recording of `ztl record`
     #[arg(required = true, value_name = "RUN.jsonl|FILE.mcap")]
     records: Vec<PathBuf>,
 
@@ -29,19 +29,23 @@ pub(crate) struct Report {
 
 impl Report {
     pub(crate) fn run(self) -> Done {
-        if let Some(path) = self.records.iter().find(|path| is_recording(path)) {
-            return self.of_recording(path);
-        }
         let mut records = Vec::new();
         let mut damage = Vec::new();
+        let mut drawings = Drawings::default();
         for path in &self.records {
-            let (runs, found) = read(path)?;
+            let (runs, found) = match is_recording(path) {
+                false => read(path)?,
+                true => match drawings.read(path, records.len())? {
+                    Recorded::Run(runs, damage) => (runs, damage),
+                    Recorded::Streams(html, damage) => {
+                        return self.of_streams(path, &html, &damage);
+                    }
+                },
+            };
             records.extend(runs);
             damage.extend(found);
         }
-        for damage in &damage {
-            error_line(format_args!("ztl: {damage}"));
-        }
+        tell(&damage);
         if records.is_empty() {
             return Err("no run in these records, so there is nothing to report".into());
         }
@@ -53,55 +57,48 @@ impl Report {
                 page.with_extension("operator.csv"),
             ]);
         }
-        for file in &files {
-            // Never overwrite the only copy of a record.
-            if self.records.iter().any(|record| same(record, file)) {
-                let file = file.display();
-                return Err(format!("{file} is a record; give the report another name").into());
-            }
+        let drawings = drawings.below_overviews(&records);
+        let mut report = report::Report::new(records, damage);
+        for (run, html) in drawings {
+            report.add_drawing(run, &html);
         }
-        let report = report::Report::new(records, damage);
         let texts = [
             report::Report::html as fn(&report::Report) -> String,
             report::Report::tasks_csv,
             report::Report::actions_csv,
         ];
+        for file in &files {
+            self.check_name(file)?;
+        }
         for (file, text) in files.iter().zip(texts) {
-            let written = std::fs::write(file, text(&report));
-            written.map_err(|error| format!("cannot write {}: {error}", file.display()))?;
-            line(format_args!("Written: {}", file.display()));
+            write(file, &text(&report))?;
         }
         Ok(ExitCode::SUCCESS)
     }
 
-    /// Makes the page of a recording.
-    #[cfg(feature = "record")]
-    fn of_recording(&self, path: &Path) -> Done {
+    /// Writes the page of a recording without a run.
+    fn of_streams(&self, path: &Path, html: &str, damage: &[Damage]) -> Done {
         if self.records.len() > 1 || self.csv {
-            let mistake = "a recording is reported alone, without --csv";
-            return Err(crate::exit::Misuse(mistake.to_owned()).into());
+            let path = path.display();
+            let mistake = format!("{path} has no run, so it is reported alone, without --csv");
+            return Err(crate::exit::Misuse(mistake).into());
         }
         let page = self.page();
-        if same(path, &page) {
-            let page = page.display();
-            return Err(format!("{page} is the recording; give the report another name").into());
-        }
-        let name = path.display();
-        let (html, damage) =
-            ztl_record::report(path).map_err(|error| format!("cannot report {name}: {error}"))?;
-        if damage.is_any() {
-            error_line(format_args!("ztl: warning: {name} {damage}"));
-        }
-        let written = std::fs::write(&page, html);
-        written.map_err(|error| format!("cannot write {}: {error}", page.display()))?;
-        line(format_args!("Written: {}", page.display()));
+        self.check_name(&page)?;
+        tell(damage);
+        write(&page, html)?;
         Ok(ExitCode::SUCCESS)
     }
 
-    #[cfg(not(feature = "record"))]
-    fn of_recording(&self, path: &Path) -> Done {
-        let path = path.display();
-        Err(format!("{path} is a recording, which this build cannot read (docs/dist.md)").into())
+    /// Never overwrites the only copy of a record.
+    fn check_name(&self, file: &Path) -> Result<(), String> {
+        match self.records.iter().any(|record| same(record, file)) {
+            true => {
+                let file = file.display();
+                Err(format!("{file} is a record; give the report another name"))
+            }
+            false => Ok(()),
+        }
     }
 
     fn page(&self) -> PathBuf {
@@ -113,14 +110,100 @@ impl Report {
     }
 }
 
+/// What a recording has.
+#[cfg_attr(
+    not(feature = "record"),
+    expect(dead_code, reason = "this build has no recordings")
+)]
+enum Recorded {
+    Run(Vec<Record>, Vec<Damage>),
+    /// The page of one without a run.
+    Streams(String, Vec<Damage>),
+}
+
+/// What is drawn of recordings, each with the place of its first run among all.
+#[cfg(feature = "record")]
+#[derive(Default)]
+struct Drawings(Vec<(usize, ztl_record::Drawn)>);
+
+#[cfg(feature = "record")]
+impl Drawings {
+    fn read(&mut self, path: &Path, place: usize) -> Result<Recorded, String> {
+        let name = path.display().to_string();
+        let drawn = ztl_record::Drawn::read(path);
+        let drawn = drawn.map_err(|error| format!("cannot report {name}: {error}"))?;
+        let mut damage = Vec::new();
+        if drawn.damage.is_any() {
+            damage.push(Damage {
+                file: name.clone(),
+                line: None,
+                text: format!("the recording {}", drawn.damage),
+            });
+        }
+        if drawn.run().is_empty() {
+            return Ok(Recorded::Streams(drawn.page(), damage));
+        }
+        let read = record::read(&name, drawn.run());
+        let (runs, found) = read.map_err(|error| format!("cannot read {name}: {error}"))?;
+        damage.extend(found);
+        if !runs.is_empty() {
+            self.0.push((place, drawn));
+        }
+        Ok(Recorded::Run(runs, damage))
+    }
+
+    /// Streams above the tasks, for the runs of these places.
+    fn below_overviews(self, records: &[Record]) -> Vec<(usize, String)> {
+        let drawings = self.0.into_iter().filter_map(|(place, mut drawn)| {
+            let html = drawn.below_overview(records.get(place)?, place);
+            Some((place, html))
+        });
+        drawings.collect()
+    }
+}
+
+#[cfg(not(feature = "record"))]
+#[derive(Default)]
+struct Drawings;
+
+#[cfg(not(feature = "record"))]
+impl Drawings {
+    fn read(&mut self, path: &Path, _: usize) -> Result<Recorded, String> {
+        let path = path.display();
+        Err(format!(
+            "{path} is a recording, which this build cannot read (docs/dist.md)"
+        ))
+    }
+
+    fn below_overviews(self, _: &[Record]) -> Vec<(usize, String)> {
+        Vec::new()
+    }
+}
+
+fn tell(damage: &[Damage]) {
+    for damage in damage {
+        error_line(format_args!("ztl: {damage}"));
+    }
+}
+
+fn write(file: &Path, text: &str) -> Result<(), String> {
+    let written = std::fs::write(file, text);
+    written.map_err(|error| format!("cannot write {}: {error}", file.display()))?;
+    line(format_args!("Written: {}", file.display()));
+    Ok(())
+}
+
 /// Whether a file is a recording: it begins as MCAP files do, or is called so.
 fn is_recording(path: &Path) -> bool {
     let mut begin = [0; 8];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut begin));
-    let is_called = path
-        .extension()
-        .is_some_and(|extension| extension == "mcap");
-    is_called || (read.is_ok() && begin == *b"\x89MCAP0\r\n")
+    is_called_recording(path) || (read.is_ok() && begin == *b"\x89MCAP0\r\n")
+}
+
+/// Whether a file is called as a recording.
+pub(crate) fn is_called_recording(path: &Path) -> bool {
+    let extension = path.extension();
+    extension.is_some_and(|extension| extension == "mcap")
 }
 
 fn read(path: &Path) -> Result<(Vec<Record>, Vec<Damage>), String> {

@@ -3,6 +3,7 @@
 
 mod output;
 mod plain;
+mod run_record;
 mod simulated_servers;
 mod view;
 
@@ -15,7 +16,6 @@ use tracing::Level;
 use ztl_script::event::{
     DecidedBy, FORMAT, RemoteOutline, RunCommand, RunEvent, RunOutcome, RunStarted,
 };
-use ztl_script::record::Recorder;
 use ztl_script::{Defaults, PlayOptions, Runner, Script, timeline};
 use ztl_std::Remotes;
 use ztl_std::remotes::Remote;
@@ -30,9 +30,12 @@ use crate::server_connection::connect;
 use crate::terminal::{error_line, error_part, line};
 use crate::{log, signals};
 use output::LineOutput;
+use run_record::RunRecord;
 use simulated_servers::SimulatedServers;
 use view::View;
 
+/// What logs subscriptions, which concern the recording alone.
+const SUBSCRIBER: &str = "object-subscriber";
 /// Time limit for writing the last lines.
 const LAST_LINES: Duration = Duration::from_secs(2);
 /// Time from a second Ctrl-C to the end of the process; longer than the run needs to end by itself.
@@ -71,9 +74,15 @@ pub(crate) struct RunScript {
     #[arg(long)]
     dry_run: bool,
 
-    /// Record all events, one line each (docs/record.md); FILE must not exist
+    /// Record all events: a line for each, or with a FILE.mcap together with all publishers of the configuration file
+    /// (docs/record.md); FILE must not exist
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+
+    /// In a recording, the bytes of this topic are sound: 16-bit samples, so many a second (repeatable)
+    #[cfg(feature = "record")]
+    #[arg(long, value_name = "TOPIC=RATE[xCHANNELS]", value_parser = crate::record::sound, requires = "record")]
+    sound: Vec<(String, ztl_record::SoundFormat)>,
 
     /// Use the original's output and keys on a terminal too
     #[arg(long)]
@@ -109,8 +118,8 @@ impl RunScript {
         if let Some(lines) = lines.clone() {
             // The addresses of simulated servers do not matter.
             let quiet: &[&str] = match self.simulate {
-                Some(_) => &["remote-task", "remote-config"],
-                None => &[],
+                Some(_) => &["remote-task", "remote-config", SUBSCRIBER],
+                None => &[SUBSCRIBER],
             };
             log::init_to(Level::INFO, quiet, lines);
         }
@@ -191,11 +200,24 @@ impl RunScript {
             .filter(|name| remotes.task(name).is_ok());
         options.remotes = known.map(str::to_owned).collect();
         let started = self.started(&script, &remotes);
+        let streams = match self.simulate {
+            // A rehearsal has nothing to do with real robots.
+            Some(_) => Remotes::named("no configuration"),
+            None => remotes.clone(),
+        };
         let mut show = Runner::new(Arc::clone(&script), options, connect(remotes, connecting));
+        // Before anything is sent.
+        let record = self.record.as_deref();
+        #[cfg(feature = "record")]
+        let sounds = self.sound.as_slice();
+        #[cfg(not(feature = "record"))]
+        let sounds = ();
+        let record = record.map(|path| RunRecord::create(path, (&streams, sounds), show.handle()));
+        let record = record.transpose()?;
         if !live {
             notes.clear();
         }
-        let outcome = self.perform(&mut show, &script, (started, notes), lines)?;
+        let outcome = self.perform(&mut show, &script, (started, notes), (lines, record))?;
         drop(simulated);
         let code = ExitCode::from(u8::from(outcome != RunOutcome::Completed));
         Ok(signals::exit_code_or(code))
@@ -207,10 +229,9 @@ impl RunScript {
         show: &mut Runner,
         script: &Script,
         (started, notes): (RunStarted, Vec<String>),
-        lines: Option<&LineOutput>,
+        (lines, mut record): (Option<&LineOutput>, Option<RunRecord>),
     ) -> Result<RunOutcome, Box<dyn std::error::Error>> {
         let mut view = View::open(script, show.handle(), lines.cloned(), self.yes)?;
-        let mut record = self.record.as_deref().map(Recorder::create).transpose()?;
         let handle = show.handle();
         signals::then(move || handle.command(RunCommand::Stop, DecidedBy::Signal));
         show.tell(RunEvent::RunStarted(Box::new(started)));
@@ -230,17 +251,23 @@ impl RunScript {
                     show.decide(command, question);
                 }
             }
+            for text in record.iter().flat_map(RunRecord::warnings) {
+                show.tell(RunEvent::Note { text });
+            }
             let Some(stamped) = show.next(Duration::from_secs(3600)) else {
                 continue;
             };
             if let Some(record) = &mut record
-                && let Err(unrecorded) = record.write(&stamped)
+                && let Err(warning) = record.write(&stamped)
             {
-                view.warn(stamped.at, &unrecorded.to_string());
+                view.warn(stamped.at, &warning);
             }
             view.handle(&stamped);
             if let RunEvent::RunEnded { outcome, .. } = stamped.event {
                 view.close();
+                if let Some(Err(lack)) = record.map(RunRecord::finish) {
+                    error_line(format_args!("ztl: warning: {lack}"));
+                }
                 return Ok(outcome);
             }
         }

@@ -128,7 +128,7 @@ impl Subscribe {
     /// Connects to the publisher.
     fn connect(&self) -> Result<Subscriber, Box<dyn std::error::Error>> {
         let publisher = ChosenPublisher::find(&self.publisher, self.config.as_deref())?;
-        publisher.connect(&self.scopes, &self.keys)
+        Ok(publisher.connect(&self.scopes, &self.keys)?.subscriber)
     }
 }
 

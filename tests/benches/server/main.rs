@@ -15,6 +15,7 @@
 //! at a tenth of the others' rate, hardly at all.
 
 mod alone;
+mod busy;
 mod connections;
 mod echo;
 mod latency;
@@ -43,7 +44,7 @@ const INIT: &str = "/test;1;-1;dGVzdDplY2hvOmhp";
 type Part = fn(&Bench);
 
 /// The available measurements, by name.
-const PARTS: [(&str, Part); 9] = [
+const PARTS: [(&str, Part); 11] = [
     ("rates", rates),
     ("most", alone::most),
     ("cpu", alone::cpu_per_request),
@@ -52,6 +53,8 @@ const PARTS: [(&str, Part); 9] = [
     ("end", latency::end_to_known),
     ("idle", alone::idle),
     ("streams", streams::streams),
+    ("streams-abort", busy::aborts_beside_images),
+    ("streams-recording", busy::recording),
     ("connections", connections::many),
 ];
 
@@ -173,12 +176,19 @@ fn main() {
     if let Ok(kind) = std::env::var("ZTL_BENCH_ECHO") {
         return match kind.as_str() {
             "epoll" => echo::serve(),
+            "images" => busy::serve(),
             kind => load::echo(kind),
         };
     }
     // The parts named on the command line, otherwise all; Cargo adds its own arguments.
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let named = |name: &str| words.iter().any(|word| word == name);
+    let named = |name: &str| {
+        let is_it = |word: &String| name.strip_prefix(word.as_str());
+        let rests = words.iter().filter_map(is_it);
+        rests
+            .into_iter()
+            .any(|rest| rest.is_empty() || rest.starts_with('-'))
+    };
     let all = !PARTS.iter().any(|(name, _)| named(name));
     let slice = std::env::var("ZTL_BENCH_SLICE_MS").ok();
     let slice = slice.map_or(100, |text| text.parse().expect("a whole number"));

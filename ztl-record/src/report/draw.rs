@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use ztl_script::drawing::{Axis, Drawing, Layout, NARROW, WIDE, escape};
+use ztl_script::drawing::{Axis, Drawing, Layout, escape};
 
 use super::series::Series;
 use super::streams::{IMAGES as MOST_IMAGES, Stream};
 use super::tasks::Task;
-use super::{Recorded, Span};
+use super::{Drawn, Span};
 use crate::form::to_base64;
 
 /// Heights of rows, in units of the drawing.
@@ -17,11 +17,13 @@ const SOUND: f64 = 44.0;
 const MARKS: f64 = 22.0;
 /// Size of an image in the wide layout.
 const IMAGE: (f64, f64) = (84.0, 63.0);
+/// The width of a letter of a remark, roughly.
+const LETTER: f64 = 6.6;
 /// Most tasks in the drawing; the table has more.
 const TASKS: usize = 300;
 
 /// All images, once, for both layouts.
-pub(super) fn images(recorded: &Recorded) -> String {
+pub(super) fn images(recorded: &Drawn, number: usize) -> String {
     let images = recorded
         .streams
         .shown
@@ -29,7 +31,7 @@ pub(super) fn images(recorded: &Recorded) -> String {
         .flat_map(|stream| &stream.images);
     let images = images.enumerate().map(|(nth, (_, jpeg))| {
         format!(
-            "<image id=\"image-{nth}\" width=\"{}\" height=\"{}\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,{}\"/>\n",
+            "<image id=\"image-{number}-{nth}\" width=\"{}\" height=\"{}\" preserveAspectRatio=\"xMinYMid\" href=\"data:image/jpeg;base64,{}\"/>\n",
             IMAGE.0,
             IMAGE.1,
             to_base64(jpeg)
@@ -41,9 +43,9 @@ pub(super) fn images(recorded: &Recorded) -> String {
     )
 }
 
-pub(super) fn timeline(recorded: &Recorded) -> String {
-    [&WIDE, &NARROW]
-        .map(|layout| timeline_in(recorded, layout))
+pub(super) fn timeline(recorded: &Drawn, layouts: [&'static Layout; 2], number: usize) -> String {
+    layouts
+        .map(|layout| timeline_in(recorded, layout, number))
         .concat()
 }
 
@@ -53,10 +55,12 @@ struct Rows {
     layout: &'static Layout,
     axis: Axis,
     span: Span,
+    /// In the names of its images.
+    number: usize,
     y: f64,
 }
 
-fn timeline_in(recorded: &Recorded, layout: &'static Layout) -> String {
+fn timeline_in(recorded: &Drawn, layout: &'static Layout, number: usize) -> String {
     let (left, right) = layout.bars();
     let length = Duration::from_nanos(recorded.span.length());
     let mut rows = Rows {
@@ -64,6 +68,7 @@ fn timeline_in(recorded: &Recorded, layout: &'static Layout) -> String {
         layout,
         axis: Axis::new(Duration::ZERO, length, left, right),
         span: recorded.span,
+        number,
         y: 20.0,
     };
     let mut nth_image = 0;
@@ -87,7 +92,10 @@ fn timeline_in(recorded: &Recorded, layout: &'static Layout) -> String {
         ..
     } = rows;
     drawing.height = y + 6.0;
+    // Behind the rows.
+    let rows = std::mem::take(&mut drawing.out);
     drawing.scale(&axis, 0.0, y);
+    drawing.out += &rows;
     drawing.end(&format!("Timeline of {}", recorded.name))
 }
 
@@ -120,9 +128,8 @@ impl Rows {
             let ranges = stream.lines.values().filter_map(|series| series.range);
             let all = ranges.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
             let (least, greatest) = all.unwrap_or_default();
-            let names: Vec<&str> = stream.lines.keys().map(String::as_str).collect();
-            let names = names.join(", ");
-            let remark = format!("{} to {} {names}", short(least), short(greatest));
+            let remark = format!("{} to {}", short(least), short(greatest));
+            self.line_names(stream.lines.keys(), &remark);
             let place = self.row(name, &remark, LINES);
             for (nth, (line, series)) in stream.lines.iter().enumerate() {
                 self.line(nth, line, series, (least, greatest), place);
@@ -143,7 +150,8 @@ impl Rows {
                 self.drawing.line("due", (x, place.0), (x, place.1));
                 let _ = writeln!(
                     self.drawing.out,
-                    "<use href=\"#image-{nth_image}\" transform=\"translate({x:.1} {:.1}) scale({scale:.2})\"/>",
+                    "<use href=\"#image-{}-{nth_image}\" transform=\"translate({x:.1} {:.1}) scale({scale:.2})\"/>",
+                    self.number,
                     place.0 + 3.0
                 );
                 *nth_image += 1;
@@ -158,8 +166,23 @@ impl Rows {
             for (at, text) in &stream.marks {
                 let x = self.axis.x(self.span.at(*at));
                 let place = (place.0 + 4.0, place.1 - 4.0);
-                self.drawing.bar("mark", (x, x + 2.0), place, "", text);
+                self.drawing.bar("value", (x, x + 2.0), place, "", text);
             }
+        }
+    }
+
+    /// The names of lines in their colours, behind the remark. Those without room are left out.
+    fn line_names<'n>(&mut self, names: impl Iterator<Item = &'n String>, remark: &str) {
+        let (x, width) = self.layout.remark();
+        let mut at = x + (remark.chars().count() + 2) as f64 * LETTER;
+        for (nth, name) in names.enumerate() {
+            let length = name.chars().count() as f64 * LETTER;
+            if at + length > x + width {
+                return;
+            }
+            let class = format!("remark l{nth}");
+            self.drawing.text(&class, at, self.y + 14.0, name);
+            at += length + 2.0 * LETTER;
         }
     }
 
@@ -245,7 +268,10 @@ impl Rows {
 
 pub(super) fn task_name(task: &Task) -> String {
     let name = task.name.as_deref().unwrap_or("task");
-    format!("{name} ({} {})", task.scope, task.id)
+    match task.id.as_str() {
+        "" => format!("{name} ({})", task.scope),
+        id => format!("{name} ({} {id})", task.scope),
+    }
 }
 
 /// The class of a state in the style sheet.
@@ -253,7 +279,8 @@ pub(super) fn class(state: &str) -> &'static str {
     match state {
         "COMPLETED" => "completed",
         "ABORTED" => "aborted",
-        "FAILED" | "REJECTED" => "failed",
+        "FAILED" | "REJECTED" | "REFUSED" | "NOT STARTED" => "failed",
+        "UNKNOWN" => "unknown",
         _ => "open",
     }
 }
@@ -262,7 +289,8 @@ fn sign(state: &str) -> &'static str {
     match state {
         "COMPLETED" => "✓",
         "ABORTED" => "■",
-        "FAILED" | "REJECTED" => "✗",
+        "FAILED" | "REJECTED" | "REFUSED" | "NOT STARTED" => "✗",
+        "UNKNOWN" => "?",
         _ => "›",
     }
 }

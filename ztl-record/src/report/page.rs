@@ -4,21 +4,14 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use ztl_script::drawing::{PATTERNS, STYLE, escape};
 
-use super::Recorded;
-use super::draw::{class, images, seconds, task_name, timeline};
-
-/// Styles of streams.
-const STREAM_STYLE: &str = "\
-svg .series { fill: none; stroke-width: 1.3; stroke: var(--open); } svg .series.s1 { stroke: var(--failed); }
-svg .series.s2 { stroke: var(--completed); } svg .series.s3 { stroke: var(--aborted); } svg .series.s4 { stroke: var(--unknown); }
-svg .series.s5 { stroke: var(--soft); } svg .wave { fill: none; stroke-width: 1; stroke: var(--open); }
-";
+use super::Drawn;
+use super::draw::{class, seconds, task_name};
 
 /// The columns of the tables.
 const STREAMS: [&str; 4] = ["topic", "publisher", "messages", "a second"];
 const TASKS: [&str; 5] = ["task", "start", "length", "state", "text"];
 
-pub(super) fn page(recorded: &Recorded) -> String {
+pub(super) fn page(recorded: &Drawn) -> String {
     let title = format!("{}, {}", recorded.name, start(recorded));
     let title = escape(&title);
     let damage = match recorded.damage.is_any() {
@@ -32,15 +25,14 @@ pub(super) fn page(recorded: &Recorded) -> String {
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n\
-         <title>{title}</title>\n<style>\n{STYLE}{STREAM_STYLE}</style>\n</head>\n<body>\n{PATTERNS}{images}<main>\n\
+         <title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n{PATTERNS}<main>\n\
          <h1>{title}</h1>\n{damage}<p class=\"note\">{messages} messages in {length}.{hidden}</p>\n{timeline}{streams}{tasks}\
          <footer>Made by ztl {version} from one recording. Times are in seconds from its first message.</footer>\n\
          </main>\n</body>\n</html>\n",
-        images = images(recorded),
         messages = recorded.messages,
         length = seconds(recorded.span.length()),
         hidden = hidden(recorded),
-        timeline = timeline(recorded),
+        timeline = recorded.timeline(),
         streams = streams(recorded),
         tasks = tasks(recorded),
         version = env!("CARGO_PKG_VERSION"),
@@ -48,7 +40,7 @@ pub(super) fn page(recorded: &Recorded) -> String {
 }
 
 /// What is too much to be shown.
-fn hidden(recorded: &Recorded) -> String {
+fn hidden(recorded: &Drawn) -> String {
     let (streams, tasks) = (recorded.streams.hidden, recorded.tasks.hidden);
     let mut out = String::new();
     if streams > 0 {
@@ -60,7 +52,7 @@ fn hidden(recorded: &Recorded) -> String {
     out
 }
 
-fn start(recorded: &Recorded) -> String {
+fn start(recorded: &Drawn) -> String {
     let at = UNIX_EPOCH + Duration::from_nanos(recorded.span.from);
     // Later times have no RFC 3339 form; 64 bits of nanoseconds end before them.
     let text = humantime::format_rfc3339_seconds(SystemTime::max(at, UNIX_EPOCH)).to_string();
@@ -69,10 +61,12 @@ fn start(recorded: &Recorded) -> String {
 
 /// A row of a table, of cells with text. Narrow pages show the column's name in each cell.
 fn row(class: &str, columns: &[&str], cells: &[String]) -> String {
-    let cells = columns
-        .iter()
-        .zip(cells)
-        .map(|(column, cell)| format!("<td data-name=\"{column}\">{}</td>", escape(cell)));
+    let cells = columns.iter().zip(cells).map(|(column, cell)| {
+        format!(
+            "<td class=\"long\" data-name=\"{column}\">{}</td>",
+            escape(cell)
+        )
+    });
     let cells: String = cells.collect();
     format!("<tr class=\"{class}\">{cells}</tr>\n")
 }
@@ -88,7 +82,7 @@ fn table(heading: &str, columns: &[&str], rows: &str) -> String {
     )
 }
 
-fn streams(recorded: &Recorded) -> String {
+pub(super) fn streams(recorded: &Drawn) -> String {
     let length = Duration::from_nanos(recorded.span.length()).as_secs_f64();
     let shown = recorded.streams.shown.iter();
     let rows = shown.map(|((topic, publisher), stream)| {
@@ -105,7 +99,7 @@ fn streams(recorded: &Recorded) -> String {
     table("Streams", &STREAMS, &rows)
 }
 
-fn tasks(recorded: &Recorded) -> String {
+fn tasks(recorded: &Drawn) -> String {
     let rows = recorded.tasks.shown.iter().map(|task| {
         let length = match task.to {
             Some(to) => seconds(to.saturating_sub(task.from)),

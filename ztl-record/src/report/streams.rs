@@ -44,7 +44,7 @@ pub(super) struct Stream {
     pub(super) sound: Option<(SoundFormat, Series)>,
     /// Time and JPEG.
     pub(super) images: Vec<(u64, Vec<u8>)>,
-    /// Which image is next.
+    /// When there is room for the next image.
     next: u64,
     pub(super) marks: Vec<(u64, String)>,
 }
@@ -60,7 +60,7 @@ impl Streams {
     }
 
     pub(super) fn on_message(&mut self, read: &Read) {
-        let key = (read.topic.clone(), read.publisher.clone());
+        let key = (read.topic.clone(), read.source.name.clone());
         if self.shown.len() >= STREAMS && !self.shown.contains_key(&key) {
             self.hidden += 1;
             return;
@@ -69,7 +69,7 @@ impl Streams {
         let stream = self.shown.entry(key).or_default();
         stream.messages += 1;
         match &read.content {
-            Content::Task(..) => {}
+            Content::Run(_) | Content::Task(..) => {}
             Content::Value(pickle) => stream.on_value(span, at, pickle.value()),
             Content::Text(text) => match text.trim().parse() {
                 Ok(number) => stream.on_number(span, at, "", number),
@@ -174,15 +174,14 @@ impl Stream {
         }
     }
 
-    /// Keeps an image if its time has come. Returns its bytes that are kept.
+    /// Keeps an image if there is room for it beside the one before. Returns its bytes that are kept.
     fn on_image(&mut self, span: Span, at: u64, bytes: &[u8], room: usize) -> usize {
-        let passed = u128::from(at.saturating_sub(span.from)) * u128::from(IMAGES);
-        let slot = (passed / u128::from(span.length().max(1))).min(u128::from(IMAGES - 1));
-        let slot = u64::try_from(slot).unwrap_or(0);
-        if slot < self.next || bytes.len() > room {
+        let width = span.length() / IMAGES;
+        let is_last = at.saturating_add(width) > span.to && !self.images.is_empty();
+        if at < self.next || is_last || bytes.len() > room {
             return 0;
         }
-        self.next = slot + 1;
+        self.next = at.saturating_add(width);
         self.images.push((at, bytes.to_vec()));
         bytes.len()
     }

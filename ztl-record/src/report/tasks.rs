@@ -1,6 +1,9 @@
 //! The tasks of a recording.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
+
+use ztl_script::event::{RunEvent, RunStarted, TaskState};
+use ztl_script::record::Record;
 
 use crate::task::TaskEvent;
 
@@ -72,6 +75,92 @@ impl Tasks {
             task.to = Some(at);
         }
     }
+
+    /// Adds the tasks of a run whose first event was at this time, if no server has told of them.
+    pub(super) fn add_run(&mut self, run: &Record, first: u64) {
+        let mut told: BTreeSet<usize> = (0..self.shown.len()).collect();
+        let mut tasks: HashMap<u32, Task> = HashMap::new();
+        for event in &run.events {
+            let begin = run.events.first().map_or(event.at, |first| first.at);
+            let at = event.at.saturating_sub(begin).as_nanos();
+            let at = first.saturating_add(u64::try_from(at).unwrap_or(u64::MAX));
+            match &event.event {
+                RunEvent::TaskStarting {
+                    task,
+                    scene,
+                    step,
+                    part,
+                    ..
+                } => {
+                    let planned = planned(&run.started, (*scene, *step, *part));
+                    let (name, scope) = planned.unwrap_or_default();
+                    let new = Task {
+                        scope: scope.to_owned(),
+                        id: String::new(),
+                        name: Some(name),
+                        from: at,
+                        accepted: None,
+                        to: None,
+                        state: String::new(),
+                        text: String::new(),
+                    };
+                    tasks.insert(task.0, new);
+                }
+                RunEvent::TaskState {
+                    task,
+                    state,
+                    id,
+                    text,
+                    ..
+                } => {
+                    let Some(task) = tasks.get_mut(&task.0) else {
+                        continue;
+                    };
+                    task.state = state.to_string().to_uppercase();
+                    task.text = cut(text);
+                    if let Some(id) = id {
+                        task.id = id.to_string();
+                    }
+                    if *state == TaskState::Accepted {
+                        task.accepted.get_or_insert(at);
+                    }
+                    task.to = state.is_over().then_some(at);
+                }
+                _ => {}
+            }
+        }
+        let mut new: Vec<Task> = tasks.into_values().collect();
+        new.sort_by_key(|task| task.from);
+        new.retain(|task| {
+            let is_it = |other: &Task| match task.id.is_empty() {
+                false => other.scope == task.scope && other.id == task.id,
+                // A client learns no id of a task that was rejected at once.
+                true => {
+                    let is_same = other.scope == task.scope && other.name == task.name;
+                    is_same && other.state == "REJECTED" && other.from >= task.from
+                }
+            };
+            let is_told = |index: &&usize| self.shown.get(**index).is_some_and(is_it);
+            match told.iter().find(is_told).copied() {
+                Some(index) => !told.remove(&index),
+                None => true,
+            }
+        });
+        let room = TASKS.saturating_sub(self.shown.len());
+        self.shown.extend(new.into_iter().take(room));
+        self.shown.sort_by_key(|task| task.from);
+        // Their places have changed.
+        self.newest.clear();
+    }
+}
+
+/// The task at a place of a run: its name, and the scope of its server.
+fn planned(run: &RunStarted, (scene, step, part): (usize, usize, usize)) -> Option<(String, &str)> {
+    let scene = run.outline.scenes.get(scene)?;
+    let task = scene.steps.get(step)?.tasks.get(part)?;
+    let remote = run.remotes.iter().find(|remote| remote.name == task.remote);
+    let name = format!("{}:{}:{}", task.handler, task.component, task.goal);
+    Some((cut(&name), remote.map_or("", |remote| &remote.scope)))
 }
 
 fn name(event: &TaskEvent) -> Option<String> {

@@ -8,6 +8,8 @@ pub struct Layout {
     pub width: f64,
     /// Width of the names left of the bars; `None`: names and remarks are above their bars.
     pub(crate) names: Option<f64>,
+    /// The left end of bars below their names.
+    pub(crate) left: f64,
     /// Width of the names in the overview.
     pub overview: f64,
     /// Width of the remarks beside the bars.
@@ -23,6 +25,7 @@ pub const WIDE: Layout = Layout {
     class: "wide",
     width: 1180.0,
     names: Some(300.0),
+    left: 0.0,
     overview: 110.0,
     remarks: 256.0,
     row: 21.0,
@@ -34,11 +37,24 @@ pub const NARROW: Layout = Layout {
     class: "narrow",
     width: 366.0,
     names: None,
+    left: 2.0,
     overview: 58.0,
     remarks: 176.0,
     row: 38.0,
     ticks: 4.0,
 };
+
+/// As [`WIDE`] and [`NARROW`], for a drawing below an overview: on the overview's axis, with names above the bars.
+pub const BELOW_OVERVIEW: [Layout; 2] = [below_overview(WIDE), below_overview(NARROW)];
+
+const fn below_overview(layout: Layout) -> Layout {
+    Layout {
+        names: None,
+        left: layout.overview,
+        row: NARROW.row,
+        ..layout
+    }
+}
 
 impl Layout {
     /// The left and right ends of the bars.
@@ -46,7 +62,7 @@ impl Layout {
     pub const fn bars(&self) -> (f64, f64) {
         match self.names {
             Some(names) => (names, self.width - self.remarks),
-            None => (2.0, self.width - 14.0),
+            None => (self.left, self.width - 14.0),
         }
     }
 

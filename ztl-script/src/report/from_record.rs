@@ -25,6 +25,7 @@ pub(super) fn read(record: Record) -> ReportedRun {
                 events: Vec::new(),
                 ..record
             },
+            drawing: String::new(),
             outcome: None,
             last_words: String::new(),
             takes: Vec::new(),

@@ -20,7 +20,7 @@ pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
     let mut out = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n\
          <title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n{}<main>\n",
         escape(&title),
         PATTERNS
@@ -279,6 +279,7 @@ fn one(run: &ReportedRun, nth: usize, of: usize) -> String {
     }
     out += &facts(run);
     out += &svg::overview(run);
+    out += &run.drawing;
     let body = scenes(run) + &tables::all(run);
     if of > 1 {
         out += &format!(

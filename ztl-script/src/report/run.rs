@@ -14,6 +14,8 @@ use crate::record::Record;
 #[derive(Debug, Clone)]
 pub(super) struct ReportedRun {
     pub(super) record: Record,
+    /// More about it below its overview, in HTML.
+    pub(super) drawing: String,
     /// From its start to the last event.
     pub(super) length: Duration,
     /// `None` if the record is cut off.

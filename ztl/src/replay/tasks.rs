@@ -11,7 +11,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::Scope;
 use std::time::Duration;
 
-use ztl_record::{Content, Reader, TaskEvent};
+use ztl_record::{Content, Reader, Source, TaskEvent};
 use ztl_std::remotes::Remote;
 use ztl_std::{RemoteTask, State, TaskSpec};
 
@@ -75,7 +75,7 @@ impl TaskOptions {
     ) -> Result<Agreed, Box<dyn std::error::Error>> {
         let mut messages = 0;
         let mut asked = BTreeMap::new();
-        let mut tasks: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
+        let mut tasks: BTreeMap<String, BTreeMap<(Source, String), usize>> = BTreeMap::new();
         for read in reader.by_ref() {
             messages += 1;
             let Content::Task(event, _) = read.content else {
@@ -84,18 +84,34 @@ impl TaskOptions {
             if !is_chosen(&read.topic) {
                 continue;
             }
-            if let Some((name, payload)) = request(&event)
-                && let Entry::Vacant(entry) =
-                    asked.entry((event.scope.clone(), event.id, read.publish_time))
-            {
-                entry.insert((name.clone(), payload));
-                *tasks
-                    .entry(event.scope)
-                    .or_default()
-                    .entry(name)
-                    .or_default() += 1;
+            let Some(request) = request(&event) else {
+                continue;
+            };
+            let key = (event.scope.clone(), event.id, read.publish_time);
+            match asked.entry(key) {
+                Entry::Vacant(entry) => {
+                    let count = tasks.entry(event.scope).or_default();
+                    *count
+                        .entry(((*read.source).clone(), request.0.clone()))
+                        .or_default() += 1;
+                    entry.insert((request, read.source));
+                }
+                Entry::Occupied(known) if known.get().0 == request => {}
+                Entry::Occupied(known) => {
+                    let (scope, id, _) = known.key();
+                    return Err(Misuse(format!(
+                        "{} and {} tell of task {} of {} differently; leave it out with --topics; nothing was sent",
+                        teller(&known.get().1),
+                        teller(&read.source),
+                        flat(id),
+                        flat(scope)
+                    ))
+                    .into());
+                }
             }
         }
+        let asked = asked.into_iter().map(|(key, (request, _))| (key, request));
+        let asked = asked.collect();
         if tasks.is_empty() {
             return Err("no tasks in this recording".into());
         }
@@ -116,8 +132,13 @@ impl TaskOptions {
                 flat(&scope),
                 names.values().sum::<usize>()
             ));
-            for (task, count) in names {
-                line(format_args!("    {count} x '{}'", flat(&task)));
+            let mut told_by = None;
+            for ((source, task), count) in names {
+                if told_by.as_ref() != Some(&source) {
+                    line(format_args!("    told by {}", teller(&source)));
+                }
+                line(format_args!("      {count} x '{}'", flat(&task)));
+                told_by = Some(source);
             }
             let connection = RemoteTask::connect(&remote.endpoint(), &scope)?;
             let connection = ConnectOptions::default().apply(connection, remote.keys.as_ref())?;
@@ -158,6 +179,28 @@ impl TaskOptions {
                 "no server in {file} has the scope {scope}; leave its tasks out with --topics; nothing was sent"
             ))),
         }
+    }
+}
+
+/// Who told of a task, and how sure that is.
+fn teller(source: &Source) -> String {
+    let Source {
+        name,
+        endpoint,
+        key,
+    } = source;
+    let name = if name.is_empty() { "somebody" } else { name };
+    let endpoint = match endpoint.is_empty() {
+        true => "address unknown",
+        false => endpoint,
+    };
+    let sure = match key.is_empty() {
+        true => "not authenticated".to_owned(),
+        false => format!("authenticated by its key {}", flat(key)),
+    };
+    match name == endpoint {
+        true => format!("{} ({sure})", flat(name)),
+        false => format!("{} ({}, {sure})", flat(name), flat(endpoint)),
     }
 }
 
