@@ -75,15 +75,12 @@ fn abort_all(
         let known = server.tasks()?;
         let here =
             |task: &&ServerTask| task.may_run && scope.is_none_or(|scope| scope == task.scope);
-        let mut found_new = false;
-        for task in known.tasks.iter().filter(here) {
-            if tried.insert((task.scope.clone(), task.id.clone())) {
-                found_new = true;
-                all_ended &= abort(server, &Wanted::of(task));
-            }
-        }
+        let mut is_new = |task: &&ServerTask| tried.insert((task.scope.clone(), task.id.clone()));
+        let found = known.tasks.iter().filter(here).filter(&mut is_new);
+        let found: Vec<Wanted> = found.map(Wanted::of).collect();
+        all_ended &= abort(server, &found)?;
         // The list may have room for others now.
-        if found_new && !known.gaps.is_empty() {
+        if !found.is_empty() && !known.gaps.is_empty() {
             continue;
         }
         let all_named = all_named(&known);
@@ -116,32 +113,28 @@ fn abort_these(
     if known.is_none() && scope.is_none() {
         return Err(format!("{}; give --scope", server.original()).into());
     }
-    let mut all_ended = known.as_ref().is_none_or(|known| {
+    let mut all_known = known.as_ref().is_none_or(|known| {
         let found = |id: &RemoteId| known.tasks.iter().any(|task| task.id == *id);
         ids.iter().all(found) || all_named(known)
     });
-    // Aborts the others even if one is unknown.
+    let mut all = Vec::new();
     for id in ids {
         let wanted = find(known.as_ref(), id);
-        let in_scope = scope.as_ref().map(|scope| Wanted {
-            scope: scope.clone(),
-            id: id.clone(),
-            task: String::new(),
-        });
-        let wanted = if wanted.is_empty() {
-            Vec::from_iter(in_scope)
-        } else {
-            wanted
-        };
-        if wanted.is_empty() {
-            unknown(server, id);
-            all_ended = false;
-        }
-        for wanted in &wanted {
-            all_ended &= abort(server, wanted);
+        match &scope {
+            _ if !wanted.is_empty() => all.extend(wanted),
+            Some(scope) => all.push(Wanted {
+                scope: scope.clone(),
+                id: id.clone(),
+                task: String::new(),
+            }),
+            // Aborts the others even if one is unknown.
+            None => {
+                unknown(server, id);
+                all_known = false;
+            }
         }
     }
-    Ok(all_ended)
+    Ok(abort(server, &all)? && all_known)
 }
 
 /// The tasks with this id that may run, in all scopes; otherwise one that has ended.
@@ -160,22 +153,28 @@ fn unknown(server: &QueriedServer, id: &RemoteId) {
     ));
 }
 
-/// Aborts a task and prints what became of it. Returns whether it has certainly ended.
-fn abort(server: &QueriedServer, wanted: &Wanted) -> bool {
-    let Wanted { scope, id, task } = wanted;
-    let mut remote = match server.connect(scope) {
-        Ok(remote) => remote,
-        Err(error) => {
-            error_line(format_args!(
-                "ztl: cannot abort task {id}: {error}; it may still run"
-            ));
-            return false;
+/// Aborts tasks at the same time, and prints what became of each. Returns whether all have certainly ended.
+fn abort(server: &QueriedServer, wanted: &[Wanted]) -> Result<bool, Box<dyn std::error::Error>> {
+    let tasks = wanted.iter().map(|task| (task.scope.clone(), task.id.clone()));
+    let tasks: Vec<_> = tasks.collect();
+    let mut all_ended = true;
+    server.connect("$ztl")?.abort_all(&tasks, |at, answer| {
+        if let Some(wanted) = wanted.get(at) {
+            all_ended &= report(server, wanted, &answer);
         }
-    };
-    let answer = remote.abort(id);
+    });
+    Ok(all_ended)
+}
+
+/// Prints what became of a task. Returns whether it has certainly ended.
+fn report(
+    server: &QueriedServer,
+    Wanted { scope, id, task }: &Wanted,
+    answer: &Result<Status, RequestError>,
+) -> bool {
     let name = format!("{id} {task}");
     let name = flat(name.trim_end());
-    let (ended, said) = match About::of(&answer) {
+    let (ended, said) = match About::of(answer) {
         About::Task(Status { state, text }) if state.is_final() => {
             (true, format!("{}, {}", state.name(), flat(text)))
         }

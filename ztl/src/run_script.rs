@@ -88,7 +88,8 @@ const AFTER: &str =
     "Keys: on a terminal the screen lists them (docs/show.md). With --plain, Enter plays the scene, R repeats
 the last one, and any other key skips the scene.
 Ctrl-C aborts the tasks of this run on all servers, and ends it. A second Ctrl-C ends it without waiting for servers.
-Exit code: 0 if all tasks completed, 1 if one failed, was stopped or is unknown.
+Exit code: 0 if all tasks that were started completed, also if the show is left before its end; 1 if one failed, was
+stopped or is unknown.
 To write scripts, see docs/scripts.md. To check one, run `ztl check FILE`.";
 
 fn simulated(text: &str) -> Result<Duration, &'static str> {
@@ -197,7 +198,8 @@ impl RunScript {
         }
         let outcome = self.perform(&mut show, &script, (started, notes), lines)?;
         drop(simulated);
-        let code = ExitCode::from(u8::from(outcome != RunOutcome::Completed));
+        let fine = matches!(outcome, RunOutcome::Completed | RunOutcome::Left);
+        let code = ExitCode::from(u8::from(!fine));
         Ok(signals::exit_code_or(code))
     }
 
