@@ -2,9 +2,9 @@
 
 use std::collections::HashSet;
 
-use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status};
+use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status, scope};
 
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::server_query::{QueriedServer, QueryOptions, all_named, code};
 use crate::terminal::{error_line, flat, line};
 
@@ -56,6 +56,9 @@ fn id(text: &str) -> Result<RemoteId, &'static str> {
 impl Abort {
     pub(crate) fn run(self) -> Done {
         let server = self.server.server()?;
+        if let Some(mistake) = self.scope.as_deref().and_then(scope::cannot_be_asked) {
+            return Err(Misuse(mistake).into());
+        }
         let all_ended = match self.all {
             true => abort_all(&server, self.scope.as_deref())?,
             false => abort_these(&server, &self.ids, self.scope)?,

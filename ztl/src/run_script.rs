@@ -23,7 +23,7 @@ use ztl_yaml::{Span, closest};
 
 use crate::called::Called;
 use crate::connect_options::ConnectOptions;
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::key_press::KeyPress;
 use crate::remotes_options::RemotesOptions;
 use crate::server_connection::connect;
@@ -130,7 +130,7 @@ impl RunScript {
         };
         let defaults = match &self.defaults {
             Some(path) => Defaults::load(path)
-                .map_err(|mistakes| format!("mistakes in the defaults:\n{mistakes}"))?,
+                .map_err(|mistakes| Misuse(format!("mistakes in the defaults:\n{mistakes}")))?,
             None => Defaults::default(),
         };
         let script = match Script::load(&self.script, defaults) {
@@ -164,7 +164,8 @@ impl RunScript {
             error_line(format_args!("{called}: warning: {note}"));
             notes.push(note);
         }
-        let (scene, from) = self.selection(&script)?;
+        let (scene, from) = self.selection(&script).map_err(Misuse)?;
+        self.connecting.check()?;
         let mut options = PlayOptions {
             unattended: self.yes,
             scene,
