@@ -118,6 +118,11 @@ fn each_command_exits_with_the_documented_codes() {
         ("gateway -d a=sim:gripper -p TAKEN -s /lab", 1, "gateway"),
         ("gateway wrong.yaml", 2, "gateway"),
         ("gateway wrong.yaml --check", 2, "gateway"),
+        (
+            "gateway -d a=sim:gripper -p TAKEN -s /lab --check",
+            1,
+            "gateway",
+        ),
         ("keys no/such/directory/mine", 1, "keys"),
         ("line tcp-listen:TAKEN pty", 1, "line"),
         ("man none.jsonl", 1, "man"),
@@ -274,7 +279,13 @@ fn a_client_that_sends_nothing_because_of_a_mistake_exits_with_2() {
         command
             .current_dir(scratch.path(""))
             .env("HOME", scratch.path("home"));
-        for name in ["ZTL_HOST", "ZTL_PORT", "ZTL_SCOPE", "ZTL_TRANSPORT", "XDG_CONFIG_HOME"] {
+        for name in [
+            "ZTL_HOST",
+            "ZTL_PORT",
+            "ZTL_SCOPE",
+            "ZTL_TRANSPORT",
+            "XDG_CONFIG_HOME",
+        ] {
             command.env_remove(name);
         }
         let mut words = line.split(' ');

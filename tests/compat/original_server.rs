@@ -204,7 +204,16 @@ fn tasks_that_are_aborted_together_are_aborted_once_each() {
     let expected = (0..5).map(|at| (at, Ok(status(State::Aborted, "None"))));
     assert_eq!(told, expected.collect());
     let aborted = server.process.stdout();
-    let aborted: Vec<&str> = aborted.lines().filter(|line| line.starts_with("abort ")).collect();
-    assert_eq!(aborted, ["abort 1", "abort 2", "abort 3", "abort 4", "abort 5"]);
-    assert_eq!(remote.status(ids[0]).expect("an answer").state, State::Aborted);
+    let aborted: Vec<&str> = aborted
+        .lines()
+        .filter(|line| line.starts_with("abort "))
+        .collect();
+    assert_eq!(
+        aborted,
+        ["abort 1", "abort 2", "abort 3", "abort 4", "abort 5"]
+    );
+    assert_eq!(
+        remote.status(ids[0]).expect("an answer").state,
+        State::Aborted
+    );
 }

@@ -72,7 +72,9 @@ fn abort_all_reaches_slow_tasks_at_once() {
     // A busy machine may need more than 1.5 s for one of the programs.
     until("all are confirmed at once", PATIENCE, || {
         let ids = [1, 2, 3, 4, 5].map(|goal: u8| trigger(&mut remote, "slow", &goal.to_string()));
-        until("all run", PATIENCE, || (files("runs-").len() == 5).then_some(()));
+        until("all run", PATIENCE, || {
+            (files("runs-").len() == 5).then_some(())
+        });
         let port = rig.server.port.to_string();
         let ended = Process::run(ztl().args(["abort", "--all", "-p", &port]));
         for id in ids {

@@ -132,7 +132,7 @@ fn abort_these(
             }),
             // Aborts the others even if one is unknown.
             None => {
-                unknown(server, id);
+                unknown(server, id, false);
                 all_known = false;
             }
         }
@@ -149,68 +149,60 @@ fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
     all.map(Wanted::of).collect()
 }
 
-fn unknown(server: &QueriedServer, id: &RemoteId) {
+fn unknown(server: &QueriedServer, id: &RemoteId, is_original: bool) {
     let endpoint = server.endpoint();
+    let advice = match is_original {
+        true => "an original ztl does not list its tasks, and forgets them when it restarts",
+        false => "`ztl ps --all` lists them",
+    };
     error_line(format_args!(
-        "ztl: no task {id} is known at {endpoint}; `ztl ps --all` lists them"
+        "ztl: no task {id} is known at {endpoint}; {advice}"
     ));
 }
 
 /// Aborts tasks at the same time, and prints what became of each. Returns whether all have certainly ended.
 fn abort(server: &QueriedServer, wanted: &[Wanted]) -> Result<bool, Box<dyn std::error::Error>> {
-    let tasks = wanted.iter().map(|task| (task.scope.clone(), task.id.clone()));
+    let tasks = wanted
+        .iter()
+        .map(|task| (task.scope.clone(), task.id.clone()));
     let tasks: Vec<_> = tasks.collect();
     let mut all_ended = true;
-    server.connect("$ztl")?.abort_all(&tasks, |at, answer| {
-        if let Some(wanted) = wanted.get(at) {
-            all_ended &= report(server, wanted, &answer);
-        }
+    let mut missing = Vec::new();
+    let mut remote = server.connect("$ztl")?;
+    remote.abort_all(&tasks, |at, answer| {
+        let Some(wanted) = wanted.get(at) else {
+            return;
+        };
+        let Some((ended, said)) = outcome(&wanted.scope, &answer) else {
+            return missing.push(&wanted.id);
+        };
+        let name = format!("{} {}", wanted.id, wanted.task);
+        line(format_args!("{}: {said}", flat(name.trim_end())));
+        all_ended &= ended;
     });
-    Ok(all_ended)
-}
-
-/// Prints what became of a task. Returns whether it has certainly ended.
-fn report(
-    server: &QueriedServer,
-    Wanted { scope, id, task }: &Wanted,
-    answer: &Result<Status, RequestError>,
-) -> bool {
-    let name = format!("{id} {task}");
-    let name = flat(name.trim_end());
-    let (ended, said) = match About::of(answer) {
-        About::Task(Status { state, text }) if state.is_final() => {
-            (true, format!("{}, {}", state.name(), flat(text)))
-        }
-        About::Task(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
-        About::NoTask => {
-            unknown(server, id);
-            return false;
-        }
-        About::NoScope => (false, format!("the server has no scope '{}'", flat(scope))),
-        About::Nothing(why) => (false, format!("it may still run: {}", flat(&why))),
-    };
-    line(format_args!("{name}: {said}"));
-    ended
-}
-
-/// What an answer to an ABORT is about.
-enum About<'a> {
-    Task(&'a Status),
-    /// The server does not know the task.
-    NoTask,
-    /// The server does not serve the scope.
-    NoScope,
-    /// The answer says nothing about the task.
-    Nothing(String),
-}
-
-impl<'a> About<'a> {
-    fn of(answer: &'a Result<Status, RequestError>) -> Self {
-        match answer {
-            Ok(status) => Self::Task(status),
-            Err(RequestError::UnknownTask { .. }) => Self::NoTask,
-            Err(error) if error.is_no_scope() => Self::NoScope,
-            Err(error) => Self::Nothing(error.to_string()),
+    if !missing.is_empty() {
+        let is_original = matches!(remote.server_info(false), Ok(None));
+        for id in &missing {
+            unknown(server, id, is_original);
         }
     }
+    Ok(all_ended && missing.is_empty())
+}
+
+/// Whether a task has certainly ended, and its outcome for people. `None` if the server does not know the task.
+fn outcome(scope: &str, answer: &Result<Status, RequestError>) -> Option<(bool, String)> {
+    Some(match answer {
+        Ok(Status { state, text }) if state.is_final() => {
+            (true, format!("{}, {}", state.name(), flat(text)))
+        }
+        Ok(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
+        Err(RequestError::UnknownTask { .. }) => return None,
+        Err(error) if error.is_no_scope() => {
+            (false, format!("the server has no scope '{}'", flat(scope)))
+        }
+        Err(error) => {
+            let why = error.to_string();
+            (false, format!("it may still run: {}", flat(&why)))
+        }
+    })
 }

@@ -8,9 +8,9 @@ use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
+use crate::log;
 use crate::option_values::{request, seconds};
 use crate::remotes_options::RemotesOptions;
-use crate::log;
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

@@ -7,8 +7,8 @@ use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::connect_options::ConnectOptions;
 use crate::exit::Done;
-use crate::option_values::port_to_reach;
 use crate::log;
+use crate::option_values::port_to_reach;
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

@@ -7,9 +7,9 @@ use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
+use crate::log;
 use crate::option_values::{request, seconds};
 use crate::server_address::AddressOptions;
-use crate::log;
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

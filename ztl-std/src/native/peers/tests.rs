@@ -379,7 +379,10 @@ fn without_keys_idle_connections_make_room_and_those_with_a_request_stay() {
         ..rules()
     });
     let mut third = raw(&echo);
-    assert!(is_closed(&mut clients[2]), "it never asked, and is the oldest of these");
+    assert!(
+        is_closed(&mut clients[2]),
+        "it never asked, and is the oldest of these"
+    );
     let mut fourth = raw(&echo);
     assert!(is_closed(&mut clients[3]));
     ask(&mut third, b"on");
