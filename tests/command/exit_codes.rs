@@ -65,6 +65,7 @@ fn each_command_exits_with_the_documented_codes() {
     file("wrong.yaml", "scope: /lab\nprot: 1\n");
     file("show.yaml", "scene: {step: {robot: {arm: up}}}\n");
     file("bad.yaml", "scene: {step: 7}\n");
+    file("empty.yaml", "scene: {step(delay=0): {}}\n");
     file("none.jsonl", "");
     let listener = TcpListener::bind(("0.0.0.0", 0)).expect("a port");
     let taken = listener.local_addr().expect("its address").port();
@@ -118,6 +119,11 @@ fn each_command_exits_with_the_documented_codes() {
         ("gateway -d a=sim:gripper -p TAKEN -s /lab", 1, "gateway"),
         ("gateway wrong.yaml", 2, "gateway"),
         ("gateway wrong.yaml --check", 2, "gateway"),
+        (
+            "gateway -d a=sim:gripper -p TAKEN -s /lab --check",
+            1,
+            "gateway",
+        ),
         ("keys no/such/directory/mine", 1, "keys"),
         ("line tcp-listen:TAKEN pty", 1, "line"),
         ("man none.jsonl", 1, "man"),
@@ -159,11 +165,8 @@ fn each_command_exits_with_the_documented_codes() {
             0,
             "remote-task",
         ),
-        (
-            "remote-task -c remotes.yaml other x:echo:hi",
-            1,
-            "remote-task",
-        ),
+        ("remote-task -c remotes.yaml other x:echo:hi", 2, "every"),
+        ("run-script -s empty.yaml --yes", 0, "run-script"),
         (
             "simple-client localhost TESTS /test nonsense",
             0,
@@ -220,6 +223,82 @@ fn each_command_exits_with_the_documented_codes() {
     for command in commands() {
         let tried = fails.contains(&command) || excused.contains(&command.as_str());
         assert!(tried, "nothing here shows that `ztl {command}` fails");
+    }
+}
+
+/// A mistake that is found before anything is sent ends with 2, and never with what `--exit-status` gives a rejected task.
+#[test]
+fn a_client_that_sends_nothing_because_of_a_mistake_exits_with_2() {
+    let scratch = Scratch::new();
+    let file = |name: &str, text: &str| {
+        std::fs::write(scratch.path(name), text).expect("a file");
+    };
+    file("show.yaml", "scene: {step: {robot: {arm: up}}}\n");
+    file("bad.yaml", "timeout: soon\n");
+    // Keys in the file go before those of the options.
+    file(
+        "remotes.yaml",
+        "remotes: {robot: {host: localhost, port: 1, scope: /lab, key: none.key_secret, server-key: none.key}}\n",
+    );
+    let keys = "--key none.key_secret --server-key none.key";
+    let tools = [
+        "task-client --exit-status -r localhost -p 1 -s SCOPE a:b:c",
+        "task-client --exit-status --json -r localhost -p 1 -s SCOPE a:b:c",
+        "simple-client --exit-status localhost 1 SCOPE 1",
+        "remote-task --exit-status --task robot localhost 1 SCOPE robot a:b:c",
+        "run-script -s show.yaml --yes --task robot localhost 1 SCOPE",
+        "abort -p 1 -s SCOPE 7",
+        "abort -p 1 -s SCOPE --all",
+    ];
+    let mut lines: Vec<String> = Vec::new();
+    for tool in tools {
+        lines.push(tool.replace("SCOPE", "/a;3"));
+        let fine = tool.replace("SCOPE", "/lab");
+        let (command, rest) = fine.split_once(' ').expect("words");
+        lines.push(format!("{command} {keys} {rest}"));
+        lines.push(format!("ZTL_TRANSPORT=pigeon {fine}"));
+    }
+    for line in [
+        "ps -p 1 --key none.key_secret --server-key none.key",
+        "describe -p 1 --key none.key_secret --server-key none.key",
+        "devices -p 1 --key none.key_secret --server-key none.key",
+        "ps -r robot -c remotes.yaml",
+        "task-client --exit-status -r robot -c remotes.yaml a:b:c",
+        "task-client --exit-status -r tcp://localhost -p 1 -s /lab a:b:c",
+        "ZTL_SCOPE=/a;3 task-client --exit-status -p 1 a:b:c",
+        "remote-task --exit-status -c remotes.yaml robot a:b:c",
+        "remote-task --exit-status -c remotes.yaml other a:b:c",
+        "remote-task --exit-status --task robot localhost http /lab robot a:b:c",
+        "run-script -s show.yaml --yes --task robot localhost http /lab",
+        "run-script -s show.yaml --yes --task robot localhost 1 /lab --scene other",
+        "run-script -s show.yaml --yes --task robot localhost 1 /lab --defaults bad.yaml",
+    ] {
+        lines.push(line.to_owned());
+    }
+    for line in &lines {
+        let mut command = ztl();
+        command
+            .current_dir(scratch.path(""))
+            .env("HOME", scratch.path("home"));
+        for name in [
+            "ZTL_HOST",
+            "ZTL_PORT",
+            "ZTL_SCOPE",
+            "ZTL_TRANSPORT",
+            "XDG_CONFIG_HOME",
+        ] {
+            command.env_remove(name);
+        }
+        let mut words = line.split(' ');
+        let mut first = words.next().expect("a word");
+        if let Some((name, value)) = first.split_once('=') {
+            command.env(name, value);
+            first = words.next().expect("a command");
+        }
+        let ended = Process::run(command.arg(first).args(words));
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+        assert!(!ended.stderr.is_empty(), "{line}");
+        assert!(!ended.stdout.contains("Triggering"), "{line}: {ended:?}");
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, our_client_at, until, ztl};
+use ztl_tests::lab::{Keys, PATIENCE, Process, SCOPE, Scratch, Server, our_client_at, until, ztl};
 
 /// `ztl publish` at a free port with these words, and the port.
 fn publisher(words: &[&str]) -> (Process, u16) {
@@ -47,6 +47,26 @@ fn a_published_value_is_shown_as_text_as_json_and_as_bytes() {
     let mut command = subscribe(port, &["-n", "1", "--raw"]);
     assert_eq!(Process::run(command.arg(&file)).code, Some(0));
     assert_eq!(std::fs::read(file).expect("a file"), b"42");
+}
+
+#[test]
+fn a_subscriber_of_a_port_for_tasks_says_what_is_wrong() {
+    let keys = Keys::make(&["server", "client"]);
+    let (own, client) = (keys.path("server.key_secret"), keys.path("client.key"));
+    let options = ["--key", &own, "--client-key", &client];
+    let encrypted = Server::gateway_with(&["head=sim:head"], &options);
+    let plain = Server::ours();
+    for (port, said) in [
+        (
+            encrypted.port,
+            "the publisher encrypts, and this client has no keys: give --key and --server-key",
+        ),
+        (plain.port, "is it a publisher, or a port for tasks?"),
+    ] {
+        let mut subscriber = Process::start(&mut subscribe(port, &[]));
+        subscriber.wait_for(said);
+        subscriber.kill();
+    }
 }
 
 #[test]

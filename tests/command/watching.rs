@@ -158,6 +158,13 @@ fn an_unknown_id_fails_and_the_other_tasks_are_aborted() {
             ended.stderr.starts_with("ztl: no task 2 is known at "),
             "{ended:?}"
         );
+        // Advice that cannot work there would cost time.
+        let lists_tasks = ask(&server, "ps").code == Some(0);
+        assert_eq!(
+            ended.stderr.contains("ztl ps --all"),
+            lists_tasks,
+            "{ended:?}"
+        );
         let ended = ask(&server, "abort -s /nowhere 2");
         assert_eq!(ended.code, Some(1), "{ended:?}");
         assert_eq!(ended.stdout, "2: the server has no scope '/nowhere'\n");

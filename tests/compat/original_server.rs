@@ -1,5 +1,6 @@
 //! Our client, as a library, against the original's `ztl_task_server`.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, RequestError, State, TaskId, TriggerError};
@@ -187,4 +188,32 @@ fn an_unanswered_init_is_not_resent() {
     let third = witness.start("test", "echo", "third");
     // One id for the single INIT.
     assert_eq!(third, i64::from(first.get()) + 2);
+}
+
+/// The original's server has one thread, which takes the ABORTs one after the other and answers each at once.
+#[test]
+fn tasks_that_are_aborted_together_are_aborted_once_each() {
+    let server = Server::original_with_patient_tasks();
+    let mut remote = connect(&server.endpoint()).with_timeout(PATIENCE);
+    let ids = [1, 2, 3, 4, 5].map(|goal: u8| start(&mut remote, "nap", "for", &goal.to_string()));
+    let tasks = ids.map(|id| (SCOPE.to_owned(), id.into()));
+    let mut told = BTreeMap::new();
+    remote.abort_all(&tasks, |at, outcome| {
+        assert_eq!(told.insert(at, outcome), None);
+    });
+    let expected = (0..5).map(|at| (at, Ok(status(State::Aborted, "None"))));
+    assert_eq!(told, expected.collect());
+    let aborted = server.process.stdout();
+    let aborted: Vec<&str> = aborted
+        .lines()
+        .filter(|line| line.starts_with("abort "))
+        .collect();
+    assert_eq!(
+        aborted,
+        ["abort 1", "abort 2", "abort 3", "abort 4", "abort 5"]
+    );
+    assert_eq!(
+        remote.status(ids[0]).expect("an answer").state,
+        State::Aborted
+    );
 }

@@ -106,6 +106,25 @@ fn the_check_finds_errors_that_would_fail_the_start() {
 }
 
 #[test]
+fn a_port_that_another_program_uses_is_a_mistake() {
+    let scratch = Scratch::new();
+    let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+    let port = taken.local_addr().expect("its address").port();
+    let devices = "scope: /lab\ndevices: {head: sim:head}\n";
+    for ports in [
+        format!("port: {port}\n"),
+        format!("port: 0\npublish: {port}\n"),
+    ] {
+        let file = written(&scratch, &format!("{devices}{ports}"));
+        for ended in [run(&[&file, "--check"]), run(&[&file])] {
+            assert_eq!(ended.code, Some(1), "{ports}: {ended:?}");
+            let said = format!("cannot listen at tcp://127.0.0.1:{port}: the port is in use");
+            assert!(ended.stderr.contains(&said), "{ended:?}");
+        }
+    }
+}
+
+#[test]
 fn checking_a_running_gateways_file_does_not_disturb_it() {
     let scratch = Scratch::new();
     let text = "scope: /lab\ndevices: {head: sim:head}\njournal: journal\nport: ";

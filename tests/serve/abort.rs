@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::TaskId;
-use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, our_client, until};
+use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, Process, our_client, until, ztl};
 
 use crate::rig::{Rig, dies, end, kill, lives, progress, told, trigger};
 
@@ -48,6 +48,44 @@ fn the_json_client_reports_the_last_output_of_an_aborted_program() {
             .ends_with("\"outcome\":\"aborted\",\"exit_status\":4,\"text\":\"stopped at 3\"}\n"),
         "{ended:?}"
     );
+}
+
+/// Each program ends only when all have got the signal. One after another, each ABORT would wait for its answer, which the
+/// server holds for up to 1.5 s.
+#[test]
+fn abort_all_reaches_slow_tasks_at_once() {
+    let rig = Rig::new(
+        r#"
+        slow: {run: [sh, -c, 'trap "touch told-$0; while [ \$(ls told-* | wc -l) -lt 5 ]; do sleep 0.02; done; exit 0" TERM; touch runs-$0; while :; do sleep 0.02; done', '{goal}'], abort: {grace: 20 s}, at-once: 5}
+        "#,
+    );
+    let files = |start: &str| {
+        let all = std::fs::read_dir(rig.scratch.path("")).expect("a directory");
+        let names = all.flatten().map(|file| file.path());
+        let found = names.filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with(start)
+        });
+        found.collect::<Vec<_>>()
+    };
+    let mut remote = rig.remote();
+    // A busy machine may need more than 1.5 s for one of the programs.
+    until("all are confirmed at once", PATIENCE, || {
+        let ids = [1, 2, 3, 4, 5].map(|goal: u8| trigger(&mut remote, "slow", &goal.to_string()));
+        until("all run", PATIENCE, || {
+            (files("runs-").len() == 5).then_some(())
+        });
+        let port = rig.server.port.to_string();
+        let ended = Process::run(ztl().args(["abort", "--all", "-p", &port]));
+        for id in ids {
+            assert_eq!(end(&mut remote, id).0, Aborted);
+        }
+        for file in files("runs-").into_iter().chain(files("told-")) {
+            std::fs::remove_file(file).expect("a file");
+        }
+        let confirmed = ended.stdout.matches(": ABORTED, ").count() == 5;
+        confirmed.then(|| assert_eq!(ended.code, Some(0), "{ended:?}"))
+    });
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Messages on the wire: how clients and servers handle well-formed, malformed and hostile ones.
 
+mod aborts;
 mod bounds;
 mod differential;
 mod fuzz;

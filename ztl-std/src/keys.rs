@@ -113,8 +113,10 @@ pub enum KeyError {
         /// The line, from 1.
         line: usize,
     },
-    /// Everybody can pretend to have the secret key of a public one.
-    Weak {
+    /// Everybody can pretend to have the secret key of this public one.
+    Weak,
+    /// The same, in a file.
+    WeakFile {
         /// The file.
         path: PathBuf,
     },
@@ -143,11 +145,10 @@ impl fmt::Display for KeyError {
                 "{}:{line}: a key is {TEXT_LEN} characters of Z85, in quotes",
                 path.display()
             ),
-            Self::Weak { path } => write!(
-                f,
-                "{}: everybody can pretend to have this public key; make keys with `ztl keys NAME`",
-                path.display()
+            Self::Weak => f.write_str(
+                "everybody can pretend to have this public key; make keys with `ztl keys NAME`",
             ),
+            Self::WeakFile { path } => write!(f, "{}: {}", path.display(), Self::Weak),
             Self::Exists { path } => write!(
                 f,
                 "{} is there already, and a key is not overwritten; choose another name",
@@ -218,7 +219,11 @@ impl FromStr for PublicKey {
     type Err = KeyError;
 
     fn from_str(text: &str) -> Result<Self, KeyError> {
-        from_z85(text).map(Self).ok_or(KeyError::Text)
+        let key = from_z85(text).ok_or(KeyError::Text)?;
+        match curve::is_weak(&key) {
+            true => Err(KeyError::Weak),
+            false => Ok(Self(key)),
+        }
     }
 }
 
@@ -350,7 +355,7 @@ fn create(path: &Path, content: &str, mode: u32) -> Result<(), KeyError> {
 fn public(path: &Path, text: &str) -> Result<PublicKey, KeyError> {
     let key = field(path, text, "public-key")?;
     match curve::is_weak(&key) {
-        true => Err(KeyError::Weak {
+        true => Err(KeyError::WeakFile {
             path: path.to_owned(),
         }),
         false => Ok(PublicKey(key)),
@@ -443,6 +448,8 @@ mod tests {
         ] {
             assert!(text.parse::<PublicKey>().is_err(), "{text}");
         }
+        let weak = "0".repeat(TEXT_LEN).parse::<PublicKey>();
+        assert!(matches!(weak, Err(KeyError::Weak)), "{weak:?}");
     }
 
     #[test]
@@ -470,7 +477,7 @@ mod tests {
         let zeros = format!("curve\n    public-key = \"{zeros}\"\n    secret-key = \"{zeros}\"\n");
         fs::write(&public, zeros).expect("to write");
         let error = PublicKey::read_all(&directory).expect_err("no key");
-        assert!(matches!(error, KeyError::Weak { .. }), "{error}");
+        assert!(matches!(error, KeyError::WeakFile { .. }), "{error}");
         assert!(KeyPair::read(&public).is_err());
         fs::write(&public, "curve\n    public-key = \"wrong\"\n").expect("to write");
         let error = PublicKey::read_all(&directory).expect_err("no key");

@@ -2,9 +2,9 @@
 
 use std::collections::HashSet;
 
-use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status};
+use ztl_std::{RemoteId, RequestError, ServerTask, ServerTasks, Status, scope};
 
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::server_query::{QueriedServer, QueryOptions, all_named, code};
 use crate::terminal::{error_line, flat, line};
 
@@ -56,6 +56,9 @@ fn id(text: &str) -> Result<RemoteId, &'static str> {
 impl Abort {
     pub(crate) fn run(self) -> Done {
         let server = self.server.server()?;
+        if let Some(mistake) = self.scope.as_deref().and_then(scope::cannot_be_asked) {
+            return Err(Misuse(mistake).into());
+        }
         let all_ended = match self.all {
             true => abort_all(&server, self.scope.as_deref())?,
             false => abort_these(&server, &self.ids, self.scope)?,
@@ -75,15 +78,12 @@ fn abort_all(
         let known = server.tasks()?;
         let here =
             |task: &&ServerTask| task.may_run && scope.is_none_or(|scope| scope == task.scope);
-        let mut found_new = false;
-        for task in known.tasks.iter().filter(here) {
-            if tried.insert((task.scope.clone(), task.id.clone())) {
-                found_new = true;
-                all_ended &= abort(server, &Wanted::of(task));
-            }
-        }
+        let mut is_new = |task: &&ServerTask| tried.insert((task.scope.clone(), task.id.clone()));
+        let found = known.tasks.iter().filter(here).filter(&mut is_new);
+        let found: Vec<Wanted> = found.map(Wanted::of).collect();
+        all_ended &= abort(server, &found)?;
         // The list may have room for others now.
-        if found_new && !known.gaps.is_empty() {
+        if !found.is_empty() && !known.gaps.is_empty() {
             continue;
         }
         let all_named = all_named(&known);
@@ -116,32 +116,28 @@ fn abort_these(
     if known.is_none() && scope.is_none() {
         return Err(format!("{}; give --scope", server.original()).into());
     }
-    let mut all_ended = known.as_ref().is_none_or(|known| {
+    let mut all_known = known.as_ref().is_none_or(|known| {
         let found = |id: &RemoteId| known.tasks.iter().any(|task| task.id == *id);
         ids.iter().all(found) || all_named(known)
     });
-    // Aborts the others even if one is unknown.
+    let mut all = Vec::new();
     for id in ids {
         let wanted = find(known.as_ref(), id);
-        let in_scope = scope.as_ref().map(|scope| Wanted {
-            scope: scope.clone(),
-            id: id.clone(),
-            task: String::new(),
-        });
-        let wanted = if wanted.is_empty() {
-            Vec::from_iter(in_scope)
-        } else {
-            wanted
-        };
-        if wanted.is_empty() {
-            unknown(server, id);
-            all_ended = false;
-        }
-        for wanted in &wanted {
-            all_ended &= abort(server, wanted);
+        match &scope {
+            _ if !wanted.is_empty() => all.extend(wanted),
+            Some(scope) => all.push(Wanted {
+                scope: scope.clone(),
+                id: id.clone(),
+                task: String::new(),
+            }),
+            // Aborts the others even if one is unknown.
+            None => {
+                unknown(server, id, false);
+                all_known = false;
+            }
         }
     }
-    Ok(all_ended)
+    Ok(abort(server, &all)? && all_known)
 }
 
 /// The tasks with this id that may run, in all scopes; otherwise one that has ended.
@@ -153,62 +149,60 @@ fn find(known: Option<&ServerTasks>, id: &RemoteId) -> Vec<Wanted> {
     all.map(Wanted::of).collect()
 }
 
-fn unknown(server: &QueriedServer, id: &RemoteId) {
+fn unknown(server: &QueriedServer, id: &RemoteId, is_original: bool) {
     let endpoint = server.endpoint();
+    let advice = match is_original {
+        true => "an original ztl does not list its tasks, and forgets them when it restarts",
+        false => "`ztl ps --all` lists them",
+    };
     error_line(format_args!(
-        "ztl: no task {id} is known at {endpoint}; `ztl ps --all` lists them"
+        "ztl: no task {id} is known at {endpoint}; {advice}"
     ));
 }
 
-/// Aborts a task and prints what became of it. Returns whether it has certainly ended.
-fn abort(server: &QueriedServer, wanted: &Wanted) -> bool {
-    let Wanted { scope, id, task } = wanted;
-    let mut remote = match server.connect(scope) {
-        Ok(remote) => remote,
-        Err(error) => {
-            error_line(format_args!(
-                "ztl: cannot abort task {id}: {error}; it may still run"
-            ));
-            return false;
-        }
-    };
-    let answer = remote.abort(id);
-    let name = format!("{id} {task}");
-    let name = flat(name.trim_end());
-    let (ended, said) = match About::of(&answer) {
-        About::Task(Status { state, text }) if state.is_final() => {
-            (true, format!("{}, {}", state.name(), flat(text)))
-        }
-        About::Task(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
-        About::NoTask => {
-            unknown(server, id);
-            return false;
-        }
-        About::NoScope => (false, format!("the server has no scope '{}'", flat(scope))),
-        About::Nothing(why) => (false, format!("it may still run: {}", flat(&why))),
-    };
-    line(format_args!("{name}: {said}"));
-    ended
-}
-
-/// What an answer to an ABORT is about.
-enum About<'a> {
-    Task(&'a Status),
-    /// The server does not know the task.
-    NoTask,
-    /// The server does not serve the scope.
-    NoScope,
-    /// The answer says nothing about the task.
-    Nothing(String),
-}
-
-impl<'a> About<'a> {
-    fn of(answer: &'a Result<Status, RequestError>) -> Self {
-        match answer {
-            Ok(status) => Self::Task(status),
-            Err(RequestError::UnknownTask { .. }) => Self::NoTask,
-            Err(error) if error.is_no_scope() => Self::NoScope,
-            Err(error) => Self::Nothing(error.to_string()),
+/// Aborts tasks at the same time, and prints what became of each. Returns whether all have certainly ended.
+fn abort(server: &QueriedServer, wanted: &[Wanted]) -> Result<bool, Box<dyn std::error::Error>> {
+    let tasks = wanted
+        .iter()
+        .map(|task| (task.scope.clone(), task.id.clone()));
+    let tasks: Vec<_> = tasks.collect();
+    let mut all_ended = true;
+    let mut missing = Vec::new();
+    let mut remote = server.connect("$ztl")?;
+    remote.abort_all(&tasks, |at, answer| {
+        let Some(wanted) = wanted.get(at) else {
+            return;
+        };
+        let Some((ended, said)) = outcome(&wanted.scope, &answer) else {
+            return missing.push(&wanted.id);
+        };
+        let name = format!("{} {}", wanted.id, wanted.task);
+        line(format_args!("{}: {said}", flat(name.trim_end())));
+        all_ended &= ended;
+    });
+    if !missing.is_empty() {
+        let is_original = matches!(remote.server_info(false), Ok(None));
+        for id in &missing {
+            unknown(server, id, is_original);
         }
     }
+    Ok(all_ended && missing.is_empty())
+}
+
+/// Whether a task has certainly ended, and its outcome for people. `None` if the server does not know the task.
+fn outcome(scope: &str, answer: &Result<Status, RequestError>) -> Option<(bool, String)> {
+    Some(match answer {
+        Ok(Status { state, text }) if state.is_final() => {
+            (true, format!("{}, {}", state.name(), flat(text)))
+        }
+        Ok(Status { text, .. }) => (false, format!("not stopped yet: {}", flat(text))),
+        Err(RequestError::UnknownTask { .. }) => return None,
+        Err(error) if error.is_no_scope() => {
+            (false, format!("the server has no scope '{}'", flat(scope)))
+        }
+        Err(error) => {
+            let why = error.to_string();
+            (false, format!("it may still run: {}", flat(&why)))
+        }
+    })
 }

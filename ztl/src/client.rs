@@ -14,9 +14,9 @@ use std::time::{Duration, Instant};
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteId, RemoteTask, RequestError, State, Status, TriggerError, WaitError};
 
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::signals;
-use event::{ClientEvent, LastEvent, TaskOutcome};
+use event::{Answer, ClientEvent, LastEvent, TaskOutcome};
 use json::JsonReporter;
 use task::{ClientTask, Target};
 use text::TextReporter;
@@ -30,7 +30,7 @@ SIGTERM aborts the task too, waits at most 2 s for the answer, and the exit code
 /// How long to wait after a rejected abort, as the original. Not after SIGTERM.
 const AFTER_ABORT: Duration = Duration::from_secs(5);
 
-/// Pause between two attempts to abort a task.
+/// Pause between two attempts to abort a task, or to get an answer about it.
 const PAUSE: Duration = Duration::from_millis(50);
 
 impl ClientTask<'_> {
@@ -39,23 +39,22 @@ impl ClientTask<'_> {
         &self,
         identify: impl FnOnce(RemoteTask) -> Result<RemoteTask, Box<dyn std::error::Error>>,
     ) -> Done {
+        let caught = signals::catch();
         signals::leave_at_the_second();
         if !self.report.json {
             text::connecting(self);
         }
-        let outcome = if self.target.port > i64::from(u16::MAX) {
-            self.not_connected()
+        let port = self.target.port;
+        let outcome = if port > i64::from(u16::MAX) {
+            self.not_started(&format!("invalid port '{port}': expected 0 to 65535"))
         } else {
-            let connected = self
-                .target
-                .connect()
-                .map_err(|error| match self.as_original {
-                    // The original ends with 1 after any exception.
-                    true => error.to_string().into(),
-                    false => error,
-                });
-            let mut remote = identify(connected?)?;
-            self.play(&mut remote)
+            let connected = caught.map_err(Into::into);
+            let connected = connected.and_then(|()| identify(self.target.connect()?));
+            match connected {
+                Ok(mut remote) => self.play(&mut remote),
+                Err(mistake) if self.as_original || mistake.is::<Misuse>() => return Err(mistake),
+                Err(error) => self.not_started(&error.to_string()),
+            }
         };
         Ok(match self.report.exit_status {
             true => ExitCode::from(outcome.code()),
@@ -63,12 +62,11 @@ impl ClientTask<'_> {
         })
     }
 
-    /// Reports an impossible port as the original does: after the INIT.
-    fn not_connected(&self) -> TaskOutcome {
+    /// Reports why there is no client, as the original reports an impossible port: after the INIT.
+    fn not_started(&self, why: &str) -> TaskOutcome {
         let mut report = self.reporter();
         report(ClientEvent::Asking);
-        let port = self.target.port;
-        let reason = &format!("invalid port '{port}': expected 0 to 65535; nothing was sent");
+        let reason = &format!("{why}; nothing was sent");
         let outcome = TaskOutcome::NotStarted;
         last(
             report,
@@ -101,7 +99,7 @@ impl ClientTask<'_> {
         if signals::stopped() {
             return self.abort(remote, id, report);
         }
-        let ended = remote.wait_with(id, self.wording.limit(), |answer| {
+        let ended = self.wait(remote, id, self.wording.limit(), |answer| {
             if let Ok(status) = answer
                 && !status.state.is_final()
             {
@@ -117,14 +115,52 @@ impl ClientTask<'_> {
                     status: &status,
                 },
             ),
-            Err(WaitError { last: Err(cause) }) if cause.was_answered() => {
+            Err(WaitError { last: Err(cause) })
+                if cause.was_answered()
+                    && (!self.takes_for_running(&cause)
+                        || is_negative(&cause) && !signals::stopped()) =>
+            {
                 let reason = &format!("unknown: {cause}");
-                let answer = event::answer(&cause);
+                let answer = Answer::of(&cause);
                 let lost = LastEvent::Lost { id, reason, answer };
                 last(report, lost)
             }
             Err(_) => self.abort(remote, id, report),
         }
+    }
+
+    /// Waits for the end of the task. The original waits on after answers that end the wait of our clients.
+    fn wait(
+        &self,
+        remote: &mut RemoteTask,
+        id: &RemoteId,
+        limit: Option<Duration>,
+        mut seen: impl FnMut(&Result<Status, RequestError>) -> bool,
+    ) -> Result<Status, WaitError> {
+        let start = Instant::now();
+        loop {
+            let left = limit.map(|limit| limit.saturating_sub(start.elapsed()));
+            let mut goes_on = true;
+            let ended = remote.wait_with(id, left, |answer| {
+                goes_on = seen(answer);
+                goes_on
+            });
+            match &ended {
+                Err(WaitError { last: Err(cause) })
+                    if goes_on
+                        && left.is_none_or(|left| !left.is_zero())
+                        && self.takes_for_running(cause) =>
+                {
+                    std::thread::sleep(PAUSE);
+                }
+                _ => return ended,
+            }
+        }
+    }
+
+    /// Whether the client acts as the original, which takes this answer for one about a running task.
+    fn takes_for_running(&self, cause: &RequestError) -> bool {
+        self.as_original && Answer::of(cause).is_some_and(|answer| answer.runs())
     }
 
     fn reporter(&self) -> Box<dyn FnMut(ClientEvent<'_>) + '_> {
@@ -191,22 +227,26 @@ impl ClientTask<'_> {
                     }
                     Err(error) => {
                         let reason = &error.to_string();
-                        return last(report, LastEvent::StopUnclear { id, reason });
+                        let answer = None;
+                        return last(report, LastEvent::StopUnclear { id, reason, answer });
                     }
                 }
             }
             Ok(status) => (status.text, true),
-            Err(error) if error.was_answered() => {
-                let reason = &error.to_string();
-                return last(report, LastEvent::StopUnclear { id, reason });
-            }
+            Err(error) if error.was_answered() => match Answer::of(&error) {
+                Some(answer) if self.as_original && answer.runs() => (answer.text.to_owned(), true),
+                answer => {
+                    let reason = &error.to_string();
+                    return last(report, LastEvent::StopUnclear { id, reason, answer });
+                }
+            },
             Err(error) => (error.to_string(), false),
         };
         let reply = &reply;
         let patient = || !signals::in_a_hurry();
         let waits = answered && patient();
         report(ClientEvent::NotAborted { id, reply, waits });
-        let wait = || remote.wait_with(id, Some(AFTER_ABORT), |_| patient());
+        let wait = || self.wait(remote, id, Some(AFTER_ABORT), |_| patient());
         let Some(waited) = waits.then(wait) else {
             return last(report, LastEvent::Left { id, reply });
         };
@@ -216,8 +256,8 @@ impl ClientTask<'_> {
             Err(WaitError {
                 last: Ok(Status { state, text }),
             }) => (Some(state), text),
-            Err(WaitError { last: Err(cause) }) => match event::answer(&cause) {
-                Some((state, text)) if self.as_original => (state, text.to_owned()),
+            Err(WaitError { last: Err(cause) }) => match Answer::of(&cause) {
+                Some(answer) if self.as_original => (answer.state, answer.text.to_owned()),
                 _ => (None, cause.to_string()),
             },
         };
@@ -251,6 +291,10 @@ impl ClientTask<'_> {
             _ => Ok(String::new()),
         }
     }
+}
+
+fn is_negative(cause: &RequestError) -> bool {
+    Answer::of(cause).is_some_and(|answer| answer.is_negative)
 }
 
 /// Sends an abort until the server answers: for 5 s, or only once after SIGTERM.

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use ztl_std::keys::{KeyError, KeyFiles, KeyPair, PublicKey, exposure};
 use ztl_std::{RemoteTask, Transport};
 
+use crate::exit::Misuse;
 use crate::option_values::one_of;
+use crate::server_address::no_client;
 use crate::terminal::error_line;
 
 /// Reads our own keys. Warns if others can read them.
@@ -88,10 +90,19 @@ impl ConnectOptions {
         remote: RemoteTask,
         of_server: Option<&KeyFiles>,
     ) -> Result<RemoteTask, Box<dyn std::error::Error>> {
-        let remote = remote.with_transport(self.transport.get()?)?;
-        match self.keys.read(of_server)? {
-            Some((own, server)) => Ok(remote.with_keys(own, server)?),
+        let transport = self.transport.get().map_err(Misuse)?;
+        let keys = self.keys.read(of_server).map_err(Misuse::of)?;
+        let remote = remote.with_transport(transport).map_err(no_client)?;
+        match keys {
+            Some((own, server)) => remote.with_keys(own, server).map_err(no_client),
             None => Ok(remote),
         }
+    }
+
+    /// Finds mistakes in the options before anything is sent.
+    pub(crate) fn check(&self) -> Result<(), Misuse> {
+        self.transport.get().map_err(Misuse)?;
+        self.keys.read(None).map_err(Misuse::of)?;
+        Ok(())
     }
 }

@@ -26,6 +26,12 @@ pub(crate) const MISUSED: u8 = 2;
 #[derive(Debug)]
 pub(crate) struct Misuse(pub(crate) String);
 
+impl Misuse {
+    pub(crate) fn of(mistake: impl fmt::Display) -> Self {
+        Self(mistake.to_string())
+    }
+}
+
 impl fmt::Display for Misuse {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.0.trim_end())

@@ -4,21 +4,28 @@ use std::fmt;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use ipnet::IpNet;
 use tracing::Level;
 use ztl_std::keys::{KeyError, PublicKey};
 use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
-use ztl_std::{Access, BindError, Limits, ServerBuilder, TaskServer, Transport};
+use ztl_std::{
+    Access, BindError, Limits, Obstacle, RemoteTask, RequestError, ServerBuilder, TaskServer,
+    Transport,
+};
 use ztl_yaml::{Diagnostics, closest};
 
 use crate::connect_options::{TransportOption, own_keys};
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::option_values::{one_of, port};
 use crate::terminal::{error_line, line};
 
 /// The exit code for a wrong configuration, after which a restart does not help.
 pub(crate) const MISCONFIGURED: u8 = 2;
+
+/// How long a check waits for who uses the port.
+const PROBE: Duration = Duration::from_secs(1);
 
 /// A mistake in the configuration.
 #[derive(Debug)]
@@ -125,7 +132,7 @@ impl ListenOptions {
             let mistake = format!("port {port} is for tasks; publish at another port");
             return Err(ConfigError::Whole(mistake));
         }
-        let (access, warnings) = access.access()?;
+        let (access, warnings) = access.access().map_err(ConfigError::Whole)?;
         Ok(Some(ListenPlace {
             limits: self.limits.over(file.limits),
             transport: self.transport.get().map_err(ConfigError::Whole)?,
@@ -184,15 +191,21 @@ impl ListenPlace {
         warnings
     }
 
-    /// Checks whether a server could listen and publish here.
+    /// Checks whether a server could listen and publish here. Ports that a ZTL server uses are only noted, since it may be the
+    /// one of this configuration.
     pub(crate) fn check(&self) -> CheckFindings {
         let mut findings = CheckFindings::default();
         let ports = [Some(self.port), self.publish].into_iter().flatten();
+        let mut is_served = None;
         for port in ports {
             let tried = self.builder().check(&self.bind, port);
             match tried {
                 Ok(()) => {}
-                Err(error @ BindError::InUse { .. }) => findings.notes.push(error.to_string()),
+                Err(error @ BindError::InUse { .. })
+                    if *is_served.get_or_insert_with(|| self.is_served()) =>
+                {
+                    findings.notes.push(error.to_string());
+                }
                 Err(error) => {
                     findings.wrong.push(error.to_string());
                     break;
@@ -200,6 +213,26 @@ impl ListenPlace {
             }
         }
         findings
+    }
+
+    /// Whether a ZTL server has the port for tasks, also one that does not let us connect.
+    fn is_served(&self) -> bool {
+        let host = match self.bind.as_str() {
+            "*" | "0.0.0.0" | "::" | "[::]" => "localhost",
+            host => host,
+        };
+        let remote = RemoteTask::connect(&format!("tcp://{host}:{}", self.port), "$ztl");
+        let Ok(remote) = remote else {
+            return false;
+        };
+        match remote.with_timeout(PROBE).server_info(true) {
+            Ok(server) => server.is_some(),
+            Err(RequestError::NotConnected { obstacle, .. }) => matches!(
+                obstacle,
+                Some(Obstacle::PeerEncrypts | Obstacle::NotAdmitted | Obstacle::KeyNotAdmitted)
+            ),
+            Err(_) => false,
+        }
     }
 
     /// Starts to listen.
@@ -306,17 +339,25 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 }
 
 impl AccessOptions {
+    /// Who may subscribe to a publisher. Warns of what may not be intended.
+    pub(crate) fn of_publisher(&self) -> Result<Access, Misuse> {
+        let (access, warnings) = self.access().map_err(Misuse)?;
+        for warning in warnings {
+            error_line(format_args!("ztl: warning: {warning}"));
+        }
+        Ok(access)
+    }
+
     /// Reads the keys. Also returns what may not be intended.
-    pub(crate) fn access(&self) -> Result<(Access, Vec<String>), ConfigError> {
+    fn access(&self) -> Result<(Access, Vec<String>), String> {
         if self.key.is_none()
             && let Some(client) = self.client_key.first()
         {
-            let mistake = format!(
+            return Err(format!(
                 "--client-key {client}: clients can have keys only if the server has one; give --key, or `key` in a configuration file"
-            );
-            return Err(ConfigError::Whole(mistake));
+            ));
         }
-        let wrong = |mistake: KeyError| ConfigError::Whole(mistake.to_string());
+        let wrong = |mistake: KeyError| mistake.to_string();
         let mut access = Access::everybody();
         let mut warnings = Vec::new();
         for network in &self.allow {

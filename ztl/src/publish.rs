@@ -11,7 +11,7 @@ use ztl_pickle::Pickle;
 use ztl_std::Publisher;
 
 use crate::exit::{Done, Misuse};
-use crate::listen_options::{AccessOptions, MISCONFIGURED, bind};
+use crate::listen_options::{AccessOptions, bind};
 use crate::option_values::{duration, port};
 use crate::terminal::error_line;
 use crate::{log, signals};
@@ -73,16 +73,7 @@ impl Publish {
             "-" => None,
             text => Some(self.read(text)?),
         };
-        let (access, warnings) = match self.access.access() {
-            Ok(read) => read,
-            Err(mistake) => {
-                error_line(mistake);
-                return Ok(ExitCode::from(MISCONFIGURED));
-            }
-        };
-        for warning in warnings {
-            error_line(format_args!("ztl: warning: {warning}"));
-        }
+        let access = self.access.of_publisher()?;
         let endpoint = format!("tcp://{}:{}", self.bind, self.port);
         let publisher = Publisher::builder().access(access);
         let publisher = publisher.bind(&endpoint, &self.topic)?;

@@ -7,10 +7,10 @@ use crate::called::Called;
 use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::connect_options::ConnectOptions;
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
+use crate::log;
 use crate::option_values::{request, seconds};
 use crate::remotes_options::RemotesOptions;
-use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
@@ -23,7 +23,7 @@ pub(crate) struct RemoteTask {
     remotes: RemotesOptions,
 
     #[command(flatten)]
-    report: ReportOptions,
+    pub(crate) report: ReportOptions,
 
     #[command(flatten)]
     connecting: ConnectOptions,
@@ -38,7 +38,6 @@ pub(crate) struct RemoteTask {
 impl RemoteTask {
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
-        signals::catch()?;
         let remotes = self.remotes.read()?;
         let request = request(&self.payload)?;
         let name = &self.remote;
@@ -47,7 +46,7 @@ impl RemoteTask {
             port,
             scope,
             keys,
-        } = remotes.task(name)?;
+        } = remotes.task(name).map_err(Misuse::of)?;
         info!(target: "remote-config", "Initialising remote task interface '{name}'...");
         let task = ClientTask {
             target: Target {

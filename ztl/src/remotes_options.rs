@@ -6,6 +6,7 @@ use tracing::warn;
 use ztl_std::remotes::{Remote, usual_path};
 use ztl_std::{Remotes, scope};
 
+use crate::exit::Misuse;
 use crate::option_values::port;
 use crate::terminal::error_part;
 
@@ -45,7 +46,7 @@ impl RemotesOptions {
     }
 
     /// Reads the file and adds the options. If the file cannot be read, warns and continues, like the original.
-    pub(crate) fn read(&self) -> Result<Remotes, Box<dyn std::error::Error>> {
+    pub(crate) fn read(&self) -> Result<Remotes, Misuse> {
         let path = self.path();
         let remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
             let path = path.display();
@@ -57,10 +58,7 @@ impl RemotesOptions {
     }
 
     /// Adds the servers and publishers of the options.
-    pub(crate) fn added_to(
-        &self,
-        mut remotes: Remotes,
-    ) -> Result<Remotes, Box<dyn std::error::Error>> {
+    pub(crate) fn added_to(&self, mut remotes: Remotes) -> Result<Remotes, Misuse> {
         for words in self.task.chunks(4) {
             let (name, remote) = endpoint(words)?;
             remotes.set_task(name, remote);
@@ -74,16 +72,16 @@ impl RemotesOptions {
 }
 
 /// Parses NAME HOST PORT SCOPE.
-fn endpoint(words: &[String]) -> Result<(&str, Remote), Box<dyn std::error::Error>> {
+fn endpoint(words: &[String]) -> Result<(&str, Remote), Misuse> {
     let [name, host, given, scope] = words else {
-        return Err("an endpoint is NAME HOST PORT SCOPE".into());
+        return Err(Misuse::of("an endpoint is NAME HOST PORT SCOPE"));
     };
     if let Some(mistake) = scope::cannot_be_asked(scope) {
-        return Err(mistake.into());
+        return Err(Misuse(mistake));
     }
     let remote = Remote {
         host: host.clone(),
-        port: port(given).map_err(|wrong| format!("'{given}': {wrong}"))?,
+        port: port(given).map_err(|wrong| Misuse(format!("'{given}': {wrong}")))?,
         scope: scope.clone(),
         keys: None,
     };

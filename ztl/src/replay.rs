@@ -11,7 +11,7 @@ use ztl_record::{Content, Read, Reader};
 use ztl_std::Publisher;
 
 use crate::exit::{Done, Misuse};
-use crate::listen_options::{AccessOptions, MISCONFIGURED, bind};
+use crate::listen_options::{AccessOptions, bind};
 use crate::option_values::{duration, port};
 use crate::terminal::{error_line, line};
 use crate::{log, signals};
@@ -92,16 +92,7 @@ impl Replay {
             return Err(Misuse(mistake.to_owned()).into());
         }
         let mut messages = self.open()?;
-        let (access, warnings) = match self.access.access() {
-            Ok(read) => read,
-            Err(mistake) => {
-                error_line(mistake);
-                return Ok(ExitCode::from(MISCONFIGURED));
-            }
-        };
-        for warning in warnings {
-            error_line(format_args!("ztl: warning: {warning}"));
-        }
+        let access = self.access.of_publisher()?;
         let agreed = match self.tasks.tasks {
             true => Some(
                 self.tasks

@@ -23,7 +23,7 @@ use ztl_yaml::{Span, closest};
 
 use crate::called::Called;
 use crate::connect_options::ConnectOptions;
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::key_press::KeyPress;
 use crate::remotes_options::RemotesOptions;
 use crate::server_connection::connect;
@@ -97,7 +97,8 @@ const AFTER: &str =
     "Keys: on a terminal the screen lists them (docs/show.md). With --plain, Enter plays the scene, R repeats
 the last one, and any other key skips the scene.
 Ctrl-C aborts the tasks of this run on all servers, and ends it. A second Ctrl-C ends it without waiting for servers.
-Exit code: 0 if all tasks completed, 1 if one failed, was stopped or is unknown.
+Exit code: 0 if all tasks that were started completed, also if the show is left before its end; 1 if one failed, was
+stopped or is unknown.
 To write scripts, see docs/scripts.md. To check one, run `ztl check FILE`.";
 
 fn simulated(text: &str) -> Result<Duration, &'static str> {
@@ -138,7 +139,7 @@ impl RunScript {
         };
         let defaults = match &self.defaults {
             Some(path) => Defaults::load(path)
-                .map_err(|mistakes| format!("mistakes in the defaults:\n{mistakes}"))?,
+                .map_err(|mistakes| Misuse(format!("mistakes in the defaults:\n{mistakes}")))?,
             None => Defaults::default(),
         };
         let script = match Script::load(&self.script, defaults) {
@@ -172,7 +173,8 @@ impl RunScript {
             error_line(format_args!("{called}: warning: {note}"));
             notes.push(note);
         }
-        let (scene, from) = self.selection(&script)?;
+        let (scene, from) = self.selection(&script).map_err(Misuse)?;
+        self.connecting.check()?;
         let mut options = PlayOptions {
             unattended: self.yes,
             scene,
@@ -219,7 +221,8 @@ impl RunScript {
         }
         let outcome = self.perform(&mut show, &script, (started, notes), (lines, record))?;
         drop(simulated);
-        let code = ExitCode::from(u8::from(outcome != RunOutcome::Completed));
+        let fine = matches!(outcome, RunOutcome::Completed | RunOutcome::Left);
+        let code = ExitCode::from(u8::from(!fine));
         Ok(signals::exit_code_or(code))
     }
 

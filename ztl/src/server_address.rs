@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use ztl_std::keys::KeyFiles;
 use ztl_std::remotes::{NoRemote, usual_path};
-use ztl_std::{Remotes, RequestError, host};
+use ztl_std::{Remotes, RequestError, host, scope};
 
 use crate::exit::Misuse;
 use crate::option_values::{port_to_reach, whole};
@@ -120,9 +120,13 @@ impl AddressOptions {
 impl ServerAddress {
     /// The scope of the option, otherwise of the configuration file, otherwise of the environment.
     pub(crate) fn scope(&self, option: Option<&String>) -> Result<Option<String>, Misuse> {
-        match option.or(self.scope.as_ref()) {
-            Some(scope) => Ok(Some(scope.clone())),
-            None => variable("ZTL_SCOPE"),
+        let scope = match option.or(self.scope.as_ref()) {
+            Some(scope) => Some(scope.clone()),
+            None => variable("ZTL_SCOPE")?,
+        };
+        match scope.as_deref().and_then(scope::cannot_be_asked) {
+            Some(mistake) => Err(Misuse(mistake)),
+            None => Ok(scope),
         }
     }
 
@@ -132,10 +136,11 @@ impl ServerAddress {
     }
 }
 
-/// Why a client cannot be created.
+/// Why a client cannot be created: a mistake of the options, the environment or the configuration, or the system's error.
 pub(crate) fn no_client(error: RequestError) -> Box<dyn std::error::Error> {
     match error {
         RequestError::Endpoint { why, .. } => Misuse(why).into(),
+        error @ (RequestError::Scope(_) | RequestError::NoCurve) => Misuse::of(error).into(),
         error => error.into(),
     }
 }

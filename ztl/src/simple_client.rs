@@ -7,8 +7,8 @@ use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::connect_options::ConnectOptions;
 use crate::exit::Done;
+use crate::log;
 use crate::option_values::port_to_reach;
-use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
@@ -30,7 +30,7 @@ pub(crate) struct SimpleClient {
     request: String,
 
     #[command(flatten)]
-    report: ReportOptions,
+    pub(crate) report: ReportOptions,
 
     #[command(flatten)]
     connecting: ConnectOptions,
@@ -39,7 +39,6 @@ pub(crate) struct SimpleClient {
 impl SimpleClient {
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
-        signals::catch()?;
         let task = ClientTask {
             target: Target {
                 host: &self.host,

@@ -86,12 +86,20 @@ impl Subscribe {
         let mut missed = 0;
         let mut damaged = 0;
         let mut left = self.count;
+        let mut advice = None;
         while left != Some(0) && !signals::stopped() {
             let until_end = end.map(|end| end.saturating_duration_since(Instant::now()));
             if until_end == Some(Duration::ZERO) {
                 break;
             }
             let heard = subscriber.next_within(until_end.unwrap_or(TURN).min(TURN))?;
+            let newly = subscriber.advice();
+            if newly != advice {
+                if let Some(newly) = &newly {
+                    error_line(format_args!("ztl: warning: {newly}"));
+                }
+                advice = newly;
+            }
             if subscriber.damaged() > damaged {
                 damaged = subscriber.damaged();
                 error_line(format_args!(

@@ -7,9 +7,9 @@ use crate::client::AFTER_HELP;
 use crate::client::task::{ClientTask, ReportOptions, Target, Wording};
 use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
+use crate::log;
 use crate::option_values::{request, seconds};
 use crate::server_address::AddressOptions;
-use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
@@ -26,7 +26,7 @@ pub(crate) struct TaskClient {
     timeout: i64,
 
     #[command(flatten)]
-    report: ReportOptions,
+    pub(crate) report: ReportOptions,
 
     #[command(flatten)]
     connecting: ConnectOptions,
@@ -38,7 +38,6 @@ pub(crate) struct TaskClient {
 impl TaskClient {
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
-        signals::catch()?;
         let request = request(&self.payload)?;
         let address = self.address.resolve()?;
         let scope = address.scope(self.scope.as_ref())?.ok_or_else(|| {

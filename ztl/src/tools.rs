@@ -59,6 +59,8 @@ impl Tool {
     /// Runs the tool by the name it was called.
     pub(crate) fn run_as(self, called: &Called) -> ExitCode {
         let name = self.name();
+        // The original ends with 1 after any exception. With our `--exit-status` that would mean that the task was rejected.
+        let ends_as_original = called.is_original() && !self.has_exit_status();
         let done: Done = match self {
             Self::TaskServer(server) => server.run(),
             Self::TaskClient(client) => client.run(called),
@@ -75,7 +77,17 @@ impl Tool {
                 error_line(help(called, name));
                 ExitCode::from(255)
             }
+            Err(error) if ends_as_original => exit(called, Err(error.to_string().into())),
             done => exit(called, done),
+        }
+    }
+
+    const fn has_exit_status(&self) -> bool {
+        match self {
+            Self::TaskClient(client) => client.report.exit_status,
+            Self::RemoteTask(client) => client.report.exit_status,
+            Self::SimpleClient(client) => client.report.exit_status,
+            _ => false,
         }
     }
 

@@ -22,6 +22,27 @@ from ztl.example.task_server import main_cli
 main_cli()
 ";
 
+/// A server of the original with tasks that can be aborted: they last until then.
+const PATIENT_TASKS: &str = "\
+import sys, threading
+from ztl.core.server import TaskServer
+from ztl.core.task import ExecutableTask, TaskController
+class Nap(ExecutableTask):
+    def __init__(self, goal):
+        self.goal, self.over = goal, threading.Event()
+    def execute(self):
+        self.over.wait(60)
+    def abort(self):
+        print('abort ' + self.goal)
+        return True
+class Naps(TaskController):
+    def assign(self, handler, component, goal):
+        return Nap, goal
+server = TaskServer(int(sys.argv[1]))
+server.register(sys.argv[2], Naps())
+server.listen()
+";
+
 /// A task server in its own process, at its own port.
 #[derive(Debug)]
 pub struct Server {
@@ -67,6 +88,16 @@ impl Server {
         Self::start_at_reserved_port(|port| {
             let mut command = Command::new(python());
             command.args(["-u", "-c", LARGE_IDS, "-p", port, "-s", SCOPE]);
+            command
+        })
+    }
+
+    /// The original's server, unchanged, with tasks that last until they are aborted, and print their goal then.
+    #[track_caller]
+    pub fn original_with_patient_tasks() -> Self {
+        Self::start_at_reserved_port(|port| {
+            let mut command = Command::new(python());
+            command.args(["-u", "-c", PATIENT_TASKS, port, SCOPE]);
             command
         })
     }

@@ -4,15 +4,18 @@ use core::fmt;
 
 use super::{Goal, Storage};
 
+/// No message has more characters, so a higher limit means none.
+const LONGEST: usize = 1 << 20;
+
 impl<S: Storage> fmt::Display for Goal<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Any => f.write_str("anything"),
             Self::Nothing => f.write_str("nothing"),
-            Self::Text { longest: None } => f.write_str("a text"),
             Self::Text {
                 longest: Some(longest),
-            } => write!(f, "a text of at most {longest} characters"),
+            } if *longest <= LONGEST => write!(f, "a text of at most {longest} characters"),
+            Self::Text { .. } => f.write_str("a text"),
             Self::Number {
                 whole,
                 least,

@@ -186,13 +186,13 @@ pub enum ServerState {
 pub enum RunOutcome {
     /// Nothing that was played failed.
     Completed,
-    /// It came to its end, and something failed or stayed unknown.
+    /// It came to its end or was left, and something failed, stayed unknown or was stopped.
     Failures,
     /// It was stopped, and every task that it had started is known to have ended.
     Stopped,
     /// It was stopped, and at least one task may still run.
     NotConfirmed,
-    /// It was left without stopping its tasks.
+    /// It was left between scenes, and nothing that was played failed. Background tasks continue.
     Left,
     /// An error ended it.
     Error,

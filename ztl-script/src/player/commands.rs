@@ -140,9 +140,13 @@ impl Player {
             RunCommand::Leave => match (&self.phase, question) {
                 (Phase::Idle, Some(Question::End)) => self.leave(now),
                 (Phase::Settling(_), _) => self.end_run(self.final_outcome()),
+                (Phase::Stopping(_), _) => self.end_run(self.stop_outcome()),
                 _ => {
                     self.leave_play();
-                    self.end_run(RunOutcome::Left);
+                    self.end_run(match self.final_outcome() {
+                        RunOutcome::Completed => RunOutcome::Left,
+                        failures => failures,
+                    });
                 }
             },
             RunCommand::StopScene | RunCommand::StopAll | RunCommand::Stop => {

@@ -175,14 +175,21 @@ impl Player {
                 }
                 match then {
                     Some(scene) => self.show(scene),
-                    None if self.live.is_empty() => self.end_run(RunOutcome::Stopped),
-                    None => self.end_run(RunOutcome::NotConfirmed),
+                    None => self.end_run(self.stop_outcome()),
                 }
             }
             Phase::Settling(asked) if !self.any_under_way(asked) => {
                 self.end_run(self.final_outcome());
             }
             _ => {}
+        }
+    }
+
+    /// The outcome if the run is stopped and ends now.
+    pub(super) fn stop_outcome(&self) -> RunOutcome {
+        match self.live.is_empty() {
+            true => RunOutcome::Stopped,
+            false => RunOutcome::NotConfirmed,
         }
     }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use ztl_std::describe::{CheckGoal, GoalField, GoalRule, GoalValue};
+use ztl_std::server::MAX_MESSAGE;
 use ztl_yaml::{Node, NodeValue};
 
 use crate::reader::ConfigReader;
@@ -84,8 +85,14 @@ impl<'d> ConfigReader<'d> {
         let unit_text = unit.map(|node| self.yaml.text(node, "a unit, as mm"));
         let bounds = [least, most].map(|node| node.map(|node| self.bound(node)));
         let longest = longest.map(|node| {
-            let what = "a number of characters";
-            self.yaml.whole::<usize>(node, what)
+            let what =
+                format!("a number of characters up to {MAX_MESSAGE}, the most that a message has");
+            let longest = self.yaml.whole::<usize>(node, &what);
+            if let Some(longest) = longest.filter(|longest| *longest > MAX_MESSAGE) {
+                let mistake = format!("'{longest}' is not {what}");
+                self.yaml.wrong(node, mistake);
+            }
+            longest
         });
         let implied = match (&bounds, &longest) {
             ([None, None], Some(_)) => GoalType::Text,

@@ -308,6 +308,18 @@ fn a_key_without_effect_on_goals_is_a_mistake() {
             ],
         ),
         (
+            "{longest: 18446744073709551615}",
+            &[
+                "'18446744073709551615' is not a number of characters up to 1048576, the most that a message has",
+            ],
+        ),
+        (
+            "{longest: 99999999999999999999}",
+            &[
+                "'99999999999999999999' is not a number of characters up to 1048576, the most that a message has",
+            ],
+        ),
+        (
             "{type: whole, longest: 3}",
             &["longest has an effect only with type: text"],
         ),

@@ -1,5 +1,7 @@
 //! A client's connection: sends one request at a time and receives its answer, connecting first if needed.
 
+mod together;
+
 use std::io;
 use std::time::{Duration, Instant};
 
@@ -20,6 +22,8 @@ use crate::random;
 use crate::remote_id::RemoteId;
 use crate::time::now;
 use crate::transport::Transport;
+
+pub(super) use together::{ABORT, STATUS, TaskQuestion};
 
 /// Default time limit for an answer, as in the original.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -249,14 +253,7 @@ impl Connection {
         body: &[u8],
     ) -> Result<ClientReply, Unanswered> {
         let start = Instant::now();
-        let mut socket = match self.socket.take() {
-            Some(socket) => socket,
-            None => {
-                // A new connection may lead to another server.
-                self.probed = false;
-                self.open()?
-            }
-        };
+        let mut socket = self.take_socket()?;
         let said = self.converse(wanted, &mut socket, start, envelope, body);
         match &said {
             Ok(_) => self.socket = Some(socket),
@@ -272,9 +269,20 @@ impl Connection {
             Err(_) => {}
         }
         if let Err(Unanswered { error, .. }) = &said {
-            warn!(target: TASKS, "Networking error, disconnecting: {error}");
+            log_failure(error);
         }
         said
+    }
+
+    fn take_socket(&mut self) -> Result<Socket, RequestError> {
+        match self.socket.take() {
+            Some(socket) => Ok(socket),
+            None => {
+                // A new connection may lead to another server.
+                self.probed = false;
+                self.open()
+            }
+        }
     }
 
     fn converse(
@@ -287,17 +295,10 @@ impl Connection {
     ) -> Result<ClientReply, Unanswered> {
         loop {
             if self.ready(wanted, socket, Wait::ToSend)? != Ready::Yes {
-                return Err(Unanswered::from(RequestError::NotConnected {
-                    endpoint: self.endpoint.clone(),
-                    waited: start.elapsed(),
-                    obstacle: socket.obstacle(),
-                }));
+                return Err(self.not_connected(socket, start).into());
             }
-            match socket.send(envelope, asked) {
-                Ok(()) => break,
-                // libzmq has lost the connection meanwhile, and has taken nothing.
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                Err(error) => return Err(error.into()),
+            if is_sent(socket.send(envelope, asked))? {
+                break;
             }
         }
         loop {
@@ -384,6 +385,14 @@ impl Connection {
         })
     }
 
+    fn not_connected(&self, socket: &Socket, start: Instant) -> RequestError {
+        RequestError::NotConnected {
+            endpoint: self.endpoint.clone(),
+            waited: start.elapsed(),
+            obstacle: socket.obstacle(),
+        }
+    }
+
     fn no_answer(&self, start: Instant) -> RequestError {
         RequestError::NoAnswer {
             endpoint: self.endpoint.clone(),
@@ -415,6 +424,18 @@ impl Connection {
             }
         }
     }
+}
+
+/// Whether a message was sent. libzmq may have lost the connection meanwhile, and then has taken nothing.
+fn is_sent(sent: io::Result<()>) -> io::Result<bool> {
+    match sent {
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(false),
+        sent => sent.map(|()| true),
+    }
+}
+
+fn log_failure(error: &RequestError) {
+    warn!(target: TASKS, "Networking error, disconnecting: {error}");
 }
 
 /// What a socket is waited for.

@@ -223,7 +223,7 @@ impl std::fmt::Display for RequestError {
 impl std::error::Error for RequestError {}
 
 /// What is wrong with a server that does not let a client connect, and the remedy.
-fn advice(obstacle: Obstacle) -> (String, &'static str) {
+pub(crate) fn advice(obstacle: Obstacle) -> (String, &'static str) {
     let (problem, remedy) = match obstacle {
         Obstacle::PeerEncrypts => (
             "encrypts, and this client has no keys",

@@ -21,6 +21,8 @@ pub use background::BackgroundTask;
 pub use components::DescribedComponent;
 #[cfg(feature = "config")]
 pub use description::Description;
+#[cfg(feature = "publish")]
+pub(crate) use error::advice;
 pub use error::{RequestError, RunError, TriggerError, WaitError};
 pub use remote_task::RemoteTask;
 pub use status::{ServerInfo, Status, Triggered};

@@ -1,5 +1,6 @@
 //! Tasks on one scope of one server.
 
+use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use tracing::info;
@@ -9,7 +10,7 @@ use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State};
 
-use super::connection::{ClientReply, Connection, Wanted};
+use super::connection::{ABORT, ClientReply, Connection, STATUS, TaskQuestion, Wanted};
 use super::error::{RequestError, RunError, TriggerError, WaitError};
 use super::status::{ServerInfo, Status, Triggered};
 use crate::keys::{KeyPair, PublicKey};
@@ -234,7 +235,7 @@ impl RemoteTask {
     /// # Errors
     /// [`RequestError`], also if the server answers without telling the task's state.
     pub fn status(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
-        self.about(Request::Status, &id.into(), "status update")
+        self.about(Request::Status, &id.into(), STATUS)
     }
 
     /// Asks for a task's status with a payload. With `wait MS`, a server of this project holds the answer until the
@@ -273,20 +274,39 @@ impl RemoteTask {
         if !answer.state.is_final() {
             return Ok(answer);
         }
-        match self.status(id) {
-            // Only a STATUS shows whether a failed task may still run.
-            Err(error)
-                if answer.state == State::Failed
-                    || matches!(error, RequestError::UnknownOutcome { .. }) =>
-            {
-                Err(error)
+        after_abort(answer, self.status(id))
+    }
+
+    /// Aborts tasks of the server, in any scope, at the same time: sends all ABORTs, up to 1,000, before it waits for an
+    /// answer, over one connection. Calls `told` with the position of each task and what [`abort`](Self::abort) returns, as
+    /// soon as that is known. The original's server and a device that serves ZeroMQ answer an ABORT before they take the
+    /// next one, so the time limit counts from the last answer.
+    pub fn abort_all(
+        &mut self,
+        tasks: &[(String, RemoteId)],
+        mut told: impl FnMut(usize, Result<Status, RequestError>),
+    ) {
+        let mut aborts = Vec::new();
+        for (at, (scope, id)) in tasks.iter().enumerate() {
+            match scope::cannot_be_asked(scope) {
+                Some(mistake) => told(at, Err(RequestError::Scope(mistake))),
+                None => aborts.push((at, TaskQuestion::abort(scope, id))),
             }
-            Ok(told) if told.state == answer.state || !told.state.is_final() => Ok(told),
-            _ => Ok(Status {
-                state: answer.state,
-                text: NOTHING_KNOWN.to_owned(),
-            }),
         }
+        let mut ended = HashMap::new();
+        self.connection.ask_together(aborts, |at, asked, reply| {
+            let answer = reply.and_then(|reply| status_of(reply, asked.id));
+            let outcome = match (ended.remove(&at), answer) {
+                (None, Ok(answer)) if answer.state.is_final() => {
+                    ended.insert(at, answer);
+                    return Some(asked.then_status());
+                }
+                (None, answer) => answer,
+                (Some(answer), status) => after_abort(answer, status),
+            };
+            told(at, outcome);
+            None
+        });
     }
 
     /// Sends an ABORT and returns its answer. The text says whether the ABORT stopped the task (`True` or
@@ -295,7 +315,7 @@ impl RemoteTask {
     /// # Errors
     /// Those of [`status`](Self::status).
     pub fn send_abort(&mut self, id: impl Into<RemoteId>) -> Result<Status, RequestError> {
-        self.about(Request::Abort, &id.into(), "abort command")
+        self.about(Request::Abort, &id.into(), ABORT)
     }
 
     /// Asks the server about itself, for example `tasks` or `devices`. Returns the answer in JSON, or `None` if the
@@ -408,18 +428,44 @@ impl RemoteTask {
         let (connection, scope) = (&mut self.connection, &self.scope);
         let answer = connection
             .ask(|client, body| client.request(now(), request, scope, id.integer(), payload, body));
-        match answer.map_err(|unanswered| unanswered.error)? {
-            ClientReply::Task(status) => Ok(status),
-            ClientReply::UnknownTask { text } => Err(RequestError::UnknownTask {
-                id: id.clone(),
-                text,
-            }),
-            ClientReply::Unclear(error) => Err(error),
-            ClientReply::Accepted { text, .. } | ClientReply::Rejected { text, .. } => {
-                Err(unexpected(text))
-            }
-            ClientReply::NeverStarted => Err(unexpected(String::new())),
+        status_of(answer.map_err(|unanswered| unanswered.error)?, id)
+    }
+}
+
+/// The status in the reply to a STATUS or an ABORT.
+fn status_of(reply: ClientReply, id: &RemoteId) -> Result<Status, RequestError> {
+    match reply {
+        ClientReply::Task(status) => Ok(status),
+        ClientReply::UnknownTask { text } => Err(RequestError::UnknownTask {
+            id: id.clone(),
+            text,
+        }),
+        ClientReply::Unclear(error) => Err(error),
+        ClientReply::Accepted { text, .. } | ClientReply::Rejected { text, .. } => {
+            Err(unexpected(text))
         }
+        ClientReply::NeverStarted => Err(unexpected(String::new())),
+    }
+}
+
+/// What an ABORT came to: its answer has a final state, and the STATUS after it tells the result.
+fn after_abort(
+    answer: Status,
+    status: Result<Status, RequestError>,
+) -> Result<Status, RequestError> {
+    match status {
+        // Only a STATUS shows whether a failed task may still run.
+        Err(error)
+            if answer.state == State::Failed
+                || matches!(error, RequestError::UnknownOutcome { .. }) =>
+        {
+            Err(error)
+        }
+        Ok(told) if told.state == answer.state || !told.state.is_final() => Ok(told),
+        _ => Ok(Status {
+            state: answer.state,
+            text: NOTHING_KNOWN.to_owned(),
+        }),
     }
 }
 

@@ -241,6 +241,10 @@ mod tests {
         assert_eq!(text(&sides, "up").expect_err("up"), said);
         let any = GoalRule::Text { longest: None };
         assert_eq!(any.to_string(), "a text");
+        let unlimited = GoalRule::Text {
+            longest: Some(usize::MAX),
+        };
+        assert_eq!(unlimited.to_string(), "a text");
         assert!(text(&any, &"long".repeat(1000)).is_ok());
         let short = GoalRule::Text { longest: Some(3) };
         assert_eq!(short.to_string(), "a text of at most 3 characters");

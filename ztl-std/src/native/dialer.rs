@@ -486,11 +486,10 @@ mod tests {
     }
 
     #[test]
+    #[cfg(unix)]
     fn an_obstacle_that_is_gone_is_not_reported() {
         let allowed = crate::keys::KeyPair::generate();
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        let endpoint = format!("tcp://{}", port.local_addr().unwrap());
-        drop(port);
+        let endpoint = crate::native::own_endpoint();
         let serve = |access| {
             let builder = TaskServer::builder().transport(Transport::Native);
             let mut server = builder.access(access).bind(&endpoint).unwrap();
@@ -510,10 +509,9 @@ mod tests {
     }
 
     #[test]
+    #[cfg(unix)]
     fn a_client_meets_a_server_that_comes_later_and_one_that_was_restarted() {
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        let endpoint = format!("tcp://{}", port.local_addr().unwrap());
-        drop(port);
+        let endpoint = crate::native::own_endpoint();
         let remote = RemoteTask::connect(&endpoint, "/lab").unwrap();
         let mut remote = remote.with_transport(Transport::Native).unwrap();
         let run = {

@@ -4,7 +4,8 @@
 //! - An answer is never dropped. A peer that does not read what it asked for is not read from, and is closed when it
 //!   stays so.
 //! - All buffers together have a limit. At the limit, the peer that holds the most is closed.
-//! - Peers that have not finished the handshake, *strangers*, never displace those that have, and are served after them.
+//! - Peers that have not finished the handshake, *strangers*, never displace those that have, and are served after them. On a
+//!   server without keys, where everybody finishes it, one that has been idle for long makes room.
 
 mod arrivals;
 mod peer;
@@ -56,6 +57,8 @@ pub(crate) struct Rules {
     pub(crate) connections: usize,
     /// Longest time for the handshake.
     pub(crate) handshake: Duration,
+    /// After this time, an idle connection of a server without keys makes room for a new one, if none is free.
+    pub(crate) idle: Duration,
     /// Bytes of all buffers together.
     pub(crate) memory: usize,
 }
@@ -80,6 +83,8 @@ pub(crate) struct Peers<S> {
     held: usize,
     next_check: Option<Instant>,
     accept_again: Option<Instant>,
+    /// When to look for an idle connection again, which takes some time where there are many.
+    next_idle: Instant,
     lines: RateLimit,
 }
 
@@ -107,6 +112,7 @@ impl<S: Served> Peers<S> {
             held: 0,
             next_check: None,
             accept_again: None,
+            next_idle: Instant::ZERO,
             lines: RateLimit::new(LINES.0, LINES.1, now()),
         })
     }
@@ -202,6 +208,7 @@ impl<S: Served> Peers<S> {
         if peer.number != to.number {
             return;
         }
+        peer.unanswered = peer.unanswered.saturating_sub(1);
         let before = peer.out.waiting();
         peer.out.message(envelope, last);
         // An answer that is alone goes at once; what cannot go, or fails, is left to `flush`.

@@ -8,8 +8,9 @@ use ztl_core::topic::is_below;
 use ztl_pickle::{Kind, Pickle};
 use ztl_zmtp::Sub;
 use ztl_zmtp::curve;
-use ztl_zmtp::session::Security;
+use ztl_zmtp::session::{Obstacle, Security};
 
+use crate::client::advice;
 use crate::keys::{KeyPair, PublicKey};
 use crate::log_targets::SUBSCRIBER;
 use crate::native::Endpoint;
@@ -158,6 +159,18 @@ impl Subscriber {
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.dialer.is_ready()
+    }
+
+    /// If the other side does not let this subscriber connect: what is wrong with it, and what helps. In the words of
+    /// `ztl`: options of its commands, which have the same names in its files.
+    #[must_use]
+    pub fn advice(&self) -> Option<String> {
+        let obstacle = self.dialer.obstacle()?;
+        let (problem, mut remedy) = advice(obstacle);
+        if matches!(obstacle, Obstacle::Fault(_)) {
+            remedy = "is it a publisher, or a port for tasks?";
+        }
+        Some(format!("the publisher {problem}: {remedy}"))
     }
 
     /// How many messages the publisher has dropped since this subscriber was too slow. Only publishers of this crate tell

@@ -147,6 +147,9 @@ pub(crate) fn to_bind(endpoint: &str) -> Result<Endpoint, BindError> {
     }
 }
 
+/// After this time, an idle connection of a server without keys may make room for another (docs/limits.md).
+const IDLE: Duration = Duration::from_secs(60);
+
 /// What applies to each connection of a server.
 pub(crate) fn rules(access: &Access, limits: &Limits) -> Rules {
     let (connections, warning) = limits.possible_connections();
@@ -161,6 +164,7 @@ pub(crate) fn rules(access: &Access, limits: &Limits) -> Rules {
         message: limits.longest_message(),
         connections,
         handshake: limits.handshake,
+        idle: IDLE,
         memory: limits.buffers(),
     }
 }

@@ -92,7 +92,11 @@ pub(crate) enum LastEvent<'a> {
         answer: Option<Answer<'a>>,
     },
     /// The answer to the abort does not contain the task's state.
-    StopUnclear { id: &'a RemoteId, reason: &'a str },
+    StopUnclear {
+        id: &'a RemoteId,
+        reason: &'a str,
+        answer: Option<Answer<'a>>,
+    },
     /// The task was aborted, or ended just before.
     Stopped {
         id: &'a RemoteId,
@@ -112,18 +116,36 @@ pub(crate) enum LastEvent<'a> {
     Left { id: &'a RemoteId, reply: &'a str },
 }
 
-/// An answer that does not contain the task's state, as the original reads it: the state, if ZTL defines it, and the
-/// text.
-pub(crate) type Answer<'a> = (Option<State>, &'a str);
+/// An answer that does not contain the task's state, as the original reads it: it looks at the number of the state alone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Answer<'a> {
+    /// The state, if ZTL defines it.
+    pub(crate) state: Option<State>,
+    pub(crate) is_negative: bool,
+    pub(crate) text: &'a str,
+}
 
-pub(crate) fn answer(error: &RequestError) -> Option<Answer<'_>> {
-    match error {
-        RequestError::UnknownTask { text, .. } => Some((Some(State::Rejected), text)),
-        RequestError::NotTold { state, text } => Some((Some(*state), text)),
-        RequestError::UnknownOutcome { text } => Some((Some(State::Failed), text)),
-        RequestError::OtherTask { state, text, .. } => Some((*state, text)),
-        RequestError::UndefinedState { text, .. } => Some((None, text)),
-        _ => None,
+impl<'a> Answer<'a> {
+    pub(crate) fn of(error: &'a RequestError) -> Option<Self> {
+        let (state, text) = match error {
+            RequestError::UnknownTask { text, .. } => (Some(State::Rejected), text),
+            RequestError::NotTold { state, text } => (Some(*state), text),
+            RequestError::UnknownOutcome { text } => (Some(State::Failed), text),
+            RequestError::OtherTask { state, text, .. } => (*state, text),
+            RequestError::UndefinedState { text, .. } => (None, text),
+            _ => return None,
+        };
+        let negative = |state: &RemoteId| state.as_str().starts_with('-');
+        Some(Self {
+            state,
+            is_negative: matches!(error, RequestError::UndefinedState { state, .. } if negative(state)),
+            text,
+        })
+    }
+
+    /// Whether the original takes the task for running.
+    pub(crate) fn runs(&self) -> bool {
+        self.is_negative || self.state.is_some_and(|state| !state.is_final())
     }
 }
 

@@ -104,7 +104,7 @@ fn end<'a>(last: &'a LastEvent<'a>) -> Line<'a> {
         LastEvent::Ended { id, status } => (Some(*id), &status.text),
         // The reply to an ABORT is not the result.
         LastEvent::Stopped { id, words, .. } => (Some(*id), words),
-        LastEvent::Lost { id, reason, .. } | LastEvent::StopUnclear { id, reason } => {
+        LastEvent::Lost { id, reason, .. } | LastEvent::StopUnclear { id, reason, .. } => {
             (Some(*id), reason)
         }
         LastEvent::After { id, text, .. } => (Some(*id), text),

@@ -5,7 +5,7 @@ use std::time::Instant;
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteId, State, Status};
 
-use super::event::{ClientEvent, LastEvent};
+use super::event::{Answer, ClientEvent, LastEvent};
 use super::task::{ClientTask, Target, Wording};
 use crate::terminal::{flat, is_live, line, line_with_state, rewrite};
 
@@ -123,19 +123,38 @@ impl<'a> TextReporter<'a> {
             LastEvent::Ended { id, status } => self.ended(id, Some(status.state), &status.text),
             LastEvent::Lost {
                 id,
-                answer: Some((state, text)),
+                answer: Some(answer),
                 ..
-            } if self.as_original => self.ended(id, *state, text),
+            } if self.as_original && !answer.is_negative => {
+                self.ended(id, answer.state, answer.text);
+            }
+            LastEvent::Lost {
+                id,
+                answer: Some(Answer { text, .. }),
+                ..
+            } if self.as_original => line(format_args!(
+                "Could not wait for task with ID '{id}'. Reply is '{text}'."
+            )),
+            LastEvent::StopUnclear {
+                id,
+                answer:
+                    Some(Answer {
+                        state: Some(State::Aborted),
+                        text,
+                        ..
+                    }),
+                ..
+            } if self.as_original => aborted(id, text),
             LastEvent::StopUnclear { .. } if self.as_original => {}
-            LastEvent::StopUnclear { id, reason } => line(format_args!(
+            LastEvent::StopUnclear { id, reason, .. } => line(format_args!(
                 "Could not abort Task with ID '{id}'. Reply is '{reason}'."
             )),
             LastEvent::Lost { id, reason, .. } => line(format_args!(
                 "Could not wait for task with ID '{id}'. Reply is '{reason}'."
             )),
-            LastEvent::Stopped { id, status, .. } if status.state == State::Aborted => line(
-                format_args!("Task with ID '{id}' aborted. Reply is '{}'.", status.text),
-            ),
+            LastEvent::Stopped { id, status, .. } if status.state == State::Aborted => {
+                aborted(id, &status.text);
+            }
             // The original prints nothing.
             LastEvent::Stopped { .. } => {}
             LastEvent::After {
@@ -172,4 +191,10 @@ impl<'a> TextReporter<'a> {
             (_, None) => line(format_args!("{task} in state 'None' {rest}")),
         }
     }
+}
+
+fn aborted(id: &RemoteId, reply: &str) {
+    line(format_args!(
+        "Task with ID '{id}' aborted. Reply is '{reply}'."
+    ));
 }

@@ -188,3 +188,18 @@ fn stopping_everything_ends_an_unattended_run() {
         Vec::<&RunEvent>::new()
     );
 }
+
+#[test]
+fn leaving_between_scenes_is_no_failure_unless_something_failed() {
+    for (first, outcome) in [("0", RunOutcome::Left), ("300 stuck", RunOutcome::Failures)] {
+        let script =
+            format!("s: {{a: {{lamp: {{light: {first}}}}}}}\nt: {{b: {{lamp: {{light: 0}}}}}}");
+        let mut world = World::started(&script);
+        while let Some(Question::Step { .. }) = world.until_asked() {
+            world.command(RunCommand::GoOn);
+        }
+        assert_eq!(world.player.question(), Some(Question::Scene { scene: 1 }));
+        world.command(RunCommand::Leave);
+        assert_eq!(world.outcome(), Some(outcome), "{first}");
+    }
+}

@@ -363,7 +363,7 @@ fn a_second_stop_leaves_at_once() {
     world.pass(Duration::from_millis(50));
     assert_eq!(world.outcome(), None);
     assert!(world.stop_by_signal());
-    assert_eq!(world.outcome(), Some(RunOutcome::Left));
+    assert_eq!(world.outcome(), Some(RunOutcome::NotConfirmed));
     assert!(!world.stop_by_signal());
 }
 

@@ -1,6 +1,7 @@
 //! Accepts connections, and makes room for them.
 
-use std::collections::VecDeque;
+use std::cell::Cell;
+use std::collections::{HashMap, VecDeque};
 use std::io::{self, Read as _};
 use std::net::IpAddr;
 use std::time::Duration;
@@ -8,7 +9,7 @@ use std::time::Duration;
 use mio::Token;
 use tracing::{debug, warn};
 use ztl_core::Instant;
-use ztl_zmtp::session::{Inbound, Outbound};
+use ztl_zmtp::session::{Inbound, Outbound, Security};
 
 use super::peer::{Peer, PeerId, Served};
 use super::places::Room;
@@ -53,7 +54,19 @@ impl<S: Served> Peers<S> {
                 let peer = slots.get(id.slot).and_then(Option::as_ref);
                 peer.is_some_and(|peer| peer.is_ready)
             };
-            match self.places.room(now, address, has_unread) {
+            let is_open = matches!(self.rules.security, Security::Null) && !S::SUBSCRIBED;
+            let found_none = Cell::new(false);
+            let idle = || {
+                let looks = is_open && self.next_idle <= now;
+                let idle = looks.then(|| idlest(slots, now, self.rules.idle, address));
+                found_none.set(idle == Some(None));
+                idle.flatten()
+            };
+            let room = self.places.room(now, address, has_unread, idle);
+            if found_none.get() {
+                self.next_idle = now + CHECK;
+            }
+            match room {
                 Room::Free => {}
                 Room::InsteadOf(id) => self.close(id.slot, Some("others wait to connect")),
                 Room::None if is_gone(&mut stream, &mut self.piece) => {
@@ -106,6 +119,9 @@ impl<S: Served> Peers<S> {
             is_leaving: false,
             later: VecDeque::new(),
             later_held: 0,
+            heard: now,
+            unanswered: 0,
+            has_asked: false,
             took: now,
         };
         self.unsent.push(slot);
@@ -121,6 +137,36 @@ impl<S: Served> Peers<S> {
         self.next_check.get_or_insert(now + CHECK);
         Ok(())
     }
+}
+
+/// The connection that makes room on a server without keys, where everybody finishes the handshake: an idle one of the
+/// addresses with the most connections, but of no other address with fewer than the newcomer's. One that never asked
+/// anything goes first, then the one that was silent for longest.
+fn idlest<S: Served>(
+    slots: &[Option<Peer<S>>],
+    now: Instant,
+    time: Duration,
+    newcomer: IpAddr,
+) -> Option<PeerId> {
+    let known = || {
+        let all = slots.iter().enumerate();
+        let all = all.filter_map(|(slot, peer)| Some((slot, peer.as_ref()?)));
+        all.filter(|(_, peer)| peer.inbound.is_ready())
+    };
+    let mut counts: HashMap<IpAddr, usize> = HashMap::new();
+    for (_, peer) in known() {
+        *counts.entry(peer.address).or_default() += 1;
+    }
+    let largest = counts.values().copied().max()?;
+    let count = |of: IpAddr| counts.get(&of).copied().unwrap_or(0);
+    let own = count(newcomer);
+    let pays = |of: IpAddr| of == newcomer || count(of) > own;
+    let makes_room = |(_, peer): &(usize, &Peer<S>)| {
+        peer.is_idle(now, time) && 2 * count(peer.address) >= largest && pays(peer.address)
+    };
+    let idle = known().filter(makes_room);
+    let idle = idle.min_by_key(|(_, peer)| (peer.has_asked, peer.heard));
+    idle.map(|(slot, peer)| peer.id(slot))
 }
 
 /// Whether the other end has closed a connection that gets no place. Reads what it sent.

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::net::IpAddr;
+use std::time::Duration;
 
 use ztl_core::Instant;
 use ztl_zmtp::session::{Inbound, Message, Outbound};
@@ -79,6 +80,11 @@ pub(super) struct Peer<S> {
     /// Messages of it that wait until it has read its answers, and their bytes.
     pub(super) later: VecDeque<Incoming>,
     pub(super) later_held: usize,
+    /// When bytes of it were last read.
+    pub(super) heard: Instant,
+    /// How many of its requests have no answer yet, and whether it has sent any.
+    pub(super) unanswered: usize,
+    pub(super) has_asked: bool,
     /// When it last took bytes, or began to have too many.
     pub(super) took: Instant,
 }
@@ -102,6 +108,15 @@ impl<S: Served> Peer<S> {
     /// Whether it has to read answers before it is served again.
     pub(super) fn is_full(&self) -> bool {
         self.out.waiting() >= UNSENT || !self.later.is_empty()
+    }
+
+    /// Whether it has done nothing for this time, and waits for nothing.
+    pub(super) fn is_idle(&self, now: Instant, time: Duration) -> bool {
+        self.inbound.is_ready()
+            && self.unanswered == 0
+            && self.out.waiting() == 0
+            && !self.is_ready
+            && self.heard + time <= now
     }
 
     pub(super) fn incoming(

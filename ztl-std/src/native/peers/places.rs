@@ -1,6 +1,6 @@
 //! Who has a place: a policy without I/O.
 //!
-//! Clients that have finished the handshake keep their place. The others, *strangers*, share what is left, and a small part
+//! Clients that have finished the handshake keep their place, unless they are idle where nobody needs a key. The others, *strangers*, share what is left, and a small part
 //! in any case. When it is full, a newcomer takes the place of another stranger, or is turned away. A crowd of strangers may
 //! come from the address of an honest client, and may send what an honest client sends, but nobody can finish the handshake
 //! faster than the network allows. So:
@@ -98,11 +98,13 @@ impl Places {
     }
 
     /// Whether a newcomer of this address gets a place. Who `has_unread` bytes stays: it may be further than its stage says.
+    /// `idle` finds one that has finished the handshake and may be closed, if all places are taken.
     pub(super) fn room(
         &self,
         now: Instant,
         address: IpAddr,
         has_unread: impl Fn(PeerId) -> bool,
+        idle: impl FnOnce() -> Option<PeerId>,
     ) -> Room {
         let most = self.most_strangers();
         let own = self.by_address.get(&address).map_or(0, BTreeMap::len);
@@ -110,6 +112,12 @@ impl Places {
         let is_full = self.strangers >= most || self.known + self.strangers >= self.connections;
         if !has_share && !is_full {
             return Room::Free;
+        }
+        if !has_share
+            && self.strangers < most
+            && let Some(idle) = idle()
+        {
+            return Room::InsteadOf(idle);
         }
         let counts = self.by_address.values().map(BTreeMap::len);
         let largest = counts.max().unwrap_or(0);

@@ -84,6 +84,7 @@ fn rules() -> Rules {
         message: 1 << 20,
         connections: 50,
         handshake: HANDSHAKE,
+        idle: Duration::from_secs(3600),
         memory: 8 << 20,
     }
 }
@@ -105,7 +106,19 @@ fn is_served(socket: &zmq::Socket, body: &[u8]) {
 
 /// A client that has shaken hands.
 fn raw(echo: &Echo) -> TcpStream {
-    let mut stream = TcpStream::connect(echo.address).unwrap();
+    shaken(TcpStream::connect(echo.address).unwrap())
+}
+
+/// The same from another address of this machine.
+fn raw_from(source: [u8; 4], echo: &Echo) -> TcpStream {
+    use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
+    let socket = socket(AddressFamily::INET, SocketType::STREAM, None).unwrap();
+    bind(&socket, &SocketAddr::from((source, 0))).unwrap();
+    connect(&socket, &echo.address).unwrap();
+    shaken(socket.into())
+}
+
+fn shaken(mut stream: TcpStream) -> TcpStream {
     stream.set_read_timeout(LIMIT).unwrap();
     stream.set_write_timeout(LIMIT).unwrap();
     stream.write_all(GREETING).unwrap();
@@ -329,4 +342,100 @@ fn a_stream_that_is_not_zmtp_ends_and_harms_nobody() {
         let _ = stream.read_to_end(&mut heard);
         is_served(&socket, bytes);
     }
+}
+
+/// A server without keys and its four clients: the first waits for an answer, the second has its one, the others have asked
+/// nothing.
+fn crowded(rules: Rules) -> (Echo, [TcpStream; 4]) {
+    let echo = Echo::new(Rules {
+        connections: 4,
+        ..rules
+    });
+    let mut clients = [(); 4].map(|()| raw(&echo));
+    ask(&mut clients[1], b"hi");
+    // Both are read at once, and the first is answered.
+    let both = b"\x01\x00\x00\x02hi\x01\x00\x00\x04hold";
+    clients[0].write_all(both).unwrap();
+    clients[0].read_exact(&mut [0; 6]).unwrap();
+    (echo, clients)
+}
+
+fn ask(client: &mut TcpStream, body: &[u8; 2]) {
+    let message = [&b"\x01\x00\x00\x02"[..], body].concat();
+    client.write_all(&message).unwrap();
+    let mut heard = [0; 6];
+    client.read_exact(&mut heard).unwrap();
+    assert_eq!(heard, *message);
+}
+
+fn is_closed(client: &mut TcpStream) -> bool {
+    client.read(&mut [0; 9]).unwrap() == 0
+}
+
+#[test]
+fn without_keys_idle_connections_make_room_and_those_with_a_request_stay() {
+    let (echo, mut clients) = crowded(Rules {
+        idle: Duration::ZERO,
+        ..rules()
+    });
+    let mut third = raw(&echo);
+    assert!(
+        is_closed(&mut clients[2]),
+        "it never asked, and is the oldest of these"
+    );
+    let mut fourth = raw(&echo);
+    assert!(is_closed(&mut clients[3]));
+    ask(&mut third, b"on");
+    let mut answer = [0; 8];
+    clients[0].read_exact(&mut answer).unwrap();
+    assert_eq!(&answer[4..], b"hold");
+    ask(&mut fourth, b"on");
+    ask(&mut clients[1], b"on");
+}
+
+#[test]
+fn connections_that_are_not_idle_for_long_are_kept() {
+    let (echo, mut clients) = crowded(rules());
+    let mut newcomer = TcpStream::connect(echo.address).unwrap();
+    newcomer.set_read_timeout(LIMIT).unwrap();
+    assert!(is_closed(&mut newcomer), "no place");
+    for client in &mut clients[1..] {
+        ask(client, b"on");
+    }
+}
+
+#[test]
+fn a_connection_that_waits_for_an_answer_is_not_idle() {
+    let echo = Echo::new(Rules {
+        connections: 1,
+        idle: Duration::ZERO,
+        ..rules()
+    });
+    let mut client = raw(&echo);
+    let both = b"\x01\x00\x00\x02hi\x01\x00\x00\x04hold";
+    client.write_all(both).unwrap();
+    client.read_exact(&mut [0; 6]).unwrap();
+    let mut newcomer = TcpStream::connect(echo.address).unwrap();
+    newcomer.set_read_timeout(LIMIT).unwrap();
+    assert!(is_closed(&mut newcomer), "no place");
+    client.write_all(b"\x01\x00\x00\x02on").unwrap();
+    let mut answers = [0; 14];
+    client.read_exact(&mut answers).unwrap();
+    assert_eq!((&answers[4..8], &answers[12..]), (&b"hold"[..], &b"on"[..]));
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn who_has_many_idle_connections_makes_room_before_who_has_one() {
+    let echo = Echo::new(Rules {
+        connections: 4,
+        idle: Duration::ZERO,
+        ..rules()
+    });
+    let mut oldest = raw_from([127, 0, 0, 1], &echo);
+    let mut many = [(); 3].map(|()| raw_from([127, 0, 0, 2], &echo));
+    let mut newcomer = raw_from([127, 0, 0, 3], &echo);
+    assert!(is_closed(&mut many[0]));
+    ask(&mut oldest, b"on");
+    ask(&mut newcomer, b"on");
 }

@@ -52,6 +52,7 @@ impl<S: Served> Peers<S> {
             }
             Ok(0) => return self.close(slot, None),
             Ok(count) => {
+                peer.heard = now;
                 // A short read has emptied the system's buffer. The next bytes are an event; the end may have been one.
                 peer.readable = count == self.piece.len() || peer.has_ended;
                 count
@@ -84,6 +85,8 @@ impl<S: Served> Peers<S> {
                         }
                         None => (None, None),
                     };
+                    peer.unanswered += usize::from(envelope.is_some());
+                    peer.has_asked = true;
                     let body = body.map(Into::into);
                     self.messages.push_back(peer.incoming(slot, envelope, body));
                 }

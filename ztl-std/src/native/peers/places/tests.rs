@@ -26,7 +26,7 @@ fn come(places: &mut Places, last: u8, numbers: std::ops::Range<u64>) {
 }
 
 fn room(places: &Places, now: u32, last: u8) -> Room {
-    places.room(at(now), address(last), |_| false)
+    places.room(at(now), address(last), |_| false, || None)
 }
 
 #[test]
@@ -104,7 +104,7 @@ fn each_has_its_time_and_who_has_unread_bytes_stays() {
     assert_eq!(room(&places, 10, 1), Room::InsteadOf(id(5)));
     assert_eq!(room(&places, 11, 1), Room::InsteadOf(id(6)));
     let has_unread = |one: PeerId| one.number >= 6;
-    let found = places.room(at(50), address(1), has_unread);
+    let found = places.room(at(50), address(1), has_unread, || None);
     assert_eq!(found, Room::InsteadOf(id(5)));
     // Who has greeted has more time.
     for number in 0..8 {
@@ -191,7 +191,7 @@ struct World {
 impl World {
     fn add(&mut self, now: u64, address: IpAddr, handshake: Handshake) -> Option<u64> {
         let moment = Instant::ZERO + Duration::from_micros(now);
-        match self.places.room(moment, address, |_| false) {
+        match self.places.room(moment, address, |_| false, || None) {
             Room::Free => {}
             Room::None => return None,
             Room::InsteadOf(id) => {

@@ -1,0 +1,101 @@
+//! A Stop reaches each task at once, however long the others take to answer.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use ztl_std::{RemoteId, RequestError, State, Status};
+use ztl_tests::lab::{PATIENCE, SCOPE, connect, port_of, status};
+
+/// Answers nothing until it has `count` ABORTs; then all but the last, backwards, and each STATUS. Returns the requests.
+fn server(count: usize, lost: usize) -> (String, std::thread::JoinHandle<Vec<String>>) {
+    let socket = zmq::Context::new().socket(zmq::ROUTER).expect("a socket");
+    socket.set_linger(0).expect("an option");
+    socket.set_rcvtimeo(100).expect("an option");
+    socket.bind("tcp://127.0.0.1:*").expect("a free port");
+    let endpoint = socket.get_last_endpoint().expect("it is bound");
+    let port = port_of(&endpoint.expect("UTF-8"));
+    let serve = move || {
+        let mut requests = Vec::new();
+        let mut held = Vec::new();
+        let started = std::time::Instant::now();
+        while requests.len() < 2 * count - lost && started.elapsed() < PATIENCE {
+            let Ok(mut frames) = socket.recv_multipart(0) else {
+                continue;
+            };
+            let body = String::from_utf8(frames.pop().expect("a body")).expect("UTF-8");
+            let id = body.split(';').nth(2).expect("an id").to_owned();
+            let is_abort = body.split(';').nth(1) == Some("3");
+            requests.push(body);
+            let (state, text) = if is_abort { (4, "True") } else { (4, "there") };
+            frames.push(format!("{SCOPE};{state};{id};{text}").into_bytes());
+            if is_abort {
+                held.push(frames);
+            } else {
+                socket.send_multipart(frames, 0).expect("a client");
+            }
+            if is_abort && held.len() == count {
+                for answer in held.drain(..).rev().skip(lost) {
+                    socket.send_multipart(answer, 0).expect("a client");
+                }
+            }
+        }
+        requests
+    };
+    let thread = std::thread::spawn(serve);
+    (format!("tcp://127.0.0.1:{port}"), thread)
+}
+
+fn tasks(count: i64) -> Vec<(String, RemoteId)> {
+    let id = |id: i64| (SCOPE.to_owned(), RemoteId::from(id));
+    (1..=count).map(id).collect()
+}
+
+fn abort(
+    endpoint: &str,
+    limit: Duration,
+    tasks: &[(String, RemoteId)],
+) -> BTreeMap<usize, Result<Status, RequestError>> {
+    let mut told = BTreeMap::new();
+    let mut remote = connect(endpoint).with_timeout(limit);
+    remote.abort_all(tasks, |at, outcome| {
+        assert_eq!(told.insert(at, outcome), None, "told once");
+    });
+    told
+}
+
+#[test]
+fn all_aborts_are_sent_before_the_first_answer() {
+    let (endpoint, server) = server(5, 0);
+    let told = abort(&endpoint, PATIENCE, &tasks(5));
+    let expected = (0..5).map(|at| (at, Ok(status(State::Aborted, "there"))));
+    assert_eq!(told, expected.collect());
+    let requests = server.join().expect("requests");
+    let aborts = (1..=5).map(|id| format!("{SCOPE};3;{id};abort command"));
+    assert_eq!(requests[..5], aborts.collect::<Vec<_>>());
+}
+
+#[test]
+fn a_lost_answer_concerns_only_its_task() {
+    let (endpoint, _server) = server(5, 1);
+    let mut told = abort(&endpoint, Duration::from_secs(3), &tasks(5));
+    let lost = told.remove(&4).expect("the last");
+    assert!(
+        matches!(lost, Err(RequestError::NoAnswer { .. })),
+        "{lost:?}"
+    );
+    let expected = (0..4).map(|at| (at, Ok(status(State::Aborted, "there"))));
+    assert_eq!(told, expected.collect());
+}
+
+#[test]
+fn without_a_server_nothing_was_sent() {
+    let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::reserve_port());
+    let mut tasks = tasks(3);
+    tasks.push(("/a;3".to_owned(), RemoteId::from(4)));
+    let told = abort(&nobody, Duration::from_millis(300), &tasks);
+    assert_eq!(told.len(), 4);
+    for outcome in told.values() {
+        let error = outcome.as_ref().expect_err("nobody is there");
+        assert!(error.nothing_was_sent(), "{error}");
+    }
+}
