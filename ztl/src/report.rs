@@ -164,7 +164,7 @@ impl Drawings {
 
 #[cfg(not(feature = "record"))]
 #[derive(Default)]
-struct Drawings;
+struct Drawings {}
 
 #[cfg(not(feature = "record"))]
 impl Drawings {
