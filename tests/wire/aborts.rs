@@ -9,7 +9,8 @@ use ztl_tests::lab::{PATIENCE, SCOPE, connect, port_of, status};
 /// Answers nothing until it has `count` ABORTs; then all but the last, backwards, and each STATUS. Returns the requests.
 fn server(count: usize, lost: usize) -> (String, std::thread::JoinHandle<Vec<String>>) {
     let socket = zmq::Context::new().socket(zmq::ROUTER).expect("a socket");
-    socket.set_linger(0).expect("an option");
+    // The last answer still goes out.
+    socket.set_linger(10_000).expect("an option");
     socket.set_rcvtimeo(100).expect("an option");
     socket.bind("tcp://127.0.0.1:*").expect("a free port");
     let endpoint = socket.get_last_endpoint().expect("it is bound");
