@@ -7,7 +7,7 @@ use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::repr::{put_yaml, put_yaml_small};
 use crate::sink::Sink;
-use crate::tasks::{TaskTable, Tasks, StoredText, take_out};
+use crate::tasks::{StoredText, TaskTable, Tasks, take_out};
 use crate::{Instant, TaskId};
 
 /// A registered scope, by index.

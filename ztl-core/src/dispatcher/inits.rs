@@ -7,7 +7,7 @@ use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Scope};
 use crate::reply::{NOTHING_KNOWN, Reply, ReplyText};
-use crate::tasks::{Task, TaskRules, StoredText};
+use crate::tasks::{StoredText, Task, TaskRules};
 use crate::time::micros;
 use crate::{Instant, TaskId};
 

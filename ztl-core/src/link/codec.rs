@@ -1,6 +1,6 @@
 //! Encodes and decodes messages.
 
-use super::body::{Body, Busy, LinkCommand, GoalShape, Hello, Loss, Offer, Welcome};
+use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
 use super::ids::{IdList, Ids};
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;

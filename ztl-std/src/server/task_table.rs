@@ -3,7 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 
 use ztl_core::memory::Scope;
-use ztl_core::tasks::{Task, Tasks, StoredText};
+use ztl_core::tasks::{StoredText, Task, Tasks};
 use ztl_core::{Instant, TaskId};
 
 use super::limits::{Limits, MAX_MESSAGE};

@@ -59,10 +59,7 @@ fn variants_are_names_and_mappings() {
     writes(&Move::Stop, "stop");
     writes(&[Move::Stop], "['stop']");
     writes(&Move::Turn(1.5), "{'turn': 1.5}");
-    writes(
-        &[Move::Go(1, -1), Move::Stop],
-        "[{'go': [1, -1]}, 'stop']",
-    );
+    writes(&[Move::Go(1, -1), Move::Stop], "[{'go': [1, -1]}, 'stop']");
     writes(
         &[Move::Drive { to, fast: true }],
         "[{'drive': {'to': {'x': 1.0, 'y': 2.0, 'theta': 3.0}, 'fast': True}}]",
