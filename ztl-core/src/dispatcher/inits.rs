@@ -108,7 +108,6 @@ impl<M: Memory> Dispatcher<M> {
     }
 
     /// Records a client's last INIT; returns whether there was room.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn remember(
         &mut self,
         client: &ClientId,

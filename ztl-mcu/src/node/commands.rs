@@ -3,8 +3,8 @@
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, LinkCommand, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, next_seq,
-    session_key, session_number,
+    ADDR_ONLY_NODE, CommandFrame, Hello, LinkCommand, LinkId, NO_SEQ, NO_SESSION, VERSION,
+    next_seq, session_key, session_number,
 };
 
 use super::link_state::{Answer, Counters, LinkState, count};
@@ -73,7 +73,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
     }
 
-    fn on_command(&mut self, now: Instant, seq: u8, command: LinkCommand<'_>, counters: &mut Counters) {
+    fn on_command(
+        &mut self,
+        now: Instant,
+        seq: u8,
+        command: LinkCommand<'_>,
+        counters: &mut Counters,
+    ) {
         if seq == self.seq {
             count(&mut counters.repeats);
             self.answer_due = true;

@@ -344,7 +344,7 @@ fn draw_task(
     drawing.bar(&class, under_way, (top, bottom), &attributes, &title);
     for (from, to) in &task.unknown {
         let x = (axis.x(*from), axis.x(*to));
-        drawing.bar("gap", x, (top, bottom), "", "nobody knew");
+        drawing.bar("gap", x, (top, bottom), "", "state unknown");
     }
     let open = task.to.is_none() || to > axis.to;
     let sign = match task.state {

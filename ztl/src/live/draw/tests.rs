@@ -211,14 +211,14 @@ fn a_refused_stop_never_counts_as_confirmed() {
     let refused = RunEvent::StopAnswered {
         task: TaskNumber(14),
         confirmed: false,
-        text: "it cannot be stopped, and goes on (False)".to_owned(),
+        text: "it cannot be stopped, and continues (False)".to_owned(),
     };
     and(&mut board, at, refused);
     let screen = screen(&board, at, (80, 24));
     assert!(!screen.contains("all confirmed"), "{screen}");
     for part in [
         "STOPPING EVERYTHING: 2 of 3 confirmed, 1 may still move",
-        "✗ robot:say:Goodbye: it cannot be stopped, and goes on (False)",
+        "✗ robot:say:Goodbye: it cannot be stopped, and continues (False)",
     ] {
         assert!(screen.contains(part), "{part} in\n{screen}");
     }
