@@ -265,6 +265,9 @@ fn a_client_that_sends_nothing_because_of_a_mistake_exits_with_2() {
         "ps -r robot -c remotes.yaml",
         "task-client --exit-status -r robot -c remotes.yaml a:b:c",
         "task-client --exit-status -r tcp://localhost -p 1 -s /lab a:b:c",
+        "task-client --exit-status -p 1 -s /lab a:b",
+        "task-client --exit-status --json -p 1 -s /lab a:b",
+        "remote-task --exit-status --task robot localhost 1 /lab robot a:b",
         "ZTL_SCOPE=/a;3 task-client --exit-status -p 1 a:b:c",
         "remote-task --exit-status -c remotes.yaml robot a:b:c",
         "remote-task --exit-status -c remotes.yaml other a:b:c",
@@ -299,6 +302,11 @@ fn a_client_that_sends_nothing_because_of_a_mistake_exits_with_2() {
         assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
         assert!(!ended.stderr.is_empty(), "{line}");
         assert!(!ended.stdout.contains("Triggering"), "{line}: {ended:?}");
+        // Stdout is for events.
+        assert!(
+            !line.contains("--json") || ended.stdout.is_empty(),
+            "{line}: {ended:?}"
+        );
     }
 }
 

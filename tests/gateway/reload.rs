@@ -112,6 +112,11 @@ fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
     remote.abort(&pan).expect("an answer");
     assert_eq!(remote.status(&arm).expect("known").state, State::Accepted);
     assert_eq!(remote.abort(&arm).expect("an answer").state, State::Aborted);
+    let log = rig.gateway.stderr();
+    assert!(
+        !log.contains("'head': device is not answering"),
+        "a device that is not served was missed: {log}"
+    );
 }
 
 #[test]

@@ -91,15 +91,15 @@ greeting:
         ),
         (
             "doubtful: show.yaml:5:3:",
-            "stands here for the second time: this one counts, in the place of the first (line 2)",
+            ": this one is played, in the place of the first (line 2)",
         ),
         (
             "mistake: show.yaml:6:5:",
-            "step 'hello' is a mapping of handlers; here is a list",
+            "step 'hello' is a mapping of handlers; found a list",
         ),
         (
             "mistake: show.yaml:7:3:",
-            "step 'last' is a mapping of handlers; here is nothing",
+            "step 'last' is a mapping of handlers; found nothing",
         ),
     ] {
         let told = found
@@ -291,7 +291,7 @@ fn a_mistyped_key_is_one_finding_with_a_suggestion() {
         ),
         (
             "- test:{echo: 1}",
-            "mistake: show.yaml:3:5: step 'step' is a mapping of handlers; here is a list; write scene: "
+            "mistake: show.yaml:3:5: step 'step' is a mapping of handlers; found a list; write scene: "
                 .to_owned(),
         ),
     ] {
@@ -358,7 +358,7 @@ s:
     let ended = directory.run("check show.yaml -c remotes.yaml --defaults defaults.yaml --live");
     for words in [
         "defaults.yaml:1:1: unknown key 'timeuot'",
-        "show.yaml:2:6: step 'a' is a mapping of handlers; here is a list",
+        "show.yaml:2:6: step 'a' is a mapping of handlers; found a list",
         "show.yaml:3:7: no remote 'robto' in remotes.yaml",
         "show.yaml:3:20: '2020-02-30' looks like a date",
         "show.yaml:3:43: server 'gripper': '400' is not a number",

@@ -32,7 +32,7 @@ use project::Project;
 /// The project's development tasks.
 #[derive(Parser)]
 #[command(bin_name = "cargo xtask")]
-enum Command {
+enum XtaskCommand {
     /// Install what the tests need: programs, the original package, other peers.
     Setup,
     /// Check format and lints, run unit tests and wire tests: before each commit.
@@ -119,7 +119,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    match run(Command::parse()) {
+    match run(XtaskCommand::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("\nxtask: {error:#}");
@@ -128,32 +128,32 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: Command) -> anyhow::Result<()> {
+fn run(command: XtaskCommand) -> anyhow::Result<()> {
     let project = &Project::enter()?;
     match command {
-        Command::Setup => install::all(project),
-        Command::Check => steps::check(project),
-        Command::Test { list: true, .. } => {
+        XtaskCommand::Setup => install::all(project),
+        XtaskCommand::Check => steps::check(project),
+        XtaskCommand::Test { list: true, .. } => {
             steps::list();
             Ok(())
         }
-        Command::Test { only, .. } => steps::test(project, &only),
-        Command::C {
+        XtaskCommand::Test { only, .. } => steps::test(project, &only),
+        XtaskCommand::C {
             targets,
             check,
             glibc,
         } => capi::build(project, &targets, check, glibc),
-        Command::Dist { targets, check } => dist::build(project, &targets, check),
-        Command::Deb { targets } => deb::build(project, &targets).map(drop),
-        Command::Firmware { board } => firmware::show(project, board.as_deref()),
-        Command::Qemu { board, port } => firmware::run_in_qemu(project, &board, port),
-        Command::Size { accept: true } => size::accept(project),
-        Command::Size { accept: false } => size::check(project),
-        Command::Fuzz { target, seconds } => fuzz::search(project, target.as_deref(), seconds),
-        Command::Model { args } => long_runs::simulation(project, "model", &args),
-        Command::Simulate { args } => long_runs::simulation(project, "simulate", &args),
-        Command::Soak(soak) => soak.run(project),
-        Command::Bench { parts } => long_runs::bench(project, &parts),
+        XtaskCommand::Dist { targets, check } => dist::build(project, &targets, check),
+        XtaskCommand::Deb { targets } => deb::build(project, &targets).map(drop),
+        XtaskCommand::Firmware { board } => firmware::show(project, board.as_deref()),
+        XtaskCommand::Qemu { board, port } => firmware::run_in_qemu(project, &board, port),
+        XtaskCommand::Size { accept: true } => size::accept(project),
+        XtaskCommand::Size { accept: false } => size::check(project),
+        XtaskCommand::Fuzz { target, seconds } => fuzz::search(project, target.as_deref(), seconds),
+        XtaskCommand::Model { args } => long_runs::simulation(project, "model", &args),
+        XtaskCommand::Simulate { args } => long_runs::simulation(project, "simulate", &args),
+        XtaskCommand::Soak(soak) => soak.run(project),
+        XtaskCommand::Bench { parts } => long_runs::bench(project, &parts),
     }
 }
 
@@ -164,8 +164,8 @@ mod tests {
 
     #[test]
     fn each_command_has_one_line_of_help() {
-        Command::command().debug_assert();
-        for command in Command::command().get_subcommands() {
+        XtaskCommand::command().debug_assert();
+        for command in XtaskCommand::command().get_subcommands() {
             assert!(command.get_about().is_some(), "{}", command.get_name());
         }
     }
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn a_simulation_gets_its_own_options() {
         let words = ["xtask", "model", "--depth", "2"];
-        let Ok(Command::Model { args }) = Command::try_parse_from(words) else {
+        let Ok(XtaskCommand::Model { args }) = XtaskCommand::try_parse_from(words) else {
             panic!("rejected");
         };
         assert_eq!(args, ["--depth", "2"]);
@@ -189,7 +189,7 @@ mod tests {
             ("fuzz --seconds 0", "--seconds"),
         ] {
             let words = ["xtask"].into_iter().chain(words.split(' '));
-            let Err(error) = Command::try_parse_from(words) else {
+            let Err(error) = XtaskCommand::try_parse_from(words) else {
                 panic!("accepted");
             };
             assert!(error.to_string().contains(expected), "{error}");

@@ -30,7 +30,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// The byte `bytes` ahead; 0 past the end, like a NUL in the text.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn ahead(&self, bytes: usize) -> u8 {
         let at = self.at.wrapping_add(bytes);
         self.text.as_bytes().get(at).copied().unwrap_or(0)
@@ -42,7 +41,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// Consumes the next byte if it is `byte`, and returns whether it was.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn take(&mut self, byte: u8) -> bool {
         let there = self.peek() == byte;
         self.at += usize::from(there);
@@ -59,7 +57,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// Skips whitespace and returns the next byte without consuming it.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn skip_blanks(&mut self) -> u8 {
         while is_blank(self.peek()) {
             self.at += 1;

@@ -7,7 +7,7 @@ use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::repr::{put_yaml, put_yaml_small};
 use crate::sink::Sink;
-use crate::tasks::{TaskTable, Tasks, Text, take_out};
+use crate::tasks::{StoredText, TaskTable, Tasks, take_out};
 use crate::{Instant, TaskId};
 
 /// A registered scope, by index.
@@ -77,7 +77,7 @@ pub struct LastInit<T> {
     pub until: Instant,
 }
 
-impl<T: Text> LastInit<T> {
+impl<T: StoredText> LastInit<T> {
     /// An empty record for a client without one.
     #[must_use]
     pub fn new(client: ClientId) -> Self {
@@ -99,7 +99,7 @@ pub trait Memory {
     /// How the transport addresses a client: a ZeroMQ envelope, a connection number.
     type Peer;
     /// How texts are stored.
-    type Text: Text;
+    type Text: StoredText;
     /// The task table.
     type Tasks: Tasks<Id = TaskId, Extra = Scope, Text = Self::Text>;
     /// Whether an ended task expires. If not, it is dropped only when its slot is needed.

@@ -102,7 +102,6 @@ pub fn put_decimal(sink: &mut (impl Sink + ?Sized), number: u32) {
 }
 
 /// Divides by 10: quotient and remainder. Uses shifts, because a division costs 0.4 KiB on a Cortex-M0.
-#[cfg_attr(target_os = "none", inline(never))]
 #[must_use]
 pub const fn div_10(number: u32) -> (u32, u8) {
     // Approximates 0.8 × `number` from below.

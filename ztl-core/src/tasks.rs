@@ -20,7 +20,7 @@ pub struct Task<X, T> {
     pub extra: X,
 }
 
-impl<X, T: Text> Task<X, T> {
+impl<X, T: StoredText> Task<X, T> {
     /// Creates a task that is not decided yet.
     pub fn new(extra: X) -> Self {
         Self {
@@ -48,7 +48,7 @@ impl<X, T: Text> Task<X, T> {
 }
 
 /// Storage for a text: progress, result or reason.
-pub trait Text: Default + AsRef<str> {
+pub trait StoredText: Default + AsRef<str> {
     /// Replaces the text. Text that does not fit is cut at a character boundary and ends in `…`.
     fn set(&mut self, text: &str);
 }
@@ -56,7 +56,7 @@ pub trait Text: Default + AsRef<str> {
 /// Marks a cut.
 const CUT: &str = "…";
 
-impl<const N: usize> Text for heapless::String<N> {
+impl<const N: usize> StoredText for heapless::String<N> {
     fn set(&mut self, text: &str) {
         self.clear();
         if self.push_str(text).is_err() {
@@ -123,7 +123,7 @@ pub trait Tasks {
     /// What the owner adds to each task.
     type Extra;
     /// How texts are stored.
-    type Text: Text;
+    type Text: StoredText;
 
     /// The task with this id.
     fn get(&self, id: Self::Id) -> Option<&TaskOf<Self>>;

@@ -202,7 +202,6 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     }
 
     /// Handles received bytes, in pieces of any length.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_bytes(&mut self, now: Instant, mut bytes: &[u8]) {
         if bytes.is_empty() {
             return;

@@ -86,12 +86,12 @@ impl Display for Repr<'_> {
 
 /// Writes the text of a value.
 pub(crate) fn put(value: Value<'_>, out: &mut impl Write) -> fmt::Result {
-    walk(value, &mut Text(out))
+    walk(value, &mut ReprWriter(out))
 }
 
-struct Text<'a, W>(&'a mut W);
+struct ReprWriter<'a, W>(&'a mut W);
 
-impl<W: Write> Visitor for Text<'_, W> {
+impl<W: Write> Visitor for ReprWriter<'_, W> {
     fn leaf(&mut self, value: Value<'_>) -> fmt::Result {
         let out = &mut *self.0;
         match value.kind() {

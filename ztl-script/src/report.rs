@@ -3,13 +3,13 @@
 //! The page is one file without scripts or external resources. `docs/record.md` explains its numbers.
 
 mod csv;
+mod failures;
 mod from_record;
 mod html;
 mod page;
 mod run;
 mod svg;
 mod tables;
-mod trouble;
 mod words;
 
 use crate::record::{Damage, Record};

@@ -380,17 +380,14 @@ publishers:
     fn a_mistake_is_shown_with_its_place() {
         for (text, message) in [
             ("remotes: {a: {host: h", "remotes.yaml:1:"),
-            (
-                "- a",
-                "remotes.yaml:1:1: here is a list; wanted is a mapping",
-            ),
+            ("- a", "remotes.yaml:1:1: found a list; expected a mapping"),
             ("remotes: 7", "remotes.yaml:1:10: here is a single value"),
         ] {
             let error = read(text).unwrap_err();
             assert!(error.starts_with(message), "{text}: {error}");
         }
         for (entry, message) in [
-            ("", "remotes.yaml:2:5: here is nothing; wanted is a mapping"),
+            ("", "remotes.yaml:2:5: found nothing; expected a mapping"),
             (
                 "{host: h, scope: s}",
                 "remotes.yaml:2:6: 'port' is missing; write port: 12345",
@@ -426,7 +423,7 @@ publishers:
     #[test]
     fn a_misspelt_or_incomplete_key_makes_no_plain_text_entry() {
         let both = "an encrypted connection needs both: key: robot.key_secret, server-key: far.key";
-        let nothing = "here is nothing; wanted is a file of `ztl keys`";
+        let nothing = "found nothing; expected a file of `ztl keys`";
         for (keys, messages) in [
             (
                 "key: a.key_secret, server_key: r.key",

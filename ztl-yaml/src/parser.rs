@@ -165,7 +165,7 @@ impl Parser {
             let span = self.next()?.span;
             match directive {
                 Directive::Yaml(_) if version => {
-                    return Err(at(span, "the version stands here for the second time"));
+                    return Err(at(span, "the version is given twice"));
                 }
                 Directive::Yaml(false) => {
                     return Err(at(span, "the version of YAML is 1.1 or 1.2"));
@@ -173,7 +173,7 @@ impl Parser {
                 Directive::Yaml(true) => version = true,
                 Directive::Tag(handle, prefix) => {
                     if self.handles.insert(handle, prefix).is_some() {
-                        return Err(at(span, "this handle stands here for the second time"));
+                        return Err(at(span, "this handle is defined twice"));
                     }
                 }
                 Directive::Other => {}
@@ -415,7 +415,7 @@ impl Parser {
                 && !merge::is_merge(key)
                 && !seen.insert(text)
             {
-                let message = format!("'{text}' stands here for the second time");
+                let message = format!("duplicate key '{text}'");
                 self.mistakes.push((key.span, message));
             }
         }

@@ -63,7 +63,7 @@ impl<'d> Reading<'d> {
         match &node.value {
             NodeValue::Scalar { text, .. } if !node.is_null() => Some(text),
             _ => {
-                self.wrong(node, format!("here is {}; wanted is {what}", node.kind()));
+                self.wrong(node, format!("found {}; expected {what}", node.kind()));
                 None
             }
         }
@@ -139,7 +139,7 @@ impl<'d> Reading<'d> {
         match &node.value {
             NodeValue::Map(pairs) => Some(pairs),
             _ => {
-                let message = format!("here is {}; wanted is a mapping: {what}", node.kind());
+                let message = format!("found {}; expected a mapping: {what}", node.kind());
                 self.wrong(node, message);
                 None
             }
@@ -153,7 +153,7 @@ impl<'d> Reading<'d> {
             _ => {
                 self.wrong(
                     node,
-                    format!("here is {}; wanted is a list: {what}", node.kind()),
+                    format!("found {}; expected a list: {what}", node.kind()),
                 );
                 None
             }

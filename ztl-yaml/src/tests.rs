@@ -169,7 +169,7 @@ fn invalid_yaml_is_reported_at_its_cause() {
         ),
         (
             "a: 1\na: 2\n",
-            "f:2:1: 'a' stands here for the second time\n  2 | a: 2\n    | ^\n",
+            "f:2:1: duplicate key 'a'\n  2 | a: 2\n    | ^\n",
         ),
     ] {
         let said = refused(text);
@@ -230,7 +230,9 @@ e: {<<: [], '<<': text}
         ]
     );
     // A mapping's own keys stand there once.
-    assert!(refused("a: &a {x: 1}\nb: {<<: *a, x: 2, x: 3}\n").contains("f:2:19: 'x' stands here"));
+    assert!(
+        refused("a: &a {x: 1}\nb: {<<: *a, x: 2, x: 3}\n").contains("f:2:19: duplicate key 'x'")
+    );
     for wrong in ["a: {<<: 1}", "a: {<<: [{b: 1}, 2]}", "a: {<<: }"] {
         let said = refused(wrong);
         assert!(
@@ -268,7 +270,7 @@ f:2:8: 'lud' is not known here; did you mean 'loud'?
 f:3:7: '70000' is not a port, 0 to 65535
   3 | port: 70000
     |       ^^^^^
-f:4:7: here is a single value; wanted is a list: - word
+f:4:7: found a single value; expected a list: - word
   4 | list: 3
     |       ^
 f:5:1: 'empty' has no value; write empty: bottle

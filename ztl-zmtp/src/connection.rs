@@ -213,6 +213,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Closes the connection: the stream has ended.
+    // Not inlined in firmware: with the others in this crate, that saves 268 bytes in `microbit-zmtp`.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn close(&mut self) {
         self.phase = Phase::Closed;
@@ -363,6 +364,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Marks the first `count` bytes of [`transmit_buf`](Self::transmit_buf) as sent.
+    // Not inlined in firmware: with the others in this crate, that saves 268 bytes in `microbit-zmtp`.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn consume(&mut self, count: usize) {
         if count < self.transmit_buf().len() {
@@ -417,6 +419,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Closes the connection because of `fault`.
+    // Not inlined in firmware: with the others in this crate, that saves 268 bytes in `microbit-zmtp`.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn fail(&mut self, fault: Fault) {
         self.close();

@@ -55,7 +55,6 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Takes bytes of a frame (RFC 37, Framing).
-    #[cfg_attr(target_os = "none", inline(never))]
     fn take_of_frame(&mut self, first: u8, bytes: &[u8]) -> usize {
         match self.next {
             Next::Flags => {
@@ -113,6 +112,7 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Handles the header of a frame, once its size is known.
+    // Not inlined in firmware: with the others in this crate, that saves 268 bytes in `microbit-zmtp`.
     #[cfg_attr(target_os = "none", inline(never))]
     fn on_header(&mut self) {
         if self.size > SKIPPED {
@@ -190,7 +190,6 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Handles a complete command (RFC 37, Commands).
-    #[cfg_attr(target_os = "none", inline(never))]
     fn on_command(&mut self) {
         let (begin, _) = self.command_range();
         let buffer = self.buffer.as_mut();

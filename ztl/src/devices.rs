@@ -183,7 +183,7 @@ fn show<'a>(
     line(format_args!("{scope} {name} at {}: {how}", device.url));
     if let Some(firmware) = &device.firmware {
         line(format_args!(
-            "  firmware {} {}, up {}; acts by itself {} after the link's last word",
+            "  firmware {} {}, up {}; link timeout {}",
             flat(&firmware.name),
             flat(&firmware.version),
             spoken(firmware.uptime_ms),
@@ -206,7 +206,7 @@ fn show<'a>(
     let link = &device.link;
     let counters = &link.counters;
     line(format_args!(
-        "  link: {} frames; dropped {} (damaged {}, cut short {}, too long {}, not understood {}); {} commands repeated, {} duplicates dropped",
+        "  link: {} frames; dropped {} (damaged {}, truncated {}, too long {}, unknown {}); {} commands resent, {} duplicates dropped",
         counters.frames,
         counters.errors(),
         counters.damaged,

@@ -46,7 +46,7 @@ where
             write!(writer, "{now} ")?;
         }
         write!(writer, "{level}:{}:", metadata.target())?;
-        let mut text = Text {
+        let mut text = MessageText {
             writer: writer.by_ref(),
             written: Ok(()),
         };
@@ -57,12 +57,12 @@ where
 }
 
 /// Writes only the message of an event. Its fields are for machines.
-struct Text<'a> {
+struct MessageText<'a> {
     writer: Writer<'a>,
     written: fmt::Result,
 }
 
-impl Visit for Text<'_> {
+impl Visit for MessageText<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
             // One event is one line, and nothing in it commands a terminal that shows it later.

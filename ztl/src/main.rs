@@ -90,11 +90,11 @@ use terminal::error_part;
 )]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: ZtlCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum ZtlCommand {
     /// Run a demo: two simulated devices, a gateway and a scene
     Demo(demo::Demo),
     /// Serve microcontrollers as handlers of a task server
@@ -165,30 +165,30 @@ fn main() -> ExitCode {
         Err(error) => error.exit(),
     };
     let done = match command {
-        Command::Demo(demo) => demo.run(),
-        Command::Gateway(gateway) => gateway.run(),
+        ZtlCommand::Demo(demo) => demo.run(),
+        ZtlCommand::Gateway(gateway) => gateway.run(),
         #[cfg(unix)]
-        Command::Serve(serve) => serve.run(),
-        Command::Device(device) => device.run(),
-        Command::Line(line) => line.run(),
-        Command::Devices(devices) => devices.run(),
+        ZtlCommand::Serve(serve) => serve.run(),
+        ZtlCommand::Device(device) => device.run(),
+        ZtlCommand::Line(line) => line.run(),
+        ZtlCommand::Devices(devices) => devices.run(),
         #[cfg(target_os = "linux")]
-        Command::Doctor(doctor) => doctor.run(),
-        Command::Keys(keys) => keys.run(),
-        Command::Describe(describe) => describe.run(),
-        Command::Ps(ps) => ps.run(),
-        Command::Abort(abort) => abort.run(),
-        Command::Subscribe(subscribe) => subscribe.run(),
-        Command::Publish(publish) => publish.run(),
+        ZtlCommand::Doctor(doctor) => doctor.run(),
+        ZtlCommand::Keys(keys) => keys.run(),
+        ZtlCommand::Describe(describe) => describe.run(),
+        ZtlCommand::Ps(ps) => ps.run(),
+        ZtlCommand::Abort(abort) => abort.run(),
+        ZtlCommand::Subscribe(subscribe) => subscribe.run(),
+        ZtlCommand::Publish(publish) => publish.run(),
         #[cfg(feature = "record")]
-        Command::Record(record) => record.run(),
+        ZtlCommand::Record(record) => record.run(),
         #[cfg(feature = "record")]
-        Command::Replay(replay) => replay.run(),
-        Command::Report(report) => report.run(),
-        Command::Check(check) => check.run(),
-        Command::Completions(completions) => completions.run(&mut Cli::command()),
-        Command::Man(man) => man.run(Cli::command()),
-        Command::Tool(tool) => return tool.run(),
+        ZtlCommand::Replay(replay) => replay.run(),
+        ZtlCommand::Report(report) => report.run(),
+        ZtlCommand::Check(check) => check.run(),
+        ZtlCommand::Completions(completions) => completions.run(&mut Cli::command()),
+        ZtlCommand::Man(man) => man.run(Cli::command()),
+        ZtlCommand::Tool(tool) => return tool.run(),
     };
     exit("ztl", done)
 }

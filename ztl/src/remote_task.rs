@@ -15,7 +15,7 @@ use crate::remotes_options::RemotesOptions;
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub(crate) struct RemoteTask {
-    /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
+    /// Seconds to wait for the task to end before it is aborted; 0 or less waits forever
     #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
     timeout: i64,
 

@@ -128,7 +128,11 @@ impl Subscribe {
                     true => "",
                     false => "; the publisher is not connected",
                 };
-                Err(format!("{left} messages of --count have not come in time{why}").into())
+                let messages = match left {
+                    1 => "1 message",
+                    _ => &format!("{left} messages"),
+                };
+                Err(format!("{messages} of --count did not come in time{why}").into())
             }
         }
     }

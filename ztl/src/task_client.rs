@@ -21,7 +21,7 @@ pub(crate) struct TaskClient {
     #[arg(short, long)]
     scope: Option<String>,
 
-    /// Seconds to wait for the task to end before it is aborted; 0 or less waits for ever
+    /// Seconds to wait for the task to end before it is aborted; 0 or less waits forever
     #[arg(short, long, default_value_t = -1, allow_negative_numbers = true, value_parser = seconds)]
     timeout: i64,
 

@@ -6,7 +6,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::called::Called;
-use crate::exit::{Done, exit};
+use crate::client::task::ReportOptions;
+use crate::exit::{Done, MISUSED, exit};
 use crate::option_values::{InvalidTask, whole};
 use crate::terminal::{error_line, line};
 use crate::{
@@ -60,7 +61,10 @@ impl Tool {
     pub(crate) fn run_as(self, called: &Called) -> ExitCode {
         let name = self.name();
         // The original ends with 1 after any exception. With our `--exit-status` that would mean that the task was rejected.
-        let ends_as_original = called.is_original() && !self.has_exit_status();
+        let (exit_status, json) = self
+            .report()
+            .map_or((false, false), |report| (report.exit_status, report.json));
+        let ends_as_original = called.is_original() && !exit_status;
         let done: Done = match self {
             Self::TaskServer(server) => server.run(),
             Self::TaskClient(client) => client.run(called),
@@ -73,21 +77,25 @@ impl Tool {
         };
         match done {
             Err(error) if error.is::<InvalidTask>() => {
-                line(error);
+                // With `--json`, stdout is for events.
+                match json {
+                    true => error_line(error),
+                    false => line(error),
+                }
                 error_line(help(called, name));
-                ExitCode::from(255)
+                ExitCode::from(if exit_status { MISUSED } else { 255 })
             }
             Err(error) if ends_as_original => exit(called, Err(error.to_string().into())),
             done => exit(called, done),
         }
     }
 
-    const fn has_exit_status(&self) -> bool {
+    const fn report(&self) -> Option<&ReportOptions> {
         match self {
-            Self::TaskClient(client) => client.report.exit_status,
-            Self::RemoteTask(client) => client.report.exit_status,
-            Self::SimpleClient(client) => client.report.exit_status,
-            _ => false,
+            Self::TaskClient(client) => Some(&client.report),
+            Self::RemoteTask(client) => Some(&client.report),
+            Self::SimpleClient(client) => Some(&client.report),
+            _ => None,
         }
     }
 

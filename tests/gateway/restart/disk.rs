@@ -167,7 +167,7 @@ fn an_idle_gateway_notices_an_altered_journal_and_starts_a_new_one() {
     std::io::Write::write_all(&mut journal().unwrap(), b"{}").unwrap();
     rig.gateway
         .process
-        .wait_for(" was written by somebody else: 2 bytes");
+        .wait_for(" was changed by another program: 2 bytes were added");
     std::fs::remove_file(rig.journal()).unwrap();
     rig.gateway.process.wait_for(" was removed");
     until("it is there again", PATIENCE, || {

@@ -198,10 +198,10 @@ fn a_rejection_shows_its_full_reason() {
     terminal.type_in("\r");
     let screen = terminal.shows("Decide.");
     let flat = |screen: &str| screen.split_whitespace().collect::<String>();
-    let reason = "refused:thegoalis288byteslong,thedevicetakes243(gripper:finger:a-goal";
+    let reason = "rejected:thegoalis288byteslong,thedevicetakes243(gripper:finger:a-goal";
     let (_, after) = screen.split_once("Decide.").unwrap();
     assert!(flat(after).starts_with(reason), "{screen}");
-    assert!(screen.contains("refused  the goal is"), "{screen}");
+    assert!(screen.contains("rejected  the goal is"), "{screen}");
     // The rest is on a page.
     terminal.resize((60, 9));
     terminal.shows("d shows the rest");

@@ -71,7 +71,7 @@ fn single_keys_play_a_script() {
     // A step fails, and so does its retry.
     terminal.type_in("\r");
     let screen = terminal.shows("WAITING: ");
-    assert!(screen.contains("✗ gripper:thumb:1  refused"), "{screen}");
+    assert!(screen.contains("✗ gripper:thumb:1  rejected"), "{screen}");
     assert!(
         screen.contains("t  retry what failed") && screen.contains("g  go on anyway"),
         "{screen}"

@@ -7,7 +7,7 @@ use crate::envelope::{ClientId, Envelope};
 use crate::lifecycle::State;
 use crate::memory::{Awaited, First, Memory, Scope};
 use crate::reply::{NOTHING_KNOWN, Reply, ReplyText};
-use crate::tasks::{Task, TaskRules, Text};
+use crate::tasks::{StoredText, Task, TaskRules};
 use crate::time::micros;
 use crate::{Instant, TaskId};
 
@@ -108,7 +108,6 @@ impl<M: Memory> Dispatcher<M> {
     }
 
     /// Records a client's last INIT; returns whether there was room.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn remember(
         &mut self,
         client: &ClientId,

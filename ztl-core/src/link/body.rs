@@ -271,7 +271,7 @@ pub enum Body<'a> {
 /// A node validates the goal itself, because `core`'s validation takes 560 bytes on a Cortex-M0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Command<'a> {
+pub enum LinkCommand<'a> {
     /// [`Body::Hello`].
     Hello(Hello),
     /// [`Body::Describe`].

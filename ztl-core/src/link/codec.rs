@@ -1,6 +1,6 @@
 //! Encodes and decodes messages.
 
-use super::body::{Body, Busy, Command, GoalShape, Hello, Loss, Offer, Welcome};
+use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
 use super::ids::{IdList, Ids};
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
@@ -23,9 +23,9 @@ impl<'a> Body<'a> {
 
     fn from_gateway(tag: u32, r: &mut Reader<'a>) -> Self {
         match r.command(tag) {
-            Command::Hello(hello) => Self::Hello(hello),
-            Command::Describe { index } => Self::Describe { index },
-            Command::Start {
+            LinkCommand::Hello(hello) => Self::Hello(hello),
+            LinkCommand::Describe { index } => Self::Describe { index },
+            LinkCommand::Start {
                 task,
                 component,
                 goal,
@@ -36,9 +36,9 @@ impl<'a> Body<'a> {
                 goal: r.valid(goal),
                 before_ms,
             },
-            Command::Abort { task } => Self::Abort { task },
-            Command::Ping => Self::Ping,
-            Command::Ack { task } => Self::Ack { task },
+            LinkCommand::Abort { task } => Self::Abort { task },
+            LinkCommand::Ping => Self::Ping,
+            LinkCommand::Ack { task } => Self::Ack { task },
         }
     }
 
@@ -154,7 +154,7 @@ impl<'a> Body<'a> {
     }
 }
 
-impl<'a> Command<'a> {
+impl<'a> LinkCommand<'a> {
     /// Parses a message of a gateway.
     ///
     /// # Errors
@@ -235,24 +235,24 @@ impl<'a> Reader<'a> {
         Ids(IdList::Encoded { count, bytes })
     }
 
-    fn command(&mut self, tag: u32) -> Command<'a> {
+    fn command(&mut self, tag: u32) -> LinkCommand<'a> {
         match tag {
-            0 => Command::Hello(Hello {
+            0 => LinkCommand::Hello(Hello {
                 version: self.u8(),
                 session: self.u32(),
                 gateway: self.u64(),
             }),
-            1 => Command::Describe { index: self.u8() },
-            2 => Command::Start {
+            1 => LinkCommand::Describe { index: self.u8() },
+            2 => LinkCommand::Start {
                 task: self.task(),
                 component: self.u8(),
                 goal: self.bytes(),
                 before_ms: self.u64(),
             },
-            3 => Command::Abort { task: self.task() },
-            4 => Command::Ping,
-            5 => Command::Ack { task: self.task() },
-            tag => self.fail(BodyError::UnknownTag { tag }, Command::Ping),
+            3 => LinkCommand::Abort { task: self.task() },
+            4 => LinkCommand::Ping,
+            5 => LinkCommand::Ack { task: self.task() },
+            tag => self.fail(BodyError::UnknownTag { tag }, LinkCommand::Ping),
         }
     }
 

@@ -5,7 +5,7 @@
 //! overrun. The CRC uses a table of 64 bytes instead of 1 KiB; a test compares it with the crate `crc`, whose variant
 //! without a table takes 300 bytes.
 
-use super::body::{Body, Command};
+use super::body::{Body, LinkCommand};
 use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
@@ -35,7 +35,7 @@ pub struct CommandFrame<'a> {
     /// Sequence number of the command; 0 for `Hello` and `Ack`.
     pub seq: u8,
     /// The message.
-    pub command: Command<'a>,
+    pub command: LinkCommand<'a>,
 }
 
 /// Why received bytes are not a frame. They are dropped and counted.
@@ -421,7 +421,7 @@ impl<const N: usize> Decoder<N> {
     /// See [`FrameError`]; the messages of a node are unknown.
     pub fn command(&self, sessions: &[u32]) -> Result<CommandFrame<'_>, FrameError> {
         let (session_index, addr, seq, body) = self.checked(sessions)?;
-        let command = Command::parse(body).map_err(FrameError::Body)?;
+        let command = LinkCommand::parse(body).map_err(FrameError::Body)?;
         Ok(CommandFrame {
             session_index,
             addr,

@@ -246,27 +246,27 @@ fn a_node_reads_only_gateway_messages() {
     for (body, _) in pairs() {
         let bytes = written(&body);
         let expected = match body {
-            Body::Hello(hello) => Ok(Command::Hello(hello)),
-            Body::Describe { index } => Ok(Command::Describe { index }),
+            Body::Hello(hello) => Ok(LinkCommand::Hello(hello)),
+            Body::Describe { index } => Ok(LinkCommand::Describe { index }),
             Body::Start {
                 task,
                 component,
                 goal,
                 before_ms,
-            } => Ok(Command::Start {
+            } => Ok(LinkCommand::Start {
                 task,
                 component,
                 goal: goal.as_bytes(),
                 before_ms,
             }),
-            Body::Abort { task } => Ok(Command::Abort { task }),
-            Body::Ping => Ok(Command::Ping),
-            Body::Ack { task } => Ok(Command::Ack { task }),
+            Body::Abort { task } => Ok(LinkCommand::Abort { task }),
+            Body::Ping => Ok(LinkCommand::Ping),
+            Body::Ack { task } => Ok(LinkCommand::Ack { task }),
             _ => Err(BodyError::UnknownTag {
                 tag: bytes[0].into(),
             }),
         };
-        assert_eq!(Command::parse(&bytes), expected);
+        assert_eq!(LinkCommand::parse(&bytes), expected);
     }
 }
 

@@ -54,13 +54,11 @@ pub(super) trait WriteValues: Sink {
 }
 
 impl<S: Sink + ?Sized> WriteValues for S {
-    #[cfg_attr(target_os = "none", inline(never))]
     fn byte(&mut self, byte: u8) -> &mut Self {
         self.put(&[byte]);
         self
     }
 
-    #[cfg_attr(target_os = "none", inline(never))]
     fn long(&mut self, number: u64) -> &mut Self {
         // In two halves: on a Cortex-M0 a 64-bit shift is a library call.
         let (mut low, mut high) = (number as u32, (number >> 32) as u32);
@@ -72,18 +70,15 @@ impl<S: Sink + ?Sized> WriteValues for S {
         self.byte(low as u8)
     }
 
-    #[cfg_attr(target_os = "none", inline(never))]
     fn number(&mut self, number: u32) -> &mut Self {
         self.long(number.into())
     }
 
-    #[cfg_attr(target_os = "none", inline(never))]
     fn bytes(&mut self, bytes: &[u8]) -> &mut Self {
         self.number(bytes.len() as u32).put(bytes);
         self
     }
 
-    #[cfg_attr(target_os = "none", inline(never))]
     fn tagged(&mut self, tag: u8, task: LinkId) -> &mut Self {
         self.byte(tag).number(task.0)
     }
@@ -122,13 +117,11 @@ impl<'a> Reader<'a> {
         fallback
     }
 
-    #[inline(never)]
     fn end(&mut self, error: BodyError) {
         self.error.get_or_insert(error);
         self.rest = &[];
     }
 
-    #[inline(never)]
     pub(super) fn u8(&mut self) -> u8 {
         match self.rest.split_first() {
             Some((first, rest)) => {
@@ -139,7 +132,6 @@ impl<'a> Reader<'a> {
         }
     }
 
-    #[inline(never)]
     pub(super) fn u64(&mut self) -> u64 {
         let end = self.rest.iter().position(|byte| *byte < 0x80);
         let number = end.and_then(|end| self.rest.split_at_checked(end + 1));
@@ -160,7 +152,6 @@ impl<'a> Reader<'a> {
         u64::from(high) << 32 | u64::from(low)
     }
 
-    #[inline(never)]
     pub(super) fn u32(&mut self) -> u32 {
         match u32::try_from(self.u64()) {
             Ok(value) => value,
@@ -179,7 +170,6 @@ impl<'a> Reader<'a> {
         f32::from_le_bytes([self.u8(), self.u8(), self.u8(), self.u8()])
     }
 
-    #[inline(never)]
     pub(super) fn bytes(&mut self) -> &'a [u8] {
         let len = usize::try_from(self.u32()).unwrap_or(usize::MAX);
         match self.rest.split_at_checked(len) {
@@ -196,7 +186,6 @@ impl<'a> Reader<'a> {
         self.valid(bytes)
     }
 
-    #[inline(never)]
     pub(super) fn valid(&mut self, bytes: &'a [u8]) -> &'a str {
         match core::str::from_utf8(bytes) {
             Ok(text) => text,

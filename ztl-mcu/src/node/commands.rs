@@ -3,8 +3,8 @@
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Command, CommandFrame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, next_seq,
-    session_key, session_number,
+    ADDR_ONLY_NODE, CommandFrame, Hello, LinkCommand, LinkId, NO_SEQ, NO_SESSION, VERSION,
+    next_seq, session_key, session_number,
 };
 
 use super::link_state::{Answer, Counters, LinkState, count};
@@ -26,8 +26,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
         let in_session = frame.session_index == 0 && self.session != NO_SESSION;
         match (in_session, frame.seq, frame.command) {
-            (false, NO_SEQ, Command::Hello(hello)) => self.on_hello(now, hello),
-            (true, NO_SEQ, Command::Ack { task }) => {
+            (false, NO_SEQ, LinkCommand::Hello(hello)) => self.on_hello(now, hello),
+            (true, NO_SEQ, LinkCommand::Ack { task }) => {
                 self.runner.tasks.acknowledge(task);
             }
             (true, seq, command) if seq != NO_SEQ => {
@@ -73,7 +73,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
     }
 
-    fn on_command(&mut self, now: Instant, seq: u8, command: Command<'_>, counters: &mut Counters) {
+    fn on_command(
+        &mut self,
+        now: Instant,
+        seq: u8,
+        command: LinkCommand<'_>,
+        counters: &mut Counters,
+    ) {
         if seq == self.seq {
             count(&mut counters.repeats);
             self.answer_due = true;
@@ -84,7 +90,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             return;
         }
         let mut text = String::<FRAME>::new();
-        if let Command::Start { goal, .. } = command
+        if let LinkCommand::Start { goal, .. } = command
             && push_utf8(&mut text, goal).is_none()
         {
             return count(&mut counters.errors);
@@ -92,7 +98,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         // A command that arrives after the link timer expired does not undo the loss.
         self.check_link_timer(now);
         let (answer, executed) = match command {
-            Command::Describe { index } => (
+            LinkCommand::Describe { index } => (
                 Answer::Component(index),
                 if usize::from(index) < self.runner.components.count() {
                     Ok(())
@@ -100,7 +106,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                     Err(Refusal::NoSuchComponent)
                 },
             ),
-            Command::Start {
+            LinkCommand::Start {
                 task,
                 component,
                 before_ms,
@@ -118,9 +124,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 }
                 (Answer::Started(task), started)
             }
-            Command::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
-            Command::Ping => (Answer::Pong, Ok(())),
-            Command::Hello(_) | Command::Ack { .. } => return,
+            LinkCommand::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
+            LinkCommand::Ping => (Answer::Pong, Ok(())),
+            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return,
         };
         self.answer = match executed {
             Ok(()) => answer,

@@ -62,7 +62,6 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
 impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Polls the components that have a task and the idle ones that are going to the safe state. Then starts
     /// waiting tasks.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
         let safety = now >= self.safety_wake;
         if safety {

@@ -113,7 +113,6 @@ impl Task {
 
     /// Ends the task, and replaces its text unless `text` is empty. Call it only for an open task, because a
     /// final state never changes.
-    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn set_end(&mut self, end: Stage, now: Instant, text: &str) {
         self.stage = end;
         self.due = now;

@@ -27,6 +27,7 @@ fn topics(component: &dyn Component) -> usize {
 }
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
+    // Not inlined in firmware: that saves 108 bytes in `microbit-quiet`.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn transmit_buf(&mut self, now: Instant, log: &dyn LogSource) -> &[u8] {
         if self.frame_out.pending().is_empty() {
@@ -194,7 +195,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
     }
 
-    #[cfg_attr(target_os = "none", inline(never))]
     fn encode_answer(&mut self, session: u32, now: Instant, seq: u8, answer: Answer) {
         let mut ids = [LinkId(0); TASKS];
         let mut held = 0u8;

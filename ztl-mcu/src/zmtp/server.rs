@@ -329,7 +329,6 @@ fn answer<const PEERS: usize, const BUFFER: usize>(
 /// Starts a task, or writes the reason into `said`. No mark of a cut is needed there: a reply has less room
 /// and is marked when it is cut.
 // Not inlined in firmware, so that its stack is free when the reply is written.
-#[cfg_attr(target_os = "none", inline(never))]
 fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     now: Instant,
     name: &str,

@@ -279,7 +279,7 @@ pub(super) fn class(state: &str) -> &'static str {
     match state {
         "COMPLETED" => "completed",
         "ABORTED" => "aborted",
-        "FAILED" | "REJECTED" | "REFUSED" | "NOT STARTED" => "failed",
+        "FAILED" | "REJECTED" | "NOT STARTED" => "failed",
         "UNKNOWN" => "unknown",
         _ => "open",
     }
@@ -289,7 +289,7 @@ fn sign(state: &str) -> &'static str {
     match state {
         "COMPLETED" => "✓",
         "ABORTED" => "■",
-        "FAILED" | "REJECTED" | "REFUSED" | "NOT STARTED" => "✗",
+        "FAILED" | "REJECTED" | "NOT STARTED" => "✗",
         "UNKNOWN" => "?",
         _ => "›",
     }

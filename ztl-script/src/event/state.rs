@@ -137,10 +137,11 @@ impl From<State> for TaskState {
 }
 
 impl fmt::Display for TaskState {
-    /// The name for people: `completed`, `not started`.
+    /// The name for people: `completed`, `not started`, and `rejected` for both kinds of rejection.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotStarted => f.write_str("not started"),
+            Self::Refused => Self::Rejected.fmt(f),
             other => f.write_str(other.name()),
         }
     }

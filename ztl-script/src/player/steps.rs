@@ -267,7 +267,10 @@ impl Player {
         self.tasks.insert(number, new);
         self.live.insert(number);
         if !self.options.remotes.contains(&handler.remote) {
-            let text = format!("there is no server '{}'", handler.remote);
+            let text = format!(
+                "the configuration has no valid entry for server '{}'",
+                handler.remote
+            );
             return self.set_state(number, TaskState::NotStarted, &text);
         }
         let init = ServerRequest::Init {

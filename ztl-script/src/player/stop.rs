@@ -110,7 +110,7 @@ impl Player {
         let unconfirmed = match &answer {
             ServerAnswer::Task { state, .. } if state.is_final() => None,
             ServerAnswer::CannotStop { text, .. } => {
-                Some(format!("it cannot be stopped, and goes on ({text})"))
+                Some(format!("it cannot be stopped, and continues ({text})"))
             }
             ServerAnswer::Task { text, .. } => Some(format!("it has not ended yet ({text})")),
             ServerAnswer::TaskUnknown { text, .. }

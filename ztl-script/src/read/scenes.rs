@@ -68,7 +68,7 @@ impl<'d> Reader<'d> {
                     };
                     let spaced = keys::spaced(name).or_else(|| keys::spaced(value));
                     let help = spaced.unwrap_or_else(|| SHAPE.to_owned());
-                    (format!("{is}; here is {}", node.kind()), Some(help))
+                    (format!("{is}; found {}", node.kind()), Some(help))
                 }
             };
             // If nothing is written, point at the key.

@@ -66,7 +66,7 @@ impl<'d> Reader<'d> {
             (entry.name, entry.value) = (name, value);
             let key = key.to_string();
             let message = format!(
-                "'{}' stands here for the second time: this one counts, in the place of the first (line {line}), whose content is lost",
+                "duplicate key '{}': this one is played, in the place of the first (line {line})",
                 short(&key)
             );
             let help = "give them different names".to_owned();
@@ -140,7 +140,7 @@ impl<'d> Reader<'d> {
                     let tell = tell.map(|_| true);
                     pairs.push((self.value(key, tell), self.value(value, tell)));
                 }
-                _ => self.mistake(item.span, "wanted is a mapping of one key", None),
+                _ => self.mistake(item.span, "expected a mapping of one key", None),
             }
         }
         PythonValue::Pairs(pairs)

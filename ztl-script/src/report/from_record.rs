@@ -105,7 +105,7 @@ impl Reader {
                 step,
                 why,
                 tasks,
-            } => self.start_wait(at, WaitCause::Trouble(why), Some((scene, step)), tasks),
+            } => self.start_wait(at, WaitCause::Unsettled(why), Some((scene, step)), tasks),
             RunEvent::StepGoesOn { .. } => {
                 self.end_wait(at);
                 self.question = None;
@@ -303,7 +303,7 @@ impl Reader {
         if !std::mem::take(&mut self.step_open) {
             return;
         }
-        if matches!(&self.wait, Some(wait) if matches!(wait.cause, WaitCause::Trouble(_))) {
+        if matches!(&self.wait, Some(wait) if matches!(wait.cause, WaitCause::Unsettled(_))) {
             self.end_wait(at);
         }
         if let Some(step) = self

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::html::Table;
 use super::run::{PlayedTask, ReportedRun, WaitCause};
-use super::{svg, tables, trouble, words};
+use super::{failures, svg, tables, words};
 use crate::drawing::{PATTERNS, STYLE, escape};
 use crate::durations::{difference, median, seconds, spoken};
 use crate::event::{Ending, TaskState};
@@ -28,7 +28,7 @@ pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
     out += &format!("<h1>{}</h1>\n", escape(&title));
     out += &damage_list(damage);
     if !runs.is_empty() {
-        out += &trouble::section(runs);
+        out += &failures::section(runs);
     }
     if runs.len() > 1 {
         out += &comparison(runs);
@@ -53,7 +53,7 @@ pub(super) fn page(runs: &[ReportedRun], damage: &[Damage]) -> String {
 
 const LEGEND: &str = "<p class=\"legend\">\
 <span><i class=\"k plan\"></i>as planned</span><span><i class=\"k actual\"></i>as it was</span>\
-<span><i class=\"k completed\"></i>completed ✓</span><span><i class=\"k failed\"></i>failed, refused or not started ✗</span>\
+<span><i class=\"k completed\"></i>completed ✓</span><span><i class=\"k failed\"></i>failed, rejected or not started ✗</span>\
 <span><i class=\"k aborted\"></i>aborted ■</span><span><i class=\"k unknown\"></i>unknown ?</span>\
 <span><i class=\"k open\"></i>goes on ›</span><span><i class=\"k wait-o\"></i>wait for the operator</span>\
 <span><i class=\"k wait-t\"></i>wait for a server or a decision</span><span><i class=\"k mark\"></i>deviation by the operator</span></p>\n";
@@ -113,8 +113,8 @@ fn figures(run: &ReportedRun) -> Vec<(&'static str, String)> {
             seconds(run.waited(|cause| *cause == WaitCause::Pause)),
         ),
         (
-            "waits in trouble (s)",
-            seconds(run.waited(|cause| matches!(cause, WaitCause::Trouble(_)))),
+            "waits for a server or a decision (s)",
+            seconds(run.waited(|cause| matches!(cause, WaitCause::Unsettled(_)))),
         ),
     ]
 }
@@ -173,7 +173,7 @@ struct OfStep {
     planned: Vec<Duration>,
     actual: Vec<Duration>,
     failures: usize,
-    trouble: Duration,
+    unsettled: Duration,
 }
 
 fn medians(runs: &[ReportedRun]) -> String {
@@ -204,11 +204,11 @@ fn medians(runs: &[ReportedRun]) -> String {
                 }
                 of.failures += usize::from(step.end == Some(Ending::Failures));
                 let mine = run.waits.iter().filter(|wait| {
-                    matches!(wait.cause, WaitCause::Trouble(_))
+                    matches!(wait.cause, WaitCause::Unsettled(_))
                         && wait.from >= step.from
                         && wait.from <= step.to
                 });
-                of.trouble += mine
+                of.unsettled += mine
                     .map(|wait| wait.to.saturating_sub(wait.from))
                     .sum::<Duration>();
             }
@@ -231,7 +231,7 @@ fn medians(runs: &[ReportedRun]) -> String {
             "#least (s)",
             "#most (s)",
             "#with failures",
-            "#trouble (s)",
+            "#waits for a server or a decision (s)",
             "each time",
         ],
     );
@@ -250,7 +250,7 @@ fn medians(runs: &[ReportedRun]) -> String {
                 time(of.actual.iter().min().copied()),
                 time(of.actual.iter().max().copied()),
                 of.failures.to_string(),
-                seconds(of.trouble),
+                seconds(of.unsettled),
                 strip(&of.actual, longest),
             ],
         );

@@ -127,7 +127,8 @@ pub(super) enum WaitCause {
     Operator,
     /// A pause by the operator.
     Pause,
-    Trouble(WaitReason),
+    /// For a server or a decision: something failed, is silent or unknown.
+    Unsettled(WaitReason),
 }
 
 /// A kind of request, for statistics.

@@ -312,7 +312,7 @@ fn draw_wait(drawing: &mut Drawing, axis: &Axis, wait: &Wait, y: (f64, f64)) {
     let class = match wait.cause {
         WaitCause::Operator => "wait operator",
         WaitCause::Pause => "wait pause",
-        WaitCause::Trouble(_) => "wait trouble",
+        WaitCause::Unsettled(_) => "wait unsettled",
     };
     let length = spoken(wait.to.saturating_sub(wait.from));
     let title = format!("wait: {}, {length}", words::cause(&wait.cause));
@@ -344,7 +344,7 @@ fn draw_task(
     drawing.bar(&class, under_way, (top, bottom), &attributes, &title);
     for (from, to) in &task.unknown {
         let x = (axis.x(*from), axis.x(*to));
-        drawing.bar("gap", x, (top, bottom), "", "nobody knew");
+        drawing.bar("gap", x, (top, bottom), "", "state unknown");
     }
     let open = task.to.is_none() || to > axis.to;
     let sign = match task.state {

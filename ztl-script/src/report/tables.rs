@@ -153,7 +153,7 @@ fn steps_table(run: &ReportedRun) -> String {
 }
 
 const fn end_class(well: bool) -> &'static str {
-    if well { "" } else { "trouble" }
+    if well { "" } else { "wrong" }
 }
 
 fn tasks_table(run: &ReportedRun) -> String {

@@ -249,7 +249,7 @@ fn the_figures_of_a_run_match_its_record() {
         ("waits for the operator (s)", "7.300".to_owned()),
         ("pauses (s)", "2.500".to_owned()),
         // A refusal, a silent server, a failure.
-        ("waits in trouble (s)", "6.900".to_owned()),
+        ("waits for a server or a decision (s)", "6.900".to_owned()),
     ] {
         let figure = format!("<dt>{name}</dt><dd>{value}</dd>");
         assert!(html.contains(&figure), "{figure}");
@@ -457,7 +457,7 @@ fn failed_tasks_are_at_the_top_with_their_reasons() {
     let (top, rest) = html.split_once("<section class=\"run\"").unwrap();
     for words in [
         "2 tasks failed or unknown",
-        "<b>refused</b>: busy: &#39;ring&#39; is in use; it takes one task at a time",
+        "<b>rejected</b>: busy: &#39;ring&#39; is in use; it takes one task at a time",
         "<b>failed</b>: ",
     ] {
         assert!(top.contains(words), "{words} in {top}");

@@ -44,7 +44,7 @@ pub(super) fn cause(cause: &WaitCause) -> String {
     match cause {
         WaitCause::Operator => "for the operator".to_owned(),
         WaitCause::Pause => "pause".to_owned(),
-        WaitCause::Trouble(why) => why_text(why),
+        WaitCause::Unsettled(why) => why_text(why),
     }
 }
 

@@ -271,7 +271,7 @@ fn a_forward_without_its_keys_is_not_plain_text() {
         ("server-key: b", "an encrypted connection needs both"),
         (
             "key: ~, server-key: ~",
-            "here is nothing; wanted is a file of `ztl keys`",
+            "found nothing; expected a file of `ztl keys`",
         ),
     ] {
         let forward = format!("{{forward: {{to: 'tcp://h:1', scope: /cob, {keys}}}}}");

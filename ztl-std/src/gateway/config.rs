@@ -323,21 +323,18 @@ devices:
         for (text, part) in [
             (
                 "- a",
-                "lab.yaml:1:1: here is a list; wanted is a mapping: scope, port, devices",
+                "lab.yaml:1:1: found a list; expected a mapping: scope, port, devices",
             ),
-            (
-                "port: [1]",
-                "lab.yaml:1:7: here is a list; wanted is a port",
-            ),
+            ("port: [1]", "lab.yaml:1:7: found a list; expected a port"),
             ("port: -1", "'-1' is not a port"),
             ("devices: gripper", "lab.yaml:1:10: here is a single value"),
             (
                 "devices: {a: [x]}",
-                "lab.yaml:1:14: here is a list; wanted is where the device is",
+                "lab.yaml:1:14: found a list; expected where the device is",
             ),
             (
                 "devices: {a: ~}",
-                "lab.yaml:1:14: here is nothing; wanted is where",
+                "lab.yaml:1:14: found nothing; expected where",
             ),
             (
                 "devices: {a: {url: serial:/dev/x, baud: 0}}",
@@ -349,18 +346,15 @@ devices:
                 "lab.yaml:1:21: 'lan' is not a network",
             ),
             // What protects the server is not left out by a forgotten value.
-            ("key:", "lab.yaml:1:5: here is nothing; wanted is the file"),
-            (
-                "allow:",
-                "lab.yaml:1:7: here is nothing; wanted is a network",
-            ),
+            ("key:", "lab.yaml:1:5: found nothing; expected the file"),
+            ("allow:", "lab.yaml:1:7: found nothing; expected a network"),
             (
                 "allow: []",
                 "lab.yaml:1:8: the list is empty, which would allow every address; write a network",
             ),
             (
                 "{key: robot.key_secret, client-keys: }",
-                "here is nothing; wanted is a client's key",
+                "found nothing; expected a client's key",
             ),
             ("sever-key: a", "lab.yaml:1:1: unknown key 'sever-key'"),
             ("[a]: 1", "lab.yaml:1:1: a key is a single word"),

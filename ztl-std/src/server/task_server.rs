@@ -8,7 +8,7 @@ use std::time::Duration;
 use tracing::{info, warn};
 use ztl_core::dispatcher::{Config, Dispatcher};
 use ztl_core::memory::Scope;
-use ztl_core::tasks::{Task, Text};
+use ztl_core::tasks::{StoredText, Task};
 use ztl_core::{Instant, Request, TaskId};
 
 use super::access::Access;

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 
 use ztl_core::memory::Scope;
-use ztl_core::tasks::{Task, Tasks, Text};
+use ztl_core::tasks::{StoredText, Task, Tasks};
 use ztl_core::{Instant, TaskId};
 
 use super::limits::{Limits, MAX_MESSAGE};
@@ -23,7 +23,7 @@ impl AsRef<str> for HeapText {
     }
 }
 
-impl Text for HeapText {
+impl StoredText for HeapText {
     fn set(&mut self, text: &str) {
         self.0.clear();
         if text.len() <= MAX_TEXT {

@@ -48,7 +48,7 @@ pub(crate) enum Wording {
 }
 
 impl Wording {
-    /// How long to wait; for ever if `None`.
+    /// How long to wait; forever if `None`.
     pub(crate) fn limit(self) -> Option<Duration> {
         let seconds = match self {
             Self::TaskClient(seconds) | Self::RemoteTask(seconds) => seconds,

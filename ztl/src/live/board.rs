@@ -139,7 +139,7 @@ impl Board {
                 let server = |remote: &RemoteOutline| {
                     let mut server = ServerView::default();
                     if remote.endpoint.is_none() {
-                        let text = "it is not in the configuration".to_owned();
+                        let text = "it has no valid entry in the configuration".to_owned();
                         server.state = Some(ServerState::Absent { text });
                     }
                     (remote.name.clone(), server)

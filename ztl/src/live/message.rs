@@ -262,8 +262,8 @@ fn over(outcome: RunOutcome, running: usize) -> Vec<Paragraph> {
                 format!("Over: stopping was not confirmed for {tasks}; {they} may still run");
             return vec![(Style::Bad, words)];
         }
-        RunOutcome::Completed => (Style::Good, "Over: all went well."),
-        RunOutcome::Failures => (Style::Bad, "Over: not all went well."),
+        RunOutcome::Completed => (Style::Good, "Over: everything completed."),
+        RunOutcome::Failures => (Style::Bad, "Over: not everything completed."),
         RunOutcome::Stopped => (Style::Warning, "Over: everything was stopped."),
         RunOutcome::Left => (Style::Warning, "Left."),
         RunOutcome::Error => (Style::Bad, "Ended by an error."),

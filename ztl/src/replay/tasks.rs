@@ -189,7 +189,11 @@ fn teller(source: &Source) -> String {
         endpoint,
         key,
     } = source;
-    let name = if name.is_empty() { "somebody" } else { name };
+    let name = if name.is_empty() {
+        "an unnamed publisher"
+    } else {
+        name
+    };
     let endpoint = match endpoint.is_empty() {
         true => "address unknown",
         false => endpoint,

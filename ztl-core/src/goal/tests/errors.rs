@@ -3,7 +3,7 @@ use std::string::ToString;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use super::{Command, Pose, any, read};
+use super::{Move, Pose, any, read};
 use crate::goal::{Expected, GoalError, GoalErrorKind};
 
 const FIELDS: &[&str] = &["x", "y", "theta"];
@@ -68,7 +68,7 @@ fn invalid_syntax_is_reported_where_it_begins() {
             expects::<serde::de::IgnoredAny>(text, at, expected);
         }
     }
-    expects::<Command>("{turn: 1, go: [1, 2]}", 10, Close);
+    expects::<Move>("{turn: 1, go: [1, 2]}", 10, Close);
     // At the end of the text, the missing part is reported.
     expects::<Any>("{a:", 3, Value);
     expects::<Any>("{a", 2, Colon);
@@ -173,7 +173,7 @@ fn nested_errors_are_reported_at_the_innermost_value() {
         ),
         ("{}", 1, GoalErrorKind::Expected(Expected::VariantWithValue)),
     ] {
-        fails::<Command>(text, at, kind);
+        fails::<Move>(text, at, kind);
     }
 }
 

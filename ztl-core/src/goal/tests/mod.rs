@@ -22,7 +22,7 @@ struct Pose {
 
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Command {
+enum Move {
     Stop,
     Turn(f32),
     Go(i8, i8),

@@ -3,7 +3,7 @@ use std::vec::Vec;
 
 use serde::de::IgnoredAny;
 
-use super::{Command, Pose, any};
+use super::{Move, Pose, any};
 use crate::goal::{from_str, from_str_with, to_slice};
 
 /// A simple generator of random numbers (xorshift64*).
@@ -143,7 +143,7 @@ fn any_text_gives_a_value_or_an_error_within_the_text() {
             Err(_) => bad += 1,
         }
         check(value.err());
-        check(from_str_with::<Command>(&text, &mut scratch[..small]).err());
+        check(from_str_with::<Move>(&text, &mut scratch[..small]).err());
         check(from_str_with::<Pose>(&text, &mut scratch).err());
         check(from_str::<IgnoredAny>(&text).err());
         check(from_str::<f32>(&text).err());

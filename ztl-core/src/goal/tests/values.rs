@@ -5,7 +5,7 @@ use std::vec::Vec;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{Command, Pose, any, read};
+use super::{Move, Pose, any, read};
 use crate::goal::{Expected, GoalErrorKind, MAX_DEPTH, from_str};
 
 #[test]
@@ -38,28 +38,28 @@ fn variants_are_read_from_names_and_from_mappings() {
         theta: 0.0,
     };
     for (text, command) in [
-        ("stop", Command::Stop),
-        (" stop ", Command::Stop),
-        ("'stop'", Command::Stop),
-        ("\"stop\"", Command::Stop),
-        ("{'stop': None}", Command::Stop),
-        ("{stop: ~}", Command::Stop),
-        ("{'turn': 1.5}", Command::Turn(1.5)),
-        ("{turn: 90,}", Command::Turn(90.0)),
-        ("{go: [1, -2]}", Command::Go(1, -2)),
-        ("{'go': (1, -2)}", Command::Go(1, -2)),
+        ("stop", Move::Stop),
+        (" stop ", Move::Stop),
+        ("'stop'", Move::Stop),
+        ("\"stop\"", Move::Stop),
+        ("{'stop': None}", Move::Stop),
+        ("{stop: ~}", Move::Stop),
+        ("{'turn': 1.5}", Move::Turn(1.5)),
+        ("{turn: 90,}", Move::Turn(90.0)),
+        ("{go: [1, -2]}", Move::Go(1, -2)),
+        ("{'go': (1, -2)}", Move::Go(1, -2)),
         (
             "{drive: {to: [1, 2, 0], fast: on}}",
-            Command::Drive { to, fast: true },
+            Move::Drive { to, fast: true },
         ),
         (
             "{'drive': [{'x': 1, 'y': 2, 'theta': 0}]}",
-            Command::Drive { to, fast: false },
+            Move::Drive { to, fast: false },
         ),
     ] {
-        assert_eq!(read::<Command>(text), Ok(command), "{text}");
+        assert_eq!(read::<Move>(text), Ok(command), "{text}");
     }
-    let commands = [Command::Stop, Command::Turn(1.0), Command::Stop];
+    let commands = [Move::Stop, Move::Turn(1.0), Move::Stop];
     assert_eq!(read("[stop, {turn: 1}, 'stop']"), Ok(commands));
 }
 

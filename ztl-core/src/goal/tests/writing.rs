@@ -4,7 +4,7 @@ use std::string::{String, ToString};
 
 use serde::{Serialize, Serializer};
 
-use super::{Command, Pose};
+use super::{Move, Pose};
 use crate::goal::{Fixed, WriteError, to_sink_with, to_slice};
 use crate::sink::BufferTooSmall;
 
@@ -56,15 +56,12 @@ fn variants_are_names_and_mappings() {
         y: 2.0,
         theta: 3.0,
     };
-    writes(&Command::Stop, "stop");
-    writes(&[Command::Stop], "['stop']");
-    writes(&Command::Turn(1.5), "{'turn': 1.5}");
+    writes(&Move::Stop, "stop");
+    writes(&[Move::Stop], "['stop']");
+    writes(&Move::Turn(1.5), "{'turn': 1.5}");
+    writes(&[Move::Go(1, -1), Move::Stop], "[{'go': [1, -1]}, 'stop']");
     writes(
-        &[Command::Go(1, -1), Command::Stop],
-        "[{'go': [1, -1]}, 'stop']",
-    );
-    writes(
-        &[Command::Drive { to, fast: true }],
+        &[Move::Drive { to, fast: true }],
         "[{'drive': {'to': {'x': 1.0, 'y': 2.0, 'theta': 3.0}, 'fast': True}}]",
     );
     #[derive(Serialize)]

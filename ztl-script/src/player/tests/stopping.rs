@@ -191,7 +191,7 @@ fn stopping_everything_ends_an_unattended_run() {
 
 #[test]
 fn leaving_between_scenes_is_no_failure_unless_something_failed() {
-    for (first, outcome) in [("0", RunOutcome::Left), ("300 fail", RunOutcome::Failures)] {
+    for (first, outcome) in [("0", RunOutcome::Left), ("1 fail", RunOutcome::Failures)] {
         let script =
             format!("s: {{a: {{lamp: {{light: {first}}}}}}}\nt: {{b: {{lamp: {{light: 0}}}}}}");
         let mut world = World::started(&script);

@@ -487,6 +487,8 @@ impl Worker {
                 }
                 self.set_trouble(format!("{}: {NOT_ANSWERING}", self.url()));
             }
+            // The line of a device that is not served was closed here.
+            LinkEvent::Lost if self.opener.is_none() => {}
             LinkEvent::Lost => self.set_trouble(NOT_ANSWERING.to_owned()),
             LinkEvent::Reset => self
                 .log

@@ -208,9 +208,9 @@ impl Storage for JournalFile {
                 let missing = self.len - len;
                 Some(format!("was cut: {missing} bytes are missing"))
             }
-            Some(more) if more > 0 && !self.torn => {
-                Some(format!("was written by somebody else: {more} bytes"))
-            }
+            Some(more) if more > 0 && !self.torn => Some(format!(
+                "was changed by another program: {more} bytes were added"
+            )),
             Some(_) => None,
         }
     }

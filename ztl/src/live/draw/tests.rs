@@ -81,7 +81,7 @@ fn a_scene_is_shown_with_all_its_tasks() {
  · 4 Goodbye
 ────────────────────────────────────────────────────────────────────────────────
  Next: Welcome
- MISSING: server 'speech': it is not in the configuration
+ MISSING: server 'speech': it has no valid entry in the configuration
   Enter  start   s  skip   j  jump to a scene   x  stop everything   d  details
   ?  keys"
     );
@@ -211,14 +211,14 @@ fn a_refused_stop_never_counts_as_confirmed() {
     let refused = RunEvent::StopAnswered {
         task: TaskNumber(14),
         confirmed: false,
-        text: "it cannot be stopped, and goes on (False)".to_owned(),
+        text: "it cannot be stopped, and continues (False)".to_owned(),
     };
     and(&mut board, at, refused);
     let screen = screen(&board, at, (80, 24));
     assert!(!screen.contains("all confirmed"), "{screen}");
     for part in [
         "STOPPING EVERYTHING: 2 of 3 confirmed, 1 may still move",
-        "✗ robot:say:Goodbye: it cannot be stopped, and goes on (False)",
+        "✗ robot:say:Goodbye: it cannot be stopped, and continues (False)",
     ] {
         assert!(screen.contains(part), "{part} in\n{screen}");
     }
@@ -298,8 +298,8 @@ fn a_small_screen_keeps_the_pending_decision() {
         format!("\n{}", screen(&board, at, (44, 8))),
         "
  WAITING: something failed. Decide.
-   refused: busy: 'ring' is in use; it takes
-     one task at a time
+   rejected: busy: 'ring' is in use; it
+     takes one task at a time
      (light:ring:{'colour': 'warm', 'level':
      0.8})
   t  retry what failed   g  go on anyway
@@ -452,11 +452,11 @@ fn a_reason_comes_first_and_in_full_on_its_own_page() {
     }
     let shown = screen(&board, at, (60, 24));
     let flat = |screen: &str| screen.split_whitespace().collect::<Vec<_>>().join(" ");
-    let expected = format!("refused: {long} (nnn");
+    let expected = format!("rejected: {long} (nnn");
     assert!(flat(&shown).contains(&expected), "{shown}");
     // On a small one as much as there is room for, and the page has the rest.
     let shown = screen(&board, at, (40, 9));
-    assert!(shown.contains("refused: because") && shown.contains("d shows the rest"));
+    assert!(shown.contains("rejected: because") && shown.contains("d shows the rest"));
     let view = View {
         pane: Pane::Details,
         top: Some(0),

@@ -210,7 +210,7 @@ fn a_foreign_change_is_noticed_and_a_new_file_started() {
         ),
         (
             &|| drop(other(b"th")),
-            "was written by somebody else: 2 bytes",
+            "was changed by another program: 2 bytes were added",
         ),
         (
             &|| other(b"").set_len(3).unwrap(),

@@ -66,8 +66,8 @@ pub(super) fn section(runs: &[ReportedRun]) -> String {
     if heads.is_empty() {
         return "<p class=\"well\">No task failed or is unknown.</p>\n".to_owned();
     }
-    let more = (stops.len() + tasks.len()).saturating_sub(TROUBLES);
-    let mut items: String = stops.into_iter().chain(tasks).take(TROUBLES).collect();
+    let more = (stops.len() + tasks.len()).saturating_sub(FAILURES);
+    let mut items: String = stops.into_iter().chain(tasks).take(FAILURES).collect();
     if more > 0 {
         items += &format!("<li>{more} more are in the tables below</li>\n");
     }
@@ -121,4 +121,4 @@ fn item(
 }
 
 /// Most lines of the box at the top.
-const TROUBLES: usize = 20;
+const FAILURES: usize = 20;
