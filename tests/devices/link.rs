@@ -9,8 +9,9 @@ use ztl_core::link::{
     session_key,
 };
 use ztl_core::{Instant, State};
+use ztl_mcu::describe::{About, Describe, Described, Goal};
 use ztl_mcu::log::LogSource;
-use ztl_mcu::{Component, Identity, Node, Reading, Refused, Report, Run};
+use ztl_mcu::{Component, Identity, Node, Reading, Refused, Report, Run, description};
 
 const HELLO: u32 = 0x1122_3344;
 const BOOT: u32 = 0xcafe_0001;
@@ -85,6 +86,14 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
     let refused = Body::Refused {
         reason: "a task of this or a later id was started already",
     };
+    let description = Body::Description {
+        index: 1,
+        component: 0,
+        bytes: Finger::DESCRIPTION.as_bytes(),
+    };
+    let no_more = Body::Refused {
+        reason: "no such component",
+    };
     vec![
         ("Awake", NO_SESSION, 0, awake),
         ("Hello", NO_SESSION, 0, Body::Hello(hello)),
@@ -104,6 +113,10 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
         ("Pong", key, 4, pong),
         ("Start", key, 5, start),
         ("Refused", key, 5, refused),
+        ("Describe", key, 6, Body::Describe { index: 1 }),
+        ("Description", key, 6, description),
+        ("Describe", key, 7, Body::Describe { index: 2 }),
+        ("Refused", key, 7, no_more),
     ]
 }
 
@@ -133,7 +146,7 @@ fn the_specifications_example_frames_match_the_code() {
         let frame = Frame { addr: 0, seq, body };
         let mut buffer = [0xA5; 300];
         let len = encode(session, &frame, &mut buffer).unwrap();
-        document += &format!("{name:<10}{}\n", hex(&buffer[..len]));
+        document += &format!("{name:<12}{}\n", hex(&buffer[..len]));
 
         let mut decoder = Decoder::<300>::new();
         let ends: Vec<bool> = buffer[..len]
@@ -152,7 +165,7 @@ fn the_specifications_example_frames_match_the_code() {
     );
     assert_eq!(
         tags,
-        (0..=16).collect(),
+        (0..=17).collect(),
         "each kind of message has an example"
     );
 }
@@ -177,6 +190,13 @@ fn clauses_are_numbered_consecutively() {
 struct Finger {
     aborted: bool,
     reading: bool,
+}
+
+impl Describe for Finger {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("opens the gripper"),
+        ..About::new(Goal::NUMBER)
+    });
 }
 
 impl Component for Finger {
@@ -239,7 +259,7 @@ fn a_real_node_matches_the_documented_conversation() {
         reading: false,
     };
     let identity = Identity::new("gripper", "1.0.0", BOOT);
-    let mut node = Node::<_, 4, 256>::new(identity, [finger]);
+    let mut node = Node::<_, 4, 256>::new(identity, Described([finger]));
     let log = Once(RefCell::new(RECORD.to_vec()));
     let mut now = Instant::from_millis(1500);
     // An announcement starts with a byte that flushes noise.
