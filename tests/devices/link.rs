@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, Busy, Decoder, Frame, Hello, Ids, LinkId, NO_SESSION, Offer, VERSION, Welcome, encode,
-    session_key,
+    Body, Busy, DESCRIPTION_PART, Decoder, Frame, Hello, Ids, LinkId, NO_SESSION, Offer, VERSION,
+    Welcome, encode, session_key,
 };
 use ztl_core::{Instant, State};
 use ztl_mcu::describe::{About, Describe, Described, Goal};
@@ -86,10 +86,11 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
     let refused = Body::Refused {
         reason: "a task of this or a later id was started already",
     };
-    let description = Body::Description {
-        index: 1,
+    let (first, second) = Finger::DESCRIPTION.as_bytes().split_at(DESCRIPTION_PART);
+    let description = |index, bytes| Body::Description {
+        index,
         component: 0,
-        bytes: Finger::DESCRIPTION.as_bytes(),
+        bytes,
     };
     let no_more = Body::Refused {
         reason: "no such component",
@@ -114,9 +115,11 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
         ("Start", key, 5, start),
         ("Refused", key, 5, refused),
         ("Describe", key, 6, Body::Describe { index: 1 }),
-        ("Description", key, 6, description),
+        ("Description", key, 6, description(1, first)),
         ("Describe", key, 7, Body::Describe { index: 2 }),
-        ("Refused", key, 7, no_more),
+        ("Description", key, 7, description(2, second)),
+        ("Describe", key, 8, Body::Describe { index: 3 }),
+        ("Refused", key, 8, no_more),
     ]
 }
 

@@ -1,7 +1,7 @@
 //! What components of devices say of themselves: in the firmware, on the line, and in the answers of the gateway.
 
 use serde_json::{Value, json};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, simulated_gripper, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, simulated_gripper, until, ztl};
 
 fn told(server: &Server, command: &str) -> String {
     let port = server.port.to_string();
@@ -70,6 +70,6 @@ fn descriptions_of_several_devices_are_for_programs_too() {
     );
     let told = Process::run(ztl().args(["devices", "--json", "-p", &port])).stdout;
     let told: Value = serde_json::from_str(&told).expect("JSON");
-    let left = &told["/lab"]["left"]["components"][0];
+    let left = &told[SCOPE]["left"]["components"][0];
     assert_eq!(left["is"], components[0]["is"], "{told}");
 }
