@@ -3,16 +3,12 @@
 use serde_json::{Value, json};
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, simulated_gripper, until, ztl};
 
-fn told(server: &Server, command: &str) -> String {
-    let port = server.port.to_string();
-    Process::run(ztl().args([command, "-p", &port])).stdout
-}
-
-/// What `command` prints, once it has this text. A device describes itself after it is ready.
+/// What `ztl devices` prints, once it has this text.
 #[track_caller]
-fn wait_told(server: &Server, command: &str, text: &str) -> String {
+fn wait_devices(server: &Server, text: &str) -> String {
+    let port = server.port.to_string();
     until(text, PATIENCE, || {
-        let told = told(server, command);
+        let told = Process::run(ztl().args(["devices", "-p", &port])).stdout;
         told.contains(text).then_some(told)
     })
 }
@@ -23,10 +19,10 @@ fn a_simulated_device_describes_its_finger() {
     let place = scratch.path("gripper");
     let mut device = simulated_gripper(&format!("pty:{}", place.display()));
     let gateway = Server::gateway(&[&format!("hand=serial:{}", place.display())]);
-    let told = wait_told(&gateway, "describe", "opens the finger");
+    let told = gateway.wait_described(&["opens the finger"]);
     let row = "hand:finger  a number from 0 to 100 percent  opens the finger; returns its opening in percent";
     assert!(told.contains(row), "{told}");
-    let told = wait_told(&gateway, "devices", "opens the finger");
+    let told = wait_devices(&gateway, "opens the finger");
     assert!(
         told.contains("finger: 0 to 100 percent; opens the finger; "),
         "{told}"
@@ -35,17 +31,15 @@ fn a_simulated_device_describes_its_finger() {
     // While the device is away, its components still are what they are.
     std::fs::remove_file(&place).expect("the link");
     device.kill();
-    wait_told(&gateway, "devices", "not ready: ");
-    wait_told(&gateway, "describe", row);
+    wait_devices(&gateway, "not ready: ");
+    gateway.wait_described(&[row]);
 }
 
 #[test]
 fn descriptions_of_several_devices_are_for_programs_too() {
     let devices = ["left=sim:gripper", "top=sim:head", "room=sim:sensor"];
     let gateway = Server::gateway(&devices);
-    for text in ["opens the finger", "turns the head", "publishes readings"] {
-        wait_told(&gateway, "describe", text);
-    }
+    gateway.wait_described(&["opens the finger", "turns the head", "publishes readings"]);
     let port = gateway.port.to_string();
     let told = Process::run(ztl().args(["describe", "--json", "-p", &port])).stdout;
     let told: Value = serde_json::from_str(&told).expect("JSON");
