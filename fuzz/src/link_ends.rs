@@ -22,7 +22,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, Hello, Loss, Offer};
 use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
 use ztl_core::{Instant, State, TaskId};
-use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+use ztl_mcu::describe::{About, Describe, Described, Goal};
+use ztl_mcu::{Component, Identity, Node, Refused, Report, Run, description};
 
 use ztl_link::{LinkEvent, Session};
 
@@ -38,6 +39,13 @@ const MOST_STEPS: usize = 200;
 struct Motor {
     ends: Option<Instant>,
     aborted: bool,
+}
+
+impl Describe for Motor {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("closes and opens, and needs 20 ms for that"),
+        ..About::new(Goal::NUMBER)
+    });
 }
 
 impl Component for Motor {
@@ -88,14 +96,15 @@ impl Component for Motor {
     }
 }
 
-type SmallNode = Node<'static, [Motor; 1], 3, 128>;
+type SmallNode = Node<'static, Described<[Motor; 1]>, 3, 128>;
 
 fn new_node(boot: u32) -> SmallNode {
     let motor = Motor {
         ends: None,
         aborted: false,
     };
-    Node::new(Identity::new("gripper", "1.0.0", boot), [motor])
+    let components = Described([motor]);
+    Node::new(Identity::new("gripper", "1.0.0", boot), components)
 }
 
 thread_local! {
@@ -334,6 +343,9 @@ impl Ends {
     fn serve(&mut self) -> Vec<LinkEvent> {
         let mut events = self.pass(Duration::from_secs(4));
         assert!(self.session.is_up(), "{:?}", self.session);
+        let device = self.session.device().expect("it is up");
+        let description = device.components.first().map(|it| &*it.description);
+        assert_eq!(description, Some(Motor::DESCRIPTION.as_bytes()));
         let id = TaskId::new(1000).expect("not 0");
         self.session.start(self.now, id, "finger", "40");
         let after = self.pass(Duration::from_millis(500));

@@ -40,12 +40,13 @@ fn devices_lists_connected_and_missing_devices() {
     gateway.wait_ready("gripper");
     gateway.wait_ready("head");
     gateway.process.wait_for("Device 'ghost'");
+    gateway.wait_described(&["opens the finger", "turns the head"]);
 
     let text = tell(&gateway, "devices");
     for part in [
         "/test gripper at sim:gripper: ready\n",
-        "finger: 0 to 100 percent; a second task is refused; without link it goes to its safe state, also when idle\n",
-        "pan: -90 to 90 degrees, left, straight, right;",
+        "finger: 0 to 100 percent; opens the finger; a second task is refused; without link it goes to its safe state, also when idle\n",
+        "pan: -90 to 90 degrees, left, straight, right; turns the head;",
         "ghost at tcp:127.0.0.1:",
         "not ready: ",
         "refused",
@@ -321,10 +322,11 @@ fn each_of_our_servers_describes_its_components() {
     std::fs::write(&file, text).expect("a file");
     let serve = Server::start(ztl().arg("serve").arg(&file));
     let (gateway, tests, simple) = (Server::simulated(), Server::ours(), Server::simple_ours());
+    gateway.wait_described(&["opens the finger", "turns the head"]);
     for (port, text, scopes) in [
         (
             gateway.port,
-            "/test\n  gripper  finger\n  head     pan\n",
+            "/test\n  gripper  finger\n  head     pan\n    gripper:finger  a number from 0 to 100 percent  opens the finger; returns its opening in percent\n    head:pan        anything                        turns the head; for example left or straight or right or 45; returns its angle in degrees\n",
             json(r#"{"/test": {"gripper": ["finger"], "head": ["pan"]}}"#),
         ),
         (

@@ -5,12 +5,13 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, Busy, Decoder, Frame, Hello, Ids, LinkId, NO_SESSION, Offer, VERSION, Welcome, encode,
-    session_key,
+    Body, Busy, DESCRIPTION_PART, Decoder, Frame, Hello, Ids, LinkId, NO_SESSION, Offer, VERSION,
+    Welcome, encode, session_key,
 };
 use ztl_core::{Instant, State};
+use ztl_mcu::describe::{About, Describe, Described, Goal};
 use ztl_mcu::log::LogSource;
-use ztl_mcu::{Component, Identity, Node, Reading, Refused, Report, Run};
+use ztl_mcu::{Component, Identity, Node, Reading, Refused, Report, Run, description};
 
 const HELLO: u32 = 0x1122_3344;
 const BOOT: u32 = 0xcafe_0001;
@@ -85,6 +86,15 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
     let refused = Body::Refused {
         reason: "a task of this or a later id was started already",
     };
+    let (first, second) = Finger::DESCRIPTION.as_bytes().split_at(DESCRIPTION_PART);
+    let description = |index, bytes| Body::Description {
+        index,
+        component: 0,
+        bytes,
+    };
+    let no_more = Body::Refused {
+        reason: "no such component",
+    };
     vec![
         ("Awake", NO_SESSION, 0, awake),
         ("Hello", NO_SESSION, 0, Body::Hello(hello)),
@@ -104,6 +114,12 @@ fn frames() -> Vec<(&'static str, u32, u8, Body<'static>)> {
         ("Pong", key, 4, pong),
         ("Start", key, 5, start),
         ("Refused", key, 5, refused),
+        ("Describe", key, 6, Body::Describe { index: 1 }),
+        ("Description", key, 6, description(1, first)),
+        ("Describe", key, 7, Body::Describe { index: 2 }),
+        ("Description", key, 7, description(2, second)),
+        ("Describe", key, 8, Body::Describe { index: 3 }),
+        ("Refused", key, 8, no_more),
     ]
 }
 
@@ -133,7 +149,7 @@ fn the_specifications_example_frames_match_the_code() {
         let frame = Frame { addr: 0, seq, body };
         let mut buffer = [0xA5; 300];
         let len = encode(session, &frame, &mut buffer).unwrap();
-        document += &format!("{name:<10}{}\n", hex(&buffer[..len]));
+        document += &format!("{name:<12}{}\n", hex(&buffer[..len]));
 
         let mut decoder = Decoder::<300>::new();
         let ends: Vec<bool> = buffer[..len]
@@ -152,7 +168,7 @@ fn the_specifications_example_frames_match_the_code() {
     );
     assert_eq!(
         tags,
-        (0..=16).collect(),
+        (0..=17).collect(),
         "each kind of message has an example"
     );
 }
@@ -177,6 +193,13 @@ fn clauses_are_numbered_consecutively() {
 struct Finger {
     aborted: bool,
     reading: bool,
+}
+
+impl Describe for Finger {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("opens the gripper"),
+        ..About::new(Goal::NUMBER)
+    });
 }
 
 impl Component for Finger {
@@ -239,7 +262,7 @@ fn a_real_node_matches_the_documented_conversation() {
         reading: false,
     };
     let identity = Identity::new("gripper", "1.0.0", BOOT);
-    let mut node = Node::<_, 4, 256>::new(identity, [finger]);
+    let mut node = Node::<_, 4, 256>::new(identity, Described([finger]));
     let log = Once(RefCell::new(RECORD.to_vec()));
     let mut now = Instant::from_millis(1500);
     // An announcement starts with a byte that flushes noise.

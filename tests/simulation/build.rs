@@ -25,7 +25,15 @@ fn main() -> io::Result<()> {
 
     let mut files = BTreeMap::new();
     let mcu = root.join("ztl-mcu/src");
-    for name in ["component.rs", "log.rs", "log", "node.rs", "node"] {
+    let names = [
+        "component.rs",
+        "describe.rs",
+        "log.rs",
+        "log",
+        "node.rs",
+        "node",
+    ];
+    for name in names {
         collect(&mcu.join(name), &mut files)?;
     }
     collect(&root.join("ztl-link/src"), &mut files)?;
@@ -51,7 +59,7 @@ fn main() -> io::Result<()> {
     }
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
-         mod component;\npub mod log;\nmod node;\n\
+         mod component;\npub mod describe;\npub mod log;\nmod node;\n\
          pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, Node}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\

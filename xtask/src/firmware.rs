@@ -23,10 +23,13 @@ const MEASURED: &str = "microbit";
 /// An image with a network stack, and the feature that it needs.
 const NETWORKED: &str = "ethernet";
 
-/// Boards with further images, which log nothing: the robot, the smallest useful node, a bare
+/// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, a bare
 /// serial port, and servers for ZeroMQ clients without a gateway.
 const MORE: &[(&str, &[&str])] = &[
-    (MEASURED, &["quiet", "smallest", "uart", "zmtp"]),
+    (
+        MEASURED,
+        &["quiet", "described", "smallest", "uart", "zmtp"],
+    ),
     ("lm3s6965evb", &["zmtp", NETWORKED]),
     ("mps2-an386", &["uart", "zmtp"]),
 ];

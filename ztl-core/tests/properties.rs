@@ -119,7 +119,7 @@ fn parts() -> impl Strategy<Value = Parts> {
 }
 
 /// Number of message types; their tags count from 0.
-const MESSAGES: u8 = 17;
+const MESSAGES: u8 = 18;
 
 fn body(tag: u8, parts: &Parts) -> Body<'_> {
     let Parts {
@@ -204,6 +204,11 @@ fn body(tag: u8, parts: &Parts) -> Body<'_> {
         16 => Body::Awake {
             version,
             boot: numbers[0],
+        },
+        17 => Body::Description {
+            index,
+            component,
+            bytes,
         },
         _ => panic!("there is no message {tag}"),
     }

@@ -21,6 +21,8 @@ pub struct ComponentInfo {
     pub loss: Loss,
     /// Topics of its readings.
     pub topics: Vec<String>,
+    /// What it says of itself so far, in JSON (`docs/protocol.md` [11.7]); empty if it says nothing.
+    pub description: Vec<u8>,
 }
 
 /// A device, as it describes itself.

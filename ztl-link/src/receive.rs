@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, VERSION, Welcome, session_key,
+    Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, VERSION, Welcome,
+    session_key,
 };
 use ztl_core::{Instant, State, TaskId};
 
@@ -119,6 +120,9 @@ impl<J: SessionJournal> Session<J> {
         let known = before.filter(same_boot);
         self.counters.resets += u64::from(was_known && known.is_none());
         self.highest = welcome.highest;
+        if known.is_none() {
+            self.next_part = Some(welcome.components);
+        }
         self.on_reset(now, welcome);
         let components = known.map(|device| device.components).unwrap_or_default();
         self.device = Some(DeviceInfo {
@@ -249,6 +253,7 @@ impl<J: SessionJournal> Session<J> {
                         busy: offer.busy,
                         loss: offer.loss,
                         topics: offer.topics.split_whitespace().map(str::to_owned).collect(),
+                        description: Vec::new(),
                     });
                 }
                 self.describe_next(now);
@@ -259,6 +264,22 @@ impl<J: SessionJournal> Session<J> {
                 self.events.push_back(LinkEvent::DeviceUnusable(reason));
                 return self.greet_after(now, BAD_ANSWER);
             }
+            (
+                CommandKind::DescribePart(asked),
+                Body::Description {
+                    index,
+                    component,
+                    bytes,
+                },
+            ) if asked == index && bytes.len() <= DESCRIPTION_PART => {
+                let mut components = self.device.iter_mut().flat_map(|it| &mut it.components);
+                if let Some(known) = components.nth(component.into()) {
+                    known.description.extend_from_slice(bytes);
+                }
+                self.next_part = index.checked_add(1);
+            }
+            // Refused: there are no more. Anything else changes nothing either.
+            (CommandKind::DescribePart(_), _) => self.next_part = None,
             (CommandKind::Start(id), Body::Started { .. }) => {
                 self.highest = self.highest.saturating_add(1);
                 self.on_started(id);

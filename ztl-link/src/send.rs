@@ -35,6 +35,10 @@ impl<J: SessionJournal> Session<J> {
     /// Opens a new session.
     pub(crate) fn greet(&mut self, now: Instant) {
         self.phase = Phase::Greeting;
+        // A device that does not even refuse is not asked again [4.7].
+        if let Some(CommandKind::DescribePart(_)) = self.in_flight.as_ref().map(|it| it.command) {
+            self.next_part = None;
+        }
         self.session = session_number((self.random)());
         self.seq = NO_SEQ;
         self.strangers.clear();
@@ -78,7 +82,7 @@ impl<J: SessionJournal> Session<J> {
         measured.max(line).max(REPEAT_LEAST)
     }
 
-    /// Sends the most urgent command if none is in flight: aborts before starts.
+    /// Sends the most urgent command if none is in flight: aborts, starts, questions for descriptions, pings.
     pub(crate) fn next_command(&mut self, now: Instant) {
         if self.in_flight.is_some() || self.phase != Phase::Up {
             return;
@@ -91,7 +95,10 @@ impl<J: SessionJournal> Session<J> {
                 return;
             }
         }
-        if now >= self.ping_due() {
+        if let Some(index) = self.next_part {
+            let command = CommandKind::DescribePart(index);
+            self.command(now, command, Body::Describe { index });
+        } else if now >= self.ping_due() {
             self.command(now, CommandKind::Ping, Body::Ping);
         }
     }

@@ -44,6 +44,7 @@ impl<J: SessionJournal> Session<J> {
             tasks: BTreeMap::new(),
             events: VecDeque::new(),
             device: None,
+            next_part: None,
             write_again: None,
             highest: 0,
             clock: None,

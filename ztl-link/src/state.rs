@@ -33,6 +33,8 @@ pub(crate) enum Phase {
 pub(crate) enum CommandKind {
     Hello,
     Describe(u8),
+    /// A `Describe` beyond the last component.
+    DescribePart(u8),
     Start(TaskId),
     Abort(LinkId),
     Ping,
@@ -77,6 +79,8 @@ pub struct Session<J = ()> {
     pub(crate) tasks: BTreeMap<TaskId, Task>,
     pub(crate) events: VecDeque<LinkEvent>,
     pub(crate) device: Option<DeviceInfo>,
+    /// The next part of the descriptions to ask for; `None` if the device has no more.
+    pub(crate) next_part: Option<u8>,
     /// When to retry outcomes that could not be written.
     pub(crate) write_again: Option<Instant>,
     /// The highest link id that the device is known to have started. The next `Start` uses the one above, so that a

@@ -156,6 +156,9 @@ impl<T: Component + ?Sized> Component for &mut T {
 ///
 /// Their order gives their index on the link.
 pub trait Components {
+    /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
+    const DESCRIBED: bool = false;
+
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
 
@@ -164,6 +167,14 @@ pub trait Components {
 
     /// The component with this index, mutable.
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component>;
+
+    /// What a component says of itself, in JSON (`docs/protocol.md` [11.7]); empty if it says nothing.
+    /// [`Described`](crate::describe::Described) knows it from the components' types. All of them together must fit
+    /// into 48 bytes for each index up to 255 that is not a component's; more is never sent.
+    fn description(&self, index: usize) -> &str {
+        let _ = index;
+        ""
+    }
 }
 
 impl<T: Component> Components for [T] {
@@ -195,6 +206,8 @@ impl<T: Component, const N: usize> Components for [T; N] {
 }
 
 impl<C: Components + ?Sized> Components for &mut C {
+    const DESCRIBED: bool = C::DESCRIBED;
+
     fn count(&self) -> usize {
         C::count(self)
     }
@@ -205,6 +218,10 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
         C::component_mut(self, index)
+    }
+
+    fn description(&self, index: usize) -> &str {
+        C::description(self, index)
     }
 }
 

@@ -58,6 +58,7 @@
 //! |---|---|---|
 //! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
+//! | say which goals it takes and what they do | [`describe`] | |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
 //! | share data with interrupts | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
@@ -72,6 +73,7 @@ extern crate std;
 mod component;
 #[cfg(feature = "components")]
 pub mod components;
+pub mod describe;
 #[cfg(feature = "serde")]
 mod goal;
 pub mod log;
@@ -90,4 +92,4 @@ pub use component::{Component, Components, Reading, Refused, Report, Run};
 pub use goal::parse_goal;
 pub use node::{Counters, Identity, Node, Reason};
 pub use reading::{Latest, NotKept, Queued};
-pub use ztl_core::{Instant, link};
+pub use ztl_core::{Instant, description, goal_fields, link};

@@ -1,6 +1,7 @@
 //! Scripts: scenes of steps of tasks in YAML, written by people who do not program.
 //!
-//! - [`Script`] reads a script and reports mistakes and doubts; [`Script::check_live`] asks its servers.
+//! - [`Script`] reads a script and reports mistakes and doubts; [`Script::check_live`] asks its servers, and
+//!   [`Script::check_described`] reads what they said before.
 //! - [`Runner`] plays a script on servers, which it reaches only through [`server::Connection`]. What is done
 //!   next is decided by its player, a state machine without I/O.
 //! - [`event`]: everything that happens in a run. [`record`] writes events to a file and reads them back;
@@ -26,7 +27,7 @@ pub mod server;
 
 pub use dry_run::timeline;
 pub use finding::Finding;
-pub use live_check::{ConnectShared, LiveCheck, check_servers};
+pub use live_check::{ConnectShared, ServerCheck, check_servers};
 pub use model::{Defaults, Handler, OnFailure, Scene, Step, Task};
 pub use player::PlayOptions;
 pub use read::read_value;

@@ -1,8 +1,10 @@
-//! Whether the servers of a script are there and would accept its tasks: `ztl check --live`.
+//! Whether the servers of a script are there and would accept its tasks: `ztl check --live`; or what they said
+//! of themselves before: `ztl check --descriptions`.
 
 use std::panic::resume_unwind;
+use std::path::PathBuf;
 
-use ztl_std::{Offers, Remotes};
+use ztl_std::{Offers, Remotes, SavedDescription};
 use ztl_yaml::{Span, closest};
 
 use crate::finding::Finding;
@@ -15,7 +17,7 @@ const AT_ONCE: usize = 64;
 
 /// What servers said.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct LiveCheck {
+pub struct ServerCheck {
     /// What is wrong.
     pub findings: Vec<Finding>,
     /// A line for people about each server.
@@ -30,15 +32,21 @@ impl Script {
     /// the handlers and components and would accept the goals. Starts nothing. Servers are asked
     /// concurrently; one that does not answer costs 2 s.
     #[must_use]
-    pub fn check_live(&self, remotes: &Remotes, connect: ConnectShared<'_>) -> LiveCheck {
+    pub fn check_live(&self, remotes: &Remotes, connect: ConnectShared<'_>) -> ServerCheck {
         let answers = ask_at_once(&self.remotes(), remotes, |name, endpoint| {
             let (line, met) = meet(name, endpoint, connect);
-            let mut check = LiveCheck {
+            let mut check = ServerCheck {
                 findings: Vec::new(),
                 servers: vec![line],
             };
             match met {
-                Ok(Some(mut server)) => self.check_server(name, &mut *server, &mut check),
+                Ok(Some(mut server)) => {
+                    let offers = server.offers();
+                    let accepts = &mut |handler: &str, task: &Task| {
+                        server.would_accept(handler, &task.component, &task.goal)
+                    };
+                    self.check_tasks(name, offers.as_ref(), accepts, &mut check);
+                }
                 Ok(None) => {}
                 Err(message) => {
                     let first = self.first_handler(name);
@@ -48,7 +56,7 @@ impl Script {
             }
             check
         });
-        let mut all = LiveCheck::default();
+        let mut all = ServerCheck::default();
         for answer in answers {
             all.findings.extend(answer.findings);
             all.servers.extend(answer.servers);
@@ -56,25 +64,72 @@ impl Script {
         all
     }
 
-    /// Asks a server of this project about each task that the script has for it.
-    fn check_server(&self, name: &str, server: &mut dyn Connection, check: &mut LiveCheck) {
-        let offers = server.offers();
-        let mut silent = false;
+    /// Compares the tasks of the script with what its servers said of themselves, by scope. A name that
+    /// `remotes` does not have, and an ambiguous one, is not compared.
+    #[must_use]
+    pub fn check_described(
+        &self,
+        remotes: &Remotes,
+        saved: &[(PathBuf, SavedDescription)],
+    ) -> ServerCheck {
+        let mut check = ServerCheck::default();
+        for name in self.remotes() {
+            let Ok(remote) = remotes.task(name) else {
+                continue;
+            };
+            let scope = remote.scope.as_str();
+            let mut fitting: Vec<_> = saved
+                .iter()
+                .filter(|(_, told)| told.scopes.contains_key(scope))
+                .collect();
+            let endpoint = remote.endpoint();
+            if fitting.iter().any(|(_, told)| told.endpoint == endpoint) {
+                fitting.retain(|(_, told)| told.endpoint == endpoint);
+            }
+            let [(path, told)] = fitting.as_slice() else {
+                let how_many = match fitting.as_slice() {
+                    [] => "no file describes",
+                    _ => "more than one file describes",
+                };
+                let line =
+                    format!("{name}: {how_many} {scope} at {endpoint}; its tasks are not checked");
+                check.servers.push(line);
+                continue;
+            };
+            let path = path.display();
+            check
+                .servers
+                .push(format!("{name}: as {path} describes {scope}"));
+            let components = told.components.get(scope).cloned().unwrap_or_default();
+            let accepts = &mut |handler: &str, task: &Task| {
+                Acceptance::described(&components, handler, &task.component, &task.goal)
+            };
+            self.check_tasks(name, told.scopes.get(scope), accepts, &mut check);
+        }
+        check
+    }
+
+    /// Asks about each task that the script has for a server. The last line of the check is the server's.
+    fn check_tasks(
+        &self,
+        name: &str,
+        offers: Option<&Offers>,
+        accepts: &mut dyn FnMut(&str, &Task) -> Acceptance,
+        check: &mut ServerCheck,
+    ) {
+        let mut silent = offers.is_none_or(Offers::is_empty);
         for (handler, task) in self.tasks_of(name) {
-            let missing = offers
-                .as_ref()
-                .and_then(|offers| missing(offers, handler, task));
+            let missing = offers.and_then(|offers| missing(offers, handler, task));
             let wrong = match missing {
                 Some(wrong) => Some(wrong),
-                None if silent => None,
-                None => match server.would_accept(&handler.name, &task.component, &task.goal) {
-                    Acceptance::Yes => None,
-                    Acceptance::No(why) => Some((task.span, why, None)),
-                    Acceptance::Unknown => {
-                        silent = offers.as_ref().is_none_or(Offers::is_empty);
-                        None
+                None => {
+                    let told = accepts(&handler.name, task);
+                    silent &= told == Acceptance::Unknown;
+                    match told {
+                        Acceptance::No(why) => Some((task.span, why, None)),
+                        Acceptance::Yes | Acceptance::Unknown => None,
                     }
-                },
+                }
             };
             if let Some((span, message, help)) = wrong {
                 let message = format!("server '{name}': {message}");

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use ztl_core::State;
+use ztl_std::describe::{CheckGoal, ScopeDescriptions, find};
 use ztl_std::{Offers, RemoteId};
 
 /// A connection to one server. Whoever plays or checks a script supplies it.
@@ -29,6 +30,23 @@ pub enum Acceptance {
     No(String),
     /// The server cannot tell.
     Unknown,
+}
+
+impl Acceptance {
+    /// Whether the goal of a task is what its component says of itself.
+    #[must_use]
+    pub fn described(
+        scope: &ScopeDescriptions,
+        handler: &str,
+        component: &str,
+        goal: &str,
+    ) -> Self {
+        match find(scope, handler, component).map(|it| it.goal.check(goal, false)) {
+            None => Self::Unknown,
+            Some(Ok(_)) => Self::Yes,
+            Some(Err(why)) => Self::No(why),
+        }
+    }
 }
 
 /// A request to a server.

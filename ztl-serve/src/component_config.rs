@@ -1,5 +1,6 @@
 //! What a file says of a component, and the limit on tasks of all components together.
 
+use std::any::Any;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -7,6 +8,7 @@ use std::time::Duration;
 use ztl_std::describe::ComponentDescription;
 
 use crate::admission::BusyPolicy;
+use crate::forward::Forward;
 use crate::kind::Kind;
 
 /// A component: what does its tasks, and under which rules.
@@ -19,6 +21,14 @@ pub(crate) struct ComponentConfig {
     pub(crate) busy: BusyPolicy,
     /// Aborts a task when its client has been silent for this long.
     pub(crate) needs_client: Option<Duration>,
+}
+
+impl ComponentConfig {
+    /// Where its tasks are sent, if to another server.
+    pub(crate) fn forward(&self) -> Option<&Forward> {
+        let kind: &dyn Any = &*self.kind;
+        kind.downcast_ref()
+    }
 }
 
 /// Limits how many tasks run or wait in all scopes together.

@@ -66,7 +66,7 @@ impl Scope {
         self.configs.len()
     }
 
-    fn configs(&self) -> impl Iterator<Item = (&str, &str, &Arc<ComponentConfig>)> {
+    pub(crate) fn configs(&self) -> impl Iterator<Item = (&str, &str, &Arc<ComponentConfig>)> {
         let configs = self.configs.iter();
         configs.map(|(handler, component, config)| (handler.as_str(), component.as_str(), config))
     }
@@ -199,6 +199,7 @@ impl<'d> ConfigReader<'d> {
         };
         let (about, returns) = (line("about"), line("returns"));
         let examples = fields.optional("examples");
+        let streams = fields.optional("streams");
         let usually = fields.optional("usually");
         let usually = usually.and_then(|node| self.time(node, LONGEST_USUAL));
         let usually_ms = usually.and_then(|time| u32::try_from(time.as_millis()).ok());
@@ -246,10 +247,12 @@ impl<'d> ConfigReader<'d> {
             None => kind.goal_rule(),
         };
         let examples = examples.map(|node| self.examples(node, &goal));
+        let streams = streams.map(|node| self.streams(node));
         Some(ComponentConfig {
             description: ComponentDescription {
                 about,
                 examples: examples.unwrap_or_default(),
+                streams: streams.unwrap_or_default(),
                 result: returns,
                 usually_ms,
                 can_abort: kind.can_abort(),
@@ -276,6 +279,19 @@ impl<'d> ConfigReader<'d> {
             examples.push(Arc::from(text));
         }
         examples.into()
+    }
+
+    /// Topics that the component's program publishes.
+    fn streams(&mut self, node: &'d Node) -> Arc<[Arc<str>]> {
+        let nodes = self.yaml.list(node, "topics, as [/robot/pose]");
+        let nodes = nodes.unwrap_or_default().iter();
+        nodes
+            .filter_map(|node| {
+                self.yaml
+                    .text(node, "a topic, as /robot/pose")
+                    .map(Arc::from)
+            })
+            .collect()
     }
 
     fn busy(&mut self, node: &'d Node) -> Option<BusyPolicy> {

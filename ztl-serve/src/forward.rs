@@ -91,13 +91,18 @@ impl Kind for Forward {
 
 impl Forward {
     /// Connects to the server.
-    fn connect(&self) -> Result<RemoteTask, Box<dyn Error>> {
+    pub(crate) fn connect(&self) -> Result<RemoteTask, Box<dyn Error>> {
         let remote = RemoteTask::connect(&self.to, &self.scope)?;
         let Some(keys) = &self.keys else {
             return Ok(remote);
         };
         let (own, server) = keys.read()?;
         Ok(remote.with_keys(own, server)?)
+    }
+
+    /// Whether both send tasks to the same scope of the same server, as the same client.
+    pub(crate) fn is_same_scope(&self, other: &Self) -> bool {
+        self.to == other.to && self.scope == other.scope && self.keys == other.keys
     }
 
     /// Runs a task there. `abort` may be set at any time.

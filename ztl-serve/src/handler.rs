@@ -8,11 +8,12 @@ use std::time::Duration;
 
 use ztl_core::{TaskId, TaskSpec};
 use ztl_std::TaskRequest;
-use ztl_std::describe::{CheckGoal, ScopeDescriptions, shown};
+use ztl_std::describe::{CheckGoal, Descriptions, shown};
 use ztl_std::server::{Answers, TaskHandler, TaskReporter, offered, would_take};
 
 use crate::call::Call;
 use crate::component_config::{ComponentConfig, TotalLimit};
+use crate::far_descriptions::ScopeDescription;
 use crate::kind::Message;
 use crate::mailbox::Mailbox;
 use crate::program::processes::ProcessRegistry;
@@ -32,13 +33,46 @@ const REPORTING: Duration = Duration::from_secs(1);
 
 /// The components of a scope.
 #[derive(Debug, Default)]
-struct Components {
+pub(crate) struct Components {
     all: Vec<Arc<ComponentConfig>>,
     /// Indices in `all` by handler and component.
     by_name: BTreeMap<String, BTreeMap<String, usize>>,
 }
 
 impl Components {
+    pub(crate) fn new<'e>(
+        configs: impl Iterator<Item = (&'e str, &'e str, &'e Arc<ComponentConfig>)>,
+    ) -> Self {
+        let mut components = Self::default();
+        for (handler, name, component) in configs {
+            let names = components.by_name.entry(handler.to_owned()).or_default();
+            names.insert(name.to_owned(), components.all.len());
+            components.all.push(Arc::clone(component));
+        }
+        components
+    }
+
+    /// All components, with handler and name.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, &str, &ComponentConfig)> {
+        self.by_name.iter().flat_map(|(handler, components)| {
+            components.iter().filter_map(|(name, index)| {
+                let config = self.all.get(*index)?;
+                Some((handler.as_str(), name.as_str(), &**config))
+            })
+        })
+    }
+
+    /// Whether the file names this handler.
+    pub(crate) fn has_handler(&self, handler: &str) -> bool {
+        self.by_name.contains_key(handler)
+    }
+
+    /// Whether the file names this component of a handler that it names.
+    pub(crate) fn has(&self, handler: &str, component: &str) -> bool {
+        let components = self.by_name.get(handler);
+        components.is_some_and(|components| components.contains_key(component))
+    }
+
     /// The index of the component for a task, or why there is none.
     fn find(&self, spec: &TaskSpec<'_>) -> Result<usize, String> {
         let (handler, component) = (spec.handler, spec.component);
@@ -86,6 +120,7 @@ impl Components {
 #[derive(Debug)]
 pub struct ScopeHandler {
     components: Arc<Components>,
+    description: ScopeDescription,
     scope: Arc<str>,
     supervisor: Mailbox<Message>,
     thread: Option<JoinHandle<()>>,
@@ -99,12 +134,7 @@ impl ScopeHandler {
         total: TotalLimit,
         processes: ProcessRegistry,
     ) -> io::Result<Self> {
-        let mut components = Components::default();
-        for (handler, name, component) in configs {
-            let names = components.by_name.entry(handler.to_owned()).or_default();
-            names.insert(name.to_owned(), components.all.len());
-            components.all.push(Arc::clone(component));
-        }
+        let components = Arc::new(Components::new(configs));
         let stop_times = components
             .all
             .iter()
@@ -115,7 +145,8 @@ impl ScopeHandler {
             .name("ztl-serve".to_owned())
             .spawn(move || supervisor.run())?;
         Ok(Self {
-            components: Arc::new(components),
+            description: ScopeDescription::new(&components)?,
+            components,
             scope: scope.into(),
             supervisor: mailbox,
             thread: Some(thread),
@@ -150,18 +181,8 @@ impl TaskHandler for ScopeHandler {
         Box::new(move || all.clone())
     }
 
-    fn describe(&self) -> ScopeDescriptions {
-        let handlers = self.components.by_name.iter();
-        let of = |components: &BTreeMap<String, usize>| {
-            let known = components.iter().filter_map(|(name, index)| {
-                let config = self.components.all.get(*index)?;
-                Some((name.clone(), config.description.clone()))
-            });
-            known.collect()
-        };
-        handlers
-            .map(|(handler, components)| (handler.clone(), of(components)))
-            .collect()
+    fn describe(&self) -> Descriptions {
+        self.description.teller()
     }
 
     fn answers(&self) -> Answers {

@@ -33,6 +33,7 @@ mod built_in;
 mod call;
 mod component_config;
 mod config;
+mod far_descriptions;
 mod forward;
 mod handler;
 mod human;

@@ -93,7 +93,7 @@ pub use client::{
     ServerInfo, Status, TriggerError, Triggered, WaitError,
 };
 #[cfg(feature = "config")]
-pub use client::{Description, ServerTask, ServerTasks};
+pub use client::{Description, SavedDescription, ServerTask, ServerTasks};
 pub use controller::{Aborted, ExecutableTask, TaskContext, TaskController, TaskError};
 pub use offers::Offers;
 #[cfg(feature = "publish")]

@@ -5,11 +5,11 @@ use std::process::ExitCode;
 
 use tracing::Level;
 use ztl_script::{Defaults, Finding, Script, check_servers};
-use ztl_std::Remotes;
+use ztl_std::{Remotes, SavedDescription};
 use ztl_yaml::Diagnostics;
 
 use crate::connect_options::ConnectOptions;
-use crate::exit::Done;
+use crate::exit::{Done, Misuse};
 use crate::log;
 use crate::remotes_options::RemotesOptions;
 use crate::server_connection::connect_once;
@@ -32,6 +32,10 @@ pub(crate) struct Check {
     #[arg(long)]
     live: bool,
 
+    /// Check the tasks against what servers said of themselves: files that `ztl describe --yaml` wrote (repeatable)
+    #[arg(long, value_name = "FILE", conflicts_with = "live")]
+    descriptions: Vec<PathBuf>,
+
     /// The defaults file of `ztl run-script`
     #[arg(long, value_name = "FILE")]
     defaults: Option<PathBuf>,
@@ -45,6 +49,10 @@ impl Check {
             Some(remotes) => Some(self.endpoints.added_to(remotes)?),
             None => None,
         };
+        if remotes.is_none() && !self.descriptions.is_empty() {
+            let needed = "--descriptions needs the configuration, which names the scope of each server (-c FILE)";
+            return Err(Misuse::of(needed).into());
+        }
         let defaults = self.defaults.as_deref().map(Defaults::load);
         let defaults = defaults.and_then(|read| taken(read, &mut findings));
         let (script, found) = Script::check(&self.script, defaults.unwrap_or_default());
@@ -71,6 +79,16 @@ impl Check {
                 }
                 // The script is unreadable, so all servers are asked.
                 (true, None) => check_servers(remotes, &connect).iter().for_each(line),
+                (false, Some(script)) if !self.descriptions.is_empty() => {
+                    let read = |path: &PathBuf| {
+                        let saved = taken(SavedDescription::load(path), &mut findings)?;
+                        Some((path.clone(), saved))
+                    };
+                    let saved: Vec<_> = self.descriptions.iter().filter_map(read).collect();
+                    let described = script.check_described(remotes, &saved);
+                    described.servers.iter().for_each(line);
+                    findings.extend(described.findings);
+                }
                 (false, _) => {}
             }
         }

@@ -33,6 +33,7 @@ impl Describe {
         if self.format.is_chosen() {
             let components = components.iter().map(Written::of);
             self.format.print(&Told {
+                endpoint: server.endpoint(),
                 server: &told,
                 components: components.collect::<Result<_, _>>()?,
             })?;
@@ -74,6 +75,8 @@ impl Describe {
 /// What programs read.
 #[derive(Serialize)]
 struct Told<'a> {
+    /// Where the server is, for `ztl check --descriptions`.
+    endpoint: String,
     #[serde(flatten)]
     server: &'a Description,
     components: Vec<Written<'a>>,

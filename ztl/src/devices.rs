@@ -12,6 +12,7 @@ use ztl_std::ListedTask;
 use ztl_std::defmt::{Decoder, Level, Message};
 #[cfg(feature = "defmt")]
 use ztl_std::gateway::LogPiece;
+use ztl_std::describe::{GoalRule, component as description};
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::columns::spoken;
@@ -240,10 +241,15 @@ fn described(component: &ComponentReport) -> String {
         );
     }
     goals.extend(component.words.iter().cloned());
-    let goals = if goals.is_empty() {
-        "any goal".to_owned()
-    } else {
-        goals.join(", ")
+    let is = component.is.as_ref().and_then(description);
+    let goals = match &is {
+        _ if !goals.is_empty() => goals.join(", "),
+        Some(is) if !matches!(is.goal, GoalRule::Any) => is.goal.to_string(),
+        _ => "any goal".to_owned(),
+    };
+    let about = match is.and_then(|is| is.about) {
+        Some(about) => format!("; {about}"),
+        None => String::new(),
     };
     let loss = match component.loss.as_str() {
         "abort" => "goes to its safe state, also when idle",
@@ -262,7 +268,7 @@ fn described(component: &ComponentReport) -> String {
         topics => format!("; publishes {}", topics.join(", ")),
     };
     flat(&format!(
-        "{}: {goals}{busy}; without link it {loss}{topics}",
+        "{}: {goals}{about}{busy}; without link it {loss}{topics}",
         component.name
     ))
     .into_owned()

@@ -7,6 +7,7 @@ use ztl_core::TaskId;
 use ztl_core::integer::Integer;
 use ztl_script::Connect;
 use ztl_script::server::{Acceptance, Connected, Connection, Server, ServerAnswer, ServerRequest};
+use ztl_std::describe::ScopeDescriptions;
 use ztl_std::{
     Offers, RemoteTask, Remotes, RequestError, ServerTask, Status, TriggerError, encoded,
 };
@@ -14,11 +15,15 @@ use ztl_std::{
 use crate::connect_options::ConnectOptions;
 
 /// A connection to the scope of one server.
-struct ServerConnection(RemoteTask);
+struct ServerConnection {
+    remote: RemoteTask,
+    /// What its components say of themselves, once that was asked.
+    described: Option<ScopeDescriptions>,
+}
 
 /// Connects to a server once.
 pub(crate) fn connect_once(remotes: &Remotes, options: &ConnectOptions, name: &str) -> Connected {
-    Ok(Box::new(ServerConnection(client(remotes, options, name)?)))
+    Ok(ServerConnection::new(client(remotes, options, name)?))
 }
 
 /// Connects to servers of a run; further connections to a server are clones of the first client.
@@ -26,12 +31,12 @@ pub(crate) fn connect(remotes: Remotes, options: ConnectOptions) -> Connect {
     let mut clients: BTreeMap<String, RemoteTask> = BTreeMap::new();
     Box::new(move |name| {
         if let Some(client) = clients.get(name) {
-            return Ok(Box::new(ServerConnection(client.clone())));
+            return Ok(ServerConnection::new(client.clone()));
         }
         info!(target: "remote-config", "Initialising remote task interface '{name}'...");
         let client = client(&remotes, &options, name)?;
         clients.insert(name.to_owned(), client.clone());
-        Ok(Box::new(ServerConnection(client)))
+        Ok(ServerConnection::new(client))
     })
 }
 
@@ -44,9 +49,14 @@ fn client(remotes: &Remotes, options: &ConnectOptions, name: &str) -> Result<Rem
 }
 
 impl ServerConnection {
+    fn new(remote: RemoteTask) -> Box<Self> {
+        let described = None;
+        Box::new(Self { remote, described })
+    }
+
     /// Who the server is, by its first answer on this connection.
     fn server(&mut self) -> Result<Server, RequestError> {
-        Ok(match self.0.server_info(false)? {
+        Ok(match self.remote.server_info(false)? {
             Some(info) => Server::Ours {
                 version: info.version,
                 boot: info.boot,
@@ -66,7 +76,7 @@ impl ServerConnection {
                 };
             }
         };
-        match self.0.trigger(handler, component, goal) {
+        match self.remote.trigger(handler, component, goal) {
             Ok(task) => ServerAnswer::Started {
                 id: task.id,
                 text: task.reply,
@@ -95,7 +105,7 @@ impl ServerConnection {
         match told {
             Ok(Status { state, text }) => ServerAnswer::Task { state, text },
             Err(error @ RequestError::UnknownTask { .. }) => {
-                let info = self.0.server_info(true).ok().flatten();
+                let info = self.remote.server_info(true).ok().flatten();
                 ServerAnswer::TaskUnknown {
                     boot: info.map(|info| info.boot),
                     text: error.to_string(),
@@ -108,9 +118,9 @@ impl ServerConnection {
     fn probe(&mut self) -> Result<ServerAnswer, RequestError> {
         let server = self.server()?;
         // No server gives this id, so asking about it has no effect.
-        match self.0.status(TaskId::MAX) {
+        match self.remote.status(TaskId::MAX) {
             Err(error) if error.is_no_scope() => {
-                let (endpoint, scope) = (self.0.endpoint(), self.0.scope());
+                let (endpoint, scope) = (self.remote.endpoint(), self.remote.scope());
                 let text = format!("the server at {endpoint} has no scope '{scope}'");
                 Ok(ServerAnswer::NoScope { text })
             }
@@ -121,13 +131,13 @@ impl ServerConnection {
 
     /// The tasks that run or may run in the scope, whoever started them.
     fn tasks(&mut self) -> Result<ServerAnswer, RequestError> {
-        let Some(known) = self.0.tasks()? else {
+        let Some(known) = self.remote.tasks()? else {
             return Ok(ServerAnswer::Tasks {
                 listed: None,
                 gaps: Vec::new(),
             });
         };
-        let here = |task: &&ServerTask| task.may_run && task.scope == self.0.scope();
+        let here = |task: &&ServerTask| task.may_run && task.scope == self.remote.scope();
         let here = known.tasks.iter().filter(here);
         let here = here.map(|task| (task.id.clone(), task.task().to_owned()));
         Ok(ServerAnswer::Tasks {
@@ -147,10 +157,10 @@ impl Connection for ServerConnection {
             } => self.init(handler, component, goal),
             ServerRequest::Status { id, text, hold } => {
                 let payload = ServerRequest::status_payload(text, *hold);
-                let told = self.0.status_with(id, &payload);
+                let told = self.remote.status_with(id, &payload);
                 self.state(told)
             }
-            ServerRequest::Abort { id } => match self.0.abort(id) {
+            ServerRequest::Abort { id } => match self.remote.abort(id) {
                 Ok(status) if status.is_abort_rejected() => ServerAnswer::CannotStop {
                     state: status.state,
                     text: status.text,
@@ -163,23 +173,32 @@ impl Connection for ServerConnection {
     }
 
     fn offers(&mut self) -> Option<Offers> {
-        let mut description = self.0.describe().ok()??;
-        description.scopes.remove(self.0.scope())
+        let mut description = self.remote.describe().ok()??;
+        description.scopes.remove(self.remote.scope())
     }
 
     fn would_accept(&mut self, handler: &str, component: &str, goal: &str) -> Acceptance {
         let payload = encoded(handler, component, goal);
-        if let Err(error) = self.0.check_length(&payload) {
+        if let Err(error) = self.remote.check_length(&payload) {
             return Acceptance::No(error.to_string());
         }
-        let Ok(Some(answer)) = self.0.ask_server(&format!("takes {payload}")) else {
-            return Acceptance::Unknown;
-        };
-        let scopes: Option<BTreeMap<String, Option<String>>> = serde_json::from_str(&answer).ok();
-        match scopes.and_then(|mut scopes| scopes.remove(self.0.scope())) {
+        if let Some(scope) = &self.described {
+            return Acceptance::described(scope, handler, component, goal);
+        }
+        let answer = self.remote.ask_server(&format!("takes {payload}"));
+        let scopes: Option<BTreeMap<String, Option<String>>> = answer
+            .ok()
+            .flatten()
+            .and_then(|json| serde_json::from_str(&json).ok());
+        match scopes.and_then(|mut scopes| scopes.remove(self.remote.scope())) {
             Some(Some(why)) => Acceptance::No(why),
             Some(None) => Acceptance::Yes,
-            None => Acceptance::Unknown,
+            None => {
+                // Its handlers do not know the question.
+                let scope = self.remote.describe_scope().unwrap_or_default();
+                let scope = self.described.insert(scope);
+                Acceptance::described(scope, handler, component, goal)
+            }
         }
     }
 }

@@ -35,6 +35,7 @@ use ztl_mcu::components::{
     DigitalInput, DigitalInputConfig, DigitalOutput, DigitalOutputConfig, Servo, ServoConfig,
     StepMotor, Stepper, StepperConfig, Switch,
 };
+use ztl_mcu::describe::{DescribeAll, Described};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
 use ztl_mcu::pump::Pump;
@@ -74,7 +75,7 @@ extern "C" fn main() -> ! {
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
     let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new()));
-    let mut ready_node = Node::<_, 2, 128>::new(identity(), ready_parts());
+    let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
     let mut ask = Connection::<Req, _>::new([0; 300]);
@@ -383,7 +384,7 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
 }
 
 /// The ready components, with arbitrary settings. A check requires every one of them here.
-fn ready_parts() -> impl Components {
+fn ready_parts() -> impl Components + DescribeAll {
     let slide = black_box(StepperConfig::DEFAULT);
     let motor = StepMotor::new(AnyPin, AnyPin, &slide)
         .with_enable(AnyPin)

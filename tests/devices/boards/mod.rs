@@ -3,6 +3,7 @@
 //!
 //! The board's pins show the real motion.
 
+mod described;
 mod ends;
 mod faults;
 mod rig;

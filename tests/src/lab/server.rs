@@ -2,7 +2,9 @@
 
 use std::process::Command;
 
-use super::{OriginalClient, Process, Scratch, original_tool, python, reserve_port, ztl};
+use super::{
+    OriginalClient, PATIENCE, Process, Scratch, original_tool, python, reserve_port, until, ztl,
+};
 
 /// The scope of every server here.
 pub const SCOPE: &str = "/test";
@@ -194,6 +196,17 @@ impl Server {
     pub fn wait_ready(&self, device: &str) {
         self.process
             .wait_for(&format!("Device '{device}' is ready"));
+    }
+
+    /// What `ztl describe` prints, once it has each of these texts: devices describe themselves after they are ready.
+    #[track_caller]
+    pub fn wait_described(&self, texts: &[&str]) -> String {
+        let port = self.port.to_string();
+        until(&texts.join(", "), PATIENCE, || {
+            let told = Process::run(ztl().args(["describe", "-p", &port])).stdout;
+            let is_told = texts.iter().all(|text| told.contains(text));
+            is_told.then_some(told)
+        })
     }
 
     /// Its ZeroMQ address.

@@ -2,7 +2,9 @@
 //!
 //! The same model is a `const` in firmware ([`Const`]) and grows on a host, which chooses another [`Storage`].
 //! [`Component::json`] writes it in one line, as JSON, which is also YAML in flow style; [`Goal::schema`]
-//! writes the goal as JSON Schema. `docs/protocol.md` [11.7] describes the keys.
+//! writes the goal as JSON Schema. `docs/protocol.md` [11.7] describes the keys. For firmware,
+//! [`description!`](crate::description) lets the compiler write the JSON, and [`goal_fields!`](crate::goal_fields)
+//! describes a struct.
 //!
 //! ```
 //! use ztl_core::describe::{Component, Goal};
@@ -10,9 +12,7 @@
 //! const GRIPPER: Component = Component {
 //!     about: Some("opens the gripper"),
 //!     examples: &["40"],
-//!     ..Component::new(Goal::Number {
-//!         whole: false, least: Some(0.0), most: Some(80.0), step: None, unit: Some("mm"),
-//!     })
+//!     ..Component::new(Goal::range(0.0, 80.0, "mm"))
 //! };
 //! assert_eq!(GRIPPER.goal.to_string(), "a number from 0 to 80 mm");
 //! assert_eq!(
@@ -28,8 +28,13 @@
 mod display;
 mod json;
 mod schema;
+mod text;
+mod typed;
 
 use core::fmt;
+
+pub use text::{text, text_len};
+pub use typed::{GoalType, field};
 
 /// How a description stores its texts and lists.
 pub trait Storage: Clone + 'static {
@@ -149,6 +154,47 @@ pub struct Field<S: Storage = Const> {
     pub optional: bool,
     /// What is used when it is left out.
     pub default: Option<S::Text>,
+}
+
+impl Goal {
+    /// Any finite number. For the component of a device: any within the range of its offer, in its unit.
+    pub const NUMBER: Self = Self::Number {
+        whole: false,
+        least: None,
+        most: None,
+        step: None,
+        unit: None,
+    };
+
+    /// A number within these bounds.
+    #[must_use]
+    pub const fn range(least: f64, most: f64, unit: &'static str) -> Self {
+        Self::Number {
+            whole: false,
+            least: Some(least),
+            most: Some(most),
+            step: None,
+            unit: Some(unit),
+        }
+    }
+
+    /// One of these words.
+    #[must_use]
+    pub const fn words(words: &'static [&'static str]) -> Self {
+        Self::OneOf(words)
+    }
+
+    /// Any number of these.
+    #[must_use]
+    pub const fn list(item: &'static Self) -> Self {
+        Self::ListOf(ConstPart(item))
+    }
+
+    /// These fields and no others.
+    #[must_use]
+    pub const fn fields(fields: &'static [Field]) -> Self {
+        Self::Fields(fields)
+    }
 }
 
 impl<S: Storage> Goal<S> {

@@ -170,7 +170,7 @@ pub enum Body<'a> {
     Hello(Hello),
     /// Gateway: asks for the description of a component.
     Describe {
-        /// Index of the component.
+        /// Index of the component; from the number of components on, a part of their descriptions.
         index: u8,
     },
     /// Gateway: starts a task.
@@ -263,6 +263,15 @@ pub enum Body<'a> {
         version: u8,
         /// Number that changes with each reset.
         boot: u32,
+    },
+    /// Node: answers `Describe` beyond the last component.
+    Description {
+        /// The index in the `Describe`.
+        index: u8,
+        /// Index of the component that it describes.
+        component: u8,
+        /// The next bytes of its description, at most [`DESCRIPTION_PART`](super::DESCRIPTION_PART).
+        bytes: &'a [u8],
     },
 }
 

@@ -80,6 +80,11 @@ impl<'a> Body<'a> {
                 version: r.u8(),
                 boot: r.u32(),
             },
+            17 => Self::Description {
+                index: r.u8(),
+                component: r.u8(),
+                bytes: r.bytes(),
+            },
             tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
         }
     }
@@ -149,6 +154,13 @@ impl<'a> Body<'a> {
             }
             Self::Awake { version, boot } => {
                 sink.byte(16).byte(version).number(boot);
+            }
+            Self::Description {
+                index,
+                component,
+                bytes,
+            } => {
+                sink.byte(17).byte(index).byte(component).bytes(bytes);
             }
         }
     }

@@ -33,6 +33,9 @@ pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 pub const LINK_TIMEOUTS: RangeInclusive<Duration> =
     Duration::from_millis(50)..=Duration::from_secs(60);
 
+/// Most bytes of a description in one message (`docs/link.md` [4.6]), so that no answer waits long for it.
+pub const DESCRIPTION_PART: usize = 48;
+
 /// The session of `Hello` and `Awake` in the checksum. That of `Welcome` is the number in the `Hello`; that of all other
 /// messages is the [`session_key`].
 pub const NO_SESSION: u32 = 0;

@@ -35,6 +35,7 @@ enum Twin {
     Publish(u8, Vec<u8>),
     Log(u32, Vec<u8>),
     Awake(u8, u32),
+    Description(u8, u8, Vec<u8>),
 }
 
 #[derive(Serialize, Deserialize, Debug, PartialEq)]
@@ -222,6 +223,14 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
             },
             Twin::Awake(1, 0)
         ),
+        (
+            Body::Description {
+                index: 3,
+                component: 1,
+                bytes: b"{}"
+            },
+            Twin::Description(3, 1, b"{}".to_vec())
+        ),
     ]
 }
 
@@ -285,7 +294,7 @@ fn truncated_messages_and_trailing_bytes_are_rejected() {
 #[test]
 fn undefined_values_are_rejected() {
     for bytes in [
-        &[17][..],                          // no such message
+        &[18][..],                          // no such message
         &[12, 1, 1, 0],                     // an end that is not final
         &[12, 1, 6, 0],                     // no such state
         &[9, 2, 0xc3, 0x28],                // not UTF-8

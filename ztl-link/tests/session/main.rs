@@ -24,6 +24,7 @@ use ztl_sim::Disk;
 use ztl_sim::line::{Dice, Faults, FaultyLine};
 use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
+mod descriptions;
 mod restart;
 
 /// The real motions of the motors, independent of any message.

@@ -8,6 +8,8 @@ use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 
 use super::expected::put_takes;
 use crate::component::{Component, Reading, Refused, Report, Run};
+use crate::describe::{About, Describe, Goal as Rule};
+use crate::description;
 
 /// Settings of an input. Start with [`DEFAULT`](Self::DEFAULT) and change what differs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -88,6 +90,13 @@ impl<P: InputPin> DigitalInput<P> {
         }
         Ok(())
     }
+}
+
+impl<P> Describe for DigitalInput<P> {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("waits until it is pressed or released"),
+        ..About::new(Rule::words(&["pressed", "released"]))
+    });
 }
 
 impl<P: InputPin> Component for DigitalInput<P> {

@@ -95,7 +95,8 @@
 //! # }
 //! ```
 //!
-//! Then `ztl task-client … desk:slide:home`, `desk:slide:120.5`, `desk:lamp:'pulse 500'`.
+//! Then `ztl task-client … desk:slide:home`, `desk:slide:120.5`, `desk:lamp:'pulse 500'`. With
+//! [`Described(components)`](crate::describe::Described), `ztl describe` shows what they do and which goals they take.
 
 mod expected;
 mod input;

@@ -10,6 +10,8 @@ use ztl_core::sink::div_10;
 use super::expected::put_takes;
 use super::number;
 use crate::component::{Component, Refused, Report, Run};
+use crate::describe::{About, Describe, Goal as Rule};
+use crate::description;
 
 /// Longest pulse, an hour.
 const LONGEST_MS: u32 = 3_600_000;
@@ -138,6 +140,15 @@ impl<P: OutputPin> DigitalOutput<P> {
             SafeOutput::Keep => {}
         }
     }
+}
+
+impl<P> Describe for DigitalOutput<P> {
+    // No rule covers `pulse 200`, and one that leaves it out would call it wrong.
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("switches on or off, or on for some ms"),
+        examples: &["on", "off", "pulse 500"],
+        ..About::new(Rule::Any)
+    });
 }
 
 impl<P: OutputPin> Component for DigitalOutput<P> {

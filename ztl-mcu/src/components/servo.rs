@@ -9,6 +9,8 @@ use super::number;
 use super::power::Power;
 use super::profile::{Limits, Profile, after_ticks, ticks_between};
 use crate::component::{Component, Refused, Report, Run};
+use crate::describe::{About, Describe, Goal as Rule};
+use crate::description;
 
 /// Logarithm of the number of parts in a millidegree.
 const SHIFT: u32 = 14;
@@ -186,6 +188,14 @@ impl<P: SetDutyCycle> Servo<P> {
         }
         Ok(())
     }
+}
+
+impl<P> Describe for Servo<P> {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("turns to an angle"),
+        result: Some("the commanded angle"),
+        ..About::new(Rule::NUMBER)
+    });
 }
 
 impl<P: SetDutyCycle> Component for Servo<P> {

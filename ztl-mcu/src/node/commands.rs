@@ -11,6 +11,7 @@ use super::link_state::{Answer, Counters, LinkState, count};
 use super::refusal::Refusal;
 use super::utf8::push_utf8;
 use crate::component::Components;
+use crate::describe::part;
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
     /// Handles a frame that was verified under the current session (index 0) or under no session.
@@ -100,7 +101,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         let (answer, executed) = match command {
             LinkCommand::Describe { index } => (
                 Answer::Component(index),
-                if usize::from(index) < self.runner.components.count() {
+                if usize::from(index) < self.runner.components.count()
+                    || C::DESCRIBED && part(&self.runner.components, index).is_some()
+                {
                     Ok(())
                 } else {
                     Err(Refusal::NoSuchComponent)

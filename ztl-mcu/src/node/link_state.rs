@@ -32,6 +32,7 @@ pub(super) enum Answer {
     /// There was no command.
     Nothing,
     Welcome,
+    /// To a `Describe` with this index, of a component or of a part of the descriptions.
     Component(u8),
     Started(LinkId),
     Refused(Refusal),

@@ -1,5 +1,6 @@
 //! A node and a gateway played by hand, on virtual time.
 
+mod descriptions;
 mod limits;
 mod policies;
 mod readings;

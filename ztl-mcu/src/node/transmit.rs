@@ -10,6 +10,7 @@ use super::link_state::{Answer, LinkState};
 use super::refusal::Refusal;
 use super::tasks::Task;
 use crate::component::{Component, Components};
+use crate::describe::part;
 use crate::log::LogSource;
 
 /// How often an outcome is repeated until it is acknowledged.
@@ -224,6 +225,15 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 if let Some(component) = self.runner.components.component(usize::from(index)) {
                     let offer = component.offer();
                     Body::Component { index, offer }.put(frame);
+                } else if C::DESCRIBED
+                    && let Some((component, bytes)) = part(&self.runner.components, index)
+                {
+                    Body::Description {
+                        index,
+                        component,
+                        bytes,
+                    }
+                    .put(frame);
                 }
             }
             Answer::Started(task) => Body::Started { task }.put(frame),

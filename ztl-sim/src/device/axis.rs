@@ -1,7 +1,8 @@
 //! A motor that moves at constant speed.
 
+use ztl_mcu::describe::{About, Goal};
 use ztl_mcu::link::Offer;
-use ztl_mcu::{Component, Instant, Refused, Report, Run};
+use ztl_mcu::{Component, Instant, Refused, Report, Run, description};
 
 /// The properties of an axis.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub(super) struct AxisKind {
     positions: &'static [(&'static str, f32)],
     /// The error message for any other goal.
     takes: &'static str,
+    /// What it says of itself.
+    pub(super) description: &'static str,
 }
 
 pub(super) const FINGER: AxisKind = AxisKind {
@@ -26,6 +29,11 @@ pub(super) const FINGER: AxisKind = AxisKind {
     words: "",
     positions: &[],
     takes: "finger takes 0 to 100 percent",
+    description: description!(About {
+        about: Some("opens the finger"),
+        result: Some("its opening in percent"),
+        ..About::new(Goal::NUMBER)
+    }),
 };
 
 pub(super) const PAN: AxisKind = AxisKind {
@@ -36,6 +44,13 @@ pub(super) const PAN: AxisKind = AxisKind {
     words: "left straight right",
     positions: &[("left", 90.0), ("straight", 0.0), ("right", -90.0)],
     takes: "pan takes -90 to 90 degrees, or left, straight, right",
+    // No rule covers both numbers and words.
+    description: description!(About {
+        about: Some("turns the head"),
+        examples: &["left", "straight", "right", "45"],
+        result: Some("its angle in degrees"),
+        ..About::new(Goal::Any)
+    }),
 };
 
 /// The motor and its movement.

@@ -4,12 +4,12 @@ use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
-use ztl_mcu::{Component, Identity, Instant, Node};
+use ztl_mcu::{Component, Components, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
 use super::kind::Kind;
 use super::record::{Record, Recorded};
-use super::sensor::Sensor;
+use super::sensor::{self, Sensor};
 use crate::random::random;
 use ztl_std::time::now;
 
@@ -72,6 +72,32 @@ impl Port {
     }
 }
 
+/// The only component of a device, and what it says of itself.
+struct Part<C> {
+    component: C,
+    description: &'static str,
+}
+
+impl<C: Component> Components for Part<C> {
+    const DESCRIBED: bool = true;
+
+    fn count(&self) -> usize {
+        1
+    }
+
+    fn component(&self, index: usize) -> Option<&dyn Component> {
+        (index == 0).then_some(&self.component as &dyn Component)
+    }
+
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+        (index == 0).then_some(&mut self.component as &mut dyn Component)
+    }
+
+    fn description(&self, _index: usize) -> &str {
+        self.description
+    }
+}
+
 /// Runs until it is stopped.
 pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
     let mut port = Port::new(device.baud);
@@ -80,9 +106,18 @@ pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
         None => Duration::from_millis(1),
     };
     let mut run = || match device.kind {
-        Kind::Gripper => run_until_reset(device, Axis::new(&FINGER), inbox, &mut port),
-        Kind::Head => run_until_reset(device, Axis::new(&PAN), inbox, &mut port),
-        Kind::Sensor => run_until_reset(device, Sensor::new(pause), inbox, &mut port),
+        Kind::Gripper => {
+            let finger = (Axis::new(&FINGER), FINGER.description);
+            run_until_reset(device, finger, inbox, &mut port)
+        }
+        Kind::Head => {
+            let pan = (Axis::new(&PAN), PAN.description);
+            run_until_reset(device, pan, inbox, &mut port)
+        }
+        Kind::Sensor => {
+            let probe = (Sensor::new(pause), sensor::DESCRIPTION);
+            run_until_reset(device, probe, inbox, &mut port)
+        }
     };
     while run() {
         if let Some(record) = &device.record {
@@ -94,18 +129,21 @@ pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
 /// Returns `true` if it was reset, `false` if it was stopped.
 fn run_until_reset(
     device: &Settings,
-    component: impl Component,
+    (component, description): (impl Component, &'static str),
     inbox: &Receiver<Input>,
     port: &mut Port,
 ) -> bool {
-    let component = Recorded::new(component, device.record.clone());
+    let component = Part {
+        component: Recorded::new(component, device.record.clone()),
+        description,
+    };
     let name = device.kind.name();
     let identity = Identity {
         // Its sensor sends as much as the line takes.
         reading_interval: Duration::ZERO,
         ..Identity::new(name, env!("CARGO_PKG_VERSION"), random())
     };
-    let mut node = Node::<_, 4, 256>::new(identity, [component]);
+    let mut node = Node::<_, 4, 256>::new(identity, component);
     let mut buffer = [0; PIECE];
     loop {
         node.handle_timeout(now());

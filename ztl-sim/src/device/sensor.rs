@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
+use ztl_mcu::describe::{About, Goal};
 use ztl_mcu::link::Offer;
-use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
+use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run, description};
 
 /// Length of a reading in bytes.
 const LEN: usize = 100;
@@ -27,6 +28,12 @@ impl Sensor {
         }
     }
 }
+
+/// What it says of itself.
+pub(super) const DESCRIPTION: &str = description!(About {
+    about: Some("publishes readings, takes no goals"),
+    ..About::new(Goal::Any)
+});
 
 const TAKES: &str = "probe takes no goals, it only publishes";
 

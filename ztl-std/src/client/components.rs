@@ -1,17 +1,31 @@
 //! What a server's components say of themselves: its answers to `describe`.
 
+use std::collections::BTreeMap;
+
 use serde_json::Value;
 
 use super::error::RequestError;
 use super::remote_task::RemoteTask;
-use crate::describe::{ComponentDescription, component};
+use crate::describe::{ComponentDescription, ScopeDescriptions, component};
 
-/// Most components that are read from one server.
-const MOST: usize = 10_000;
-/// Most bytes that are read from one server.
-const MOST_BYTES: usize = 16 << 20;
-/// Most answers that are read from one server.
-const MOST_PARTS: usize = 256;
+/// What is read from a server at most.
+struct Most {
+    components: usize,
+    bytes: usize,
+    answers: usize,
+}
+
+const OF_SERVER: Most = Most {
+    components: 10_000,
+    bytes: 16 << 20,
+    answers: 256,
+};
+
+const OF_SCOPE: Most = Most {
+    components: 1000,
+    bytes: 1 << 20,
+    answers: 32,
+};
 
 /// A component and what it says of itself.
 #[derive(Debug, Clone)]
@@ -34,20 +48,39 @@ impl RemoteTask {
     /// # Errors
     /// [`RequestError`].
     pub fn describe_components(&mut self) -> Result<Vec<DescribedComponent>, RequestError> {
+        self.ask_described("", &OF_SERVER)
+    }
+
+    /// The same about the scope of this client alone, and at most 1,000 components, 1 MiB and 32 answers.
+    ///
+    /// # Errors
+    /// [`RequestError`].
+    pub fn describe_scope(&mut self) -> Result<ScopeDescriptions, RequestError> {
+        let scope = self.scope().to_owned();
+        let all = self.ask_described(&scope, &OF_SCOPE)?;
+        Ok(by_scope(all).remove(&scope).unwrap_or_default())
+    }
+
+    fn ask_described(
+        &mut self,
+        scope: &str,
+        most: &Most,
+    ) -> Result<Vec<DescribedComponent>, RequestError> {
         let mut all = Vec::new();
         let (mut from, mut bytes) = (0, 0);
-        for _ in 0..MOST_PARTS {
-            let Some(answer) = self.ask_server(&format!("describe ;{from}"))? else {
+        for _ in 0..most.answers {
+            let Some(answer) = self.ask_server(&format!("describe {scope};{from}"))? else {
                 return Ok(all);
             };
             bytes += answer.len();
             let next = read(&answer, &mut all);
+            let fits = all.len() < most.components && bytes < most.bytes;
             match next {
-                Some(next) if next > from && all.len() < MOST && bytes < MOST_BYTES => from = next,
+                Some(next) if next > from && fits => from = next,
                 _ => break,
             }
         }
-        all.truncate(MOST);
+        all.truncate(most.components);
         Ok(all)
     }
 }
@@ -63,6 +96,19 @@ fn read(answer: &str, all: &mut Vec<DescribedComponent>) -> Option<usize> {
             .filter_map(DescribedComponent::read),
     );
     usize::try_from(answer.get("next")?.as_u64()?).ok()
+}
+
+/// Components by scope, handler and name.
+pub(super) fn by_scope(
+    all: impl IntoIterator<Item = DescribedComponent>,
+) -> BTreeMap<String, ScopeDescriptions> {
+    let mut scopes: BTreeMap<String, ScopeDescriptions> = BTreeMap::new();
+    for it in all {
+        let handlers = scopes.entry(it.scope).or_default();
+        let components = handlers.entry(it.handler).or_default();
+        components.insert(it.component, it.is);
+    }
+    scopes
 }
 
 impl DescribedComponent {

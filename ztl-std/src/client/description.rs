@@ -57,7 +57,7 @@ impl RemoteTask {
 impl Description {
     /// Reads the answer to `probe`, which is YAML in flow style. Skips unknown keys, and what is unreadable
     /// does not hide the rest.
-    fn parse(answer: &str) -> Option<Self> {
+    pub(super) fn parse(answer: &str) -> Option<Self> {
         let root: Node = serde_yaml_ng::from_str(answer).ok()?;
         let offers = |handlers: &Node| -> Offers {
             let names = |node: &Node| match node {

@@ -11,6 +11,8 @@ mod connection;
 mod description;
 mod error;
 mod remote_task;
+#[cfg(feature = "config")]
+mod saved_description;
 mod socket;
 mod status;
 #[cfg(feature = "config")]
@@ -25,6 +27,8 @@ pub use description::Description;
 pub(crate) use error::advice;
 pub use error::{RequestError, RunError, TriggerError, WaitError};
 pub use remote_task::RemoteTask;
+#[cfg(feature = "config")]
+pub use saved_description::SavedDescription;
 pub use status::{ServerInfo, Status, Triggered};
 #[cfg(feature = "config")]
 pub use tasks::{ServerTask, ServerTasks};

@@ -9,7 +9,7 @@ use ztl_core::TaskId;
 
 use super::pool::{Job, Pool};
 use super::task::{AbortRequest, TaskContext, TaskController};
-use crate::describe::ScopeDescriptions;
+use crate::describe::Descriptions;
 use crate::offers::offered;
 use crate::server::{AbortRejection, TaskHandler, TaskReporter, TaskServer, WakeBatch};
 use crate::task_request::TaskRequest;
@@ -74,8 +74,9 @@ impl<C: TaskController> TaskHandler for Threads<C> {
         Box::new(move || all.clone())
     }
 
-    fn describe(&self) -> ScopeDescriptions {
-        self.controller.describe()
+    fn describe(&self) -> Descriptions {
+        let all = Arc::new(self.controller.describe());
+        Box::new(move || Arc::clone(&all))
     }
 
     fn start(&mut self, task: TaskReporter, request: TaskRequest) {

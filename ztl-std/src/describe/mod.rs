@@ -35,6 +35,20 @@ pub type GoalField = ztl_core::describe::Field<Owned>;
 /// other name.
 pub type ScopeDescriptions = BTreeMap<String, BTreeMap<String, ComponentDescription>>;
 
+/// What describes the components of a scope at this moment. It is called on the server's thread, so it must be quick.
+pub type Descriptions = Box<dyn Fn() -> Arc<ScopeDescriptions> + Send>;
+
+/// What a component of a scope says of itself, if anything.
+#[must_use]
+pub fn find<'a>(
+    scope: &'a ScopeDescriptions,
+    handler: &str,
+    component: &str,
+) -> Option<&'a ComponentDescription> {
+    let components = scope.get(handler).or_else(|| scope.get("*"))?;
+    components.get(component).or_else(|| components.get("*"))
+}
+
 /// Longest part of the answer to `describe`, in bytes, unless a single component is longer.
 pub(crate) const PART: usize = 64 << 10;
 

@@ -16,6 +16,7 @@ use super::opener::Opener;
 use super::reading_value::ReadingFormat;
 use super::readings::{Observers, Readings};
 use super::report;
+use crate::describe::Descriptions;
 use crate::log_targets::GATEWAY;
 use crate::random;
 use crate::server::{
@@ -206,6 +207,16 @@ impl TaskHandler for Gateway {
             let names = map.served.keys().map(String::as_str);
             let components = components.iter().map(|all| all.iter().map(AsRef::as_ref));
             offered(names.zip(components))
+        })
+    }
+
+    fn describe(&self) -> Descriptions {
+        let devices = self.devices();
+        Box::new(move || {
+            let map = devices.lock();
+            let all = map.served.iter();
+            let all = all.map(|(name, device)| (name.clone(), device.status().descriptions()));
+            Arc::new(all.collect())
         })
     }
 

@@ -4,6 +4,7 @@
 //! others. A client's `gripper:finger:40` goes to the device named `gripper`.
 
 pub mod config;
+mod description;
 mod device;
 mod devices;
 mod endpoint;

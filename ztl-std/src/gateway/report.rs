@@ -7,6 +7,8 @@ use ztl_core::TaskSpec;
 use ztl_core::link::{Busy, Loss};
 use ztl_link::{ComponentInfo, LinkCounters};
 
+use crate::describe::ComponentDescription;
+
 /// The devices of a gateway by name.
 pub type DeviceReports = BTreeMap<String, DeviceReport>;
 
@@ -61,6 +63,9 @@ pub struct ComponentReport {
     /// The topics of its readings.
     #[serde(default)]
     pub topics: Vec<String>,
+    /// What it says of itself, as in the answer to `describe`.
+    #[serde(default)]
+    pub is: Option<serde_json::Value>,
 }
 
 /// Whether a device would take a task, by its description.
@@ -145,8 +150,8 @@ pub struct LinkReport {
     pub queue: usize,
 }
 
-impl From<&ComponentInfo> for ComponentReport {
-    fn from(component: &ComponentInfo) -> Self {
+impl ComponentReport {
+    pub(super) fn new(component: &ComponentInfo, is: Option<&ComponentDescription>) -> Self {
         let busy = match component.busy {
             Busy::Queue(most) => format!("queue {most}"),
             Busy::Replace => "replace".to_owned(),
@@ -165,6 +170,7 @@ impl From<&ComponentInfo> for ComponentReport {
             topics: component.topics.clone(),
             busy,
             loss: loss.to_owned(),
+            is: is.and_then(|is| serde_json::from_str(&is.json().to_string()).ok()),
         }
     }
 }
@@ -182,6 +188,7 @@ mod tests {
             busy: String::new(),
             loss: String::new(),
             topics: Vec::new(),
+            is: None,
         }
     }
 

@@ -1,11 +1,12 @@
 //! The interface between a server and what carries out the tasks of a scope.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use ztl_core::{State, TaskId, TaskSpec};
 
 use super::reporter::TaskReporter;
-use crate::describe::ScopeDescriptions;
+use crate::describe::Descriptions;
 use crate::task_request::TaskRequest;
 
 /// Answers questions to `$ztl` that the protocol does not define, in JSON; `None` for an unknown question.
@@ -56,10 +57,9 @@ pub trait TaskHandler: Send {
         Box::new(|| "{}".to_owned())
     }
 
-    /// What the components say of themselves, for the question `describe`. Called once, on registration.
-    /// Default: nothing.
-    fn describe(&self) -> ScopeDescriptions {
-        ScopeDescriptions::new()
+    /// Returns what tells what the components say of themselves, for the question `describe`. Default: nothing.
+    fn describe(&self) -> Descriptions {
+        Box::new(Arc::default)
     }
 
     /// Whether the answer about an unknown id names the id: `Invalid ID '7'`, like the original's

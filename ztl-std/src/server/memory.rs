@@ -12,7 +12,7 @@ use super::handler::Answers;
 use super::incoming::ReturnPath;
 use super::limits::Limits;
 use super::task_table::{HeapText, TaskTable};
-use crate::describe::{MAX_LENGTH, PART, ScopeDescriptions};
+use crate::describe::{Descriptions, MAX_LENGTH, PART};
 use crate::offers::quoted;
 use crate::task_list::TaskList;
 
@@ -20,27 +20,12 @@ use crate::task_list::TaskList;
 pub(super) struct ScopeInfo {
     /// What it offers, as a mapping in YAML flow style.
     pub(super) describe: Box<dyn Fn() -> String + Send>,
-    /// Handler, component and its description in JSON, for the question `describe`.
-    pub(super) components: Vec<(String, String, String)>,
+    /// What its components say of themselves, for the question `describe`.
+    pub(super) components: Descriptions,
     /// Answers further questions.
     pub(super) answer: Answers,
     /// Whether the answer about an unknown id names the id.
     pub(super) names_unknown_ids: bool,
-}
-
-impl ScopeInfo {
-    /// Descriptions, as they are sent. Leaves out what a client would not read, because it is too long.
-    pub(super) fn written(described: &ScopeDescriptions) -> Vec<(String, String, String)> {
-        let handlers = described.iter();
-        let all = handlers.flat_map(|(handler, components)| {
-            components.iter().map(move |(component, description)| {
-                let json = description.json().to_string();
-                (handler.clone(), component.clone(), json)
-            })
-        });
-        all.filter(|(_, _, json)| json.len() <= MAX_LENGTH)
-            .collect()
-    }
 }
 
 /// The dispatcher's memory on the heap, bounded by the server's limits.
@@ -134,15 +119,25 @@ impl ServerMemory {
         let scopes = self
             .visible()
             .filter(|(name, _)| scope.is_empty() || name == scope);
-        let all = scopes.flat_map(|(name, about)| {
-            let components = about.components.iter();
-            components.map(move |component| (name, component))
+        let scopes: Vec<_> = scopes
+            .map(|(name, about)| (name, (about.components)()))
+            .collect();
+        let all = scopes.iter().flat_map(|(scope, handlers)| {
+            handlers.iter().flat_map(move |(handler, components)| {
+                let components = components.iter();
+                components.map(move |(component, is)| ([*scope, handler, component], is))
+            })
         });
         let mut json = "{\"components\": [".to_owned();
         let mut first = true;
-        for (number, (name, (handler, component, description))) in all.enumerate().skip(from) {
-            let text = |text: &str| serde_json::Value::from(text).to_string();
-            let (scope, handler, component) = (text(name), text(handler), text(component));
+        for (number, (names, is)) in all.enumerate().skip(from) {
+            let description = is.json().to_string();
+            if description.len() > MAX_LENGTH {
+                // No client would read it.
+                continue;
+            }
+            let [scope, handler, component] =
+                names.map(|name| serde_json::Value::from(name.as_str()).to_string());
             let one = format!(
                 "{{\"scope\": {scope}, \"handler\": {handler}, \"component\": {component}, \"is\": {description}}}"
             );
@@ -323,11 +318,13 @@ impl Memory for ServerMemory {
 #[cfg(test)]
 mod tests {
     use core::time::Duration;
+    use std::sync::Arc;
 
     use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, KEEP_INIT, TaskEvent};
     use ztl_core::reply::Reply;
 
     use super::*;
+    use crate::describe::{ComponentDescription, GoalRule, ScopeDescriptions, described};
     use crate::native::peers::PeerId;
 
     #[test]
@@ -337,7 +334,7 @@ mod tests {
             ..Limits::default()
         });
         let about = ScopeInfo {
-            components: Vec::new(),
+            components: Box::new(Arc::default),
             describe: Box::new(String::new),
             answer: Box::new(|_| None),
             names_unknown_ids: true,
@@ -381,10 +378,19 @@ mod tests {
     fn descriptions_come_in_parts_and_only_from_scopes_that_the_client_may_use() {
         let mut heap = ServerMemory::new(Limits::default());
         for scope in ["/lab", "/secret"] {
-            let long = format!("{{\"about\": \"{}\"}}", "x".repeat(30 << 10));
-            let component = |number: u32| ("arm".to_owned(), number.to_string(), long.clone());
+            let component = |number: u32| {
+                // Component 3 is too long to be sent.
+                let length = if number == 3 { MAX_LENGTH } else { 30 << 10 };
+                let is = ComponentDescription {
+                    about: Some("x".repeat(length).into()),
+                    ..described(GoalRule::Any)
+                };
+                (number.to_string(), is)
+            };
+            let components = (0..6).map(component).collect();
+            let all = Arc::new(ScopeDescriptions::from([("arm".to_owned(), components)]));
             let about = ScopeInfo {
-                components: (0..5).map(component).collect(),
+                components: Box::new(move || Arc::clone(&all)),
                 describe: Box::new(String::new),
                 answer: Box::new(|_| None),
                 names_unknown_ids: true,

@@ -192,7 +192,7 @@ impl TaskServer {
         let restored = handler.restored();
         let about = ScopeInfo {
             describe: handler.description(),
-            components: ScopeInfo::written(&handler.describe()),
+            components: handler.describe(),
             answer: handler.answers(),
             names_unknown_ids: handler.names_unknown_ids(),
         };

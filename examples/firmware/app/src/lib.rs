@@ -14,6 +14,7 @@ use ztl_mcu::components::{
     DigitalOutput, DigitalOutputConfig, Scale, Servo, ServoConfig, StepMotor, Stepper,
     StepperConfig, Switch,
 };
+use ztl_mcu::describe::{DescribeAll, Described};
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Line, Server};
@@ -95,18 +96,30 @@ fn robot(
     boot: u32,
     pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
 ) -> Node<'static, impl Components, TASKS, FRAME> {
+    node(boot, components(pins))
+}
+
+/// The same with components that say what they are.
+#[inline(never)]
+fn described_robot(
+    boot: u32,
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+) -> Node<'static, impl Components, TASKS, FRAME> {
+    node(boot, Described(components(pins)))
+}
+
+#[inline(always)]
+fn node<C: Components>(boot: u32, components: C) -> Node<'static, C, TASKS, FRAME> {
     #[cfg(feature = "defmt")]
     defmt::info!("desk robot started, boot {=u32:x}", boot);
-    Node::new(
-        Identity::new("desk", env!("CARGO_PKG_VERSION"), boot),
-        components(pins),
-    )
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), boot);
+    Node::new(identity, components)
 }
 
 /// The components of the robot.
 fn components(
     pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
-) -> impl Components {
+) -> impl Components + DescribeAll {
     let stage = StepMotor::new(pins.step, pins.direction, &STAGE)
         .with_low_limit(Switch::active_low(pins.limit));
     (
@@ -129,7 +142,20 @@ pub fn run(
     pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
     board: &mut impl Board,
 ) -> ! {
-    let mut node = robot(boot, pins);
+    run_node(robot(boot, pins), board)
+}
+
+/// The same with components that say what they are: `ztl describe` shows it.
+pub fn run_described(
+    boot: u32,
+    pins: Pins<impl SetDutyCycle, impl OutputPin, impl OutputPin, impl InputPin, impl OutputPin>,
+    board: &mut impl Board,
+) -> ! {
+    run_node(described_robot(boot, pins), board)
+}
+
+#[inline(always)]
+fn run_node(mut node: Node<'static, impl Components, TASKS, FRAME>, board: &mut impl Board) -> ! {
     let pump = pump();
     let mut stopped = false;
     loop {

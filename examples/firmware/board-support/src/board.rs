@@ -58,6 +58,11 @@ pub fn run(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -
     app::run(boot, pins(), &mut Board { uart, clock })
 }
 
+/// Like [`run`], with components that say what they are.
+pub fn run_described(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
+    app::run_described(boot, pins(), &mut Board { uart, clock })
+}
+
 /// Like [`run`], as a server for a ZeroMQ client on the serial port.
 pub fn serve(boot: u32, uart: impl Write<Error = Infallible>, clock: impl Clock) -> ! {
     app::serve(boot, pins(), &mut Board { uart, clock })

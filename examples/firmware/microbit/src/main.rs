@@ -6,3 +6,5 @@
 #![no_main]
 
 mod robot;
+
+use board_support::board::run;

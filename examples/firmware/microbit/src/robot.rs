@@ -1,4 +1,4 @@
-//! The desk robot.
+//! The desk robot, as the image's `run` runs it.
 
 use board_support::board;
 use board_support::clock::{self, SysTick};
@@ -20,7 +20,7 @@ fn main() -> ! {
         SCB::sys_reset()
     };
     let boot = random::word();
-    board::run(boot, Uart::start(), SysTick::<CYCLES>::start(core.SYST))
+    super::run(boot, Uart::start(), SysTick::<CYCLES>::start(core.SYST))
 }
 
 board_support::handlers!(board::poll_buttons);

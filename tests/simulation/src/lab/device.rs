@@ -7,13 +7,14 @@ use std::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 use ztl_core::time::earliest;
+use ztl_mcu::describe::Described;
 use ztl_mcu::{Identity, Node};
 use ztl_sim::line::{Faults, FaultyLine};
 
 use super::motor::{Motor, Shared, Truth};
 use crate::plan::{MotorPlan, Way};
 
-type SmallNode = Node<'static, [Motor; 2], 4, 160>;
+type SmallNode = Node<'static, Described<[Motor; 2]>, 4, 160>;
 
 /// Bytes are transferred in pieces of about this duration.
 const BURST: Duration = Duration::from_millis(1);
@@ -206,5 +207,6 @@ fn node(number: usize, motors: [MotorPlan; 2], boot: u32, truth: &Shared) -> Sma
         ends: None,
         safe_at: None,
     };
-    Node::new(Identity::new("lab", "1", boot), [motor(0), motor(1)])
+    let components = Described([motor(0), motor(1)]);
+    Node::new(Identity::new("lab", "1", boot), components)
 }

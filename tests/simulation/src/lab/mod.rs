@@ -16,13 +16,15 @@ use std::time::Duration;
 
 use ztl_core::Instant;
 use ztl_core::time::earliest;
+use ztl_link::Session;
+use ztl_mcu::describe::Describe as _;
 use ztl_sim::Disk;
 
 use self::client::{Known, Person, Wish, person};
 use self::device::Device;
 use self::gateway::{Gateway, Letter, name};
 use self::judge::Books;
-use self::motor::{Condition, NAMES, Shared, Truth};
+use self::motor::{Condition, Motor, NAMES, Shared, Truth};
 use crate::plan::{Happening, Plan, Revert};
 pub use summary::{Failure, Summary};
 
@@ -125,6 +127,7 @@ impl Lab {
         self.ask_again();
         self.pass_until(self.now + Duration::from_secs(4))?;
         self.books.settled(&self.truth.borrow())?;
+        self.judge_descriptions()?;
         self.serve()?;
         Ok(self.books.summary(&self.truth.borrow()))
     }
@@ -168,6 +171,22 @@ impl Lab {
             to_end,
         });
         task
+    }
+
+    /// Whatever was lost and repeated, no part of a description is doubled or mixed up.
+    fn judge_descriptions(&self) -> Result<(), String> {
+        let sessions = self.gateway.iter().flat_map(|gateway| &gateway.sessions);
+        let devices = sessions.filter_map(Session::device);
+        for component in devices.flat_map(|device| &device.components) {
+            if !Motor::DESCRIPTION
+                .as_bytes()
+                .starts_with(&component.description)
+            {
+                let text = String::from_utf8_lossy(&component.description);
+                return Err(format!("{} describes itself as {text}", component.name));
+            }
+        }
+        Ok(())
     }
 
     fn pass_until(&mut self, end: Instant) -> Result<(), String> {

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use ztl_core::link::Offer;
 use ztl_core::{Instant, State};
-use ztl_mcu::{Component, Refused, Report, Run};
+use ztl_mcu::describe::{About, Describe, Goal};
+use ztl_mcu::{Component, Refused, Report, Run, description};
 
 use crate::plan::MotorPlan;
 
@@ -108,6 +109,13 @@ pub(super) const NAMES: [&str; 2] = ["arm", "belt"];
 fn read(goal: &str) -> Option<(usize, u64)> {
     let (task, millis) = goal.split_once(' ')?;
     Some((task.parse().ok()?, millis.parse().ok()?))
+}
+
+impl Describe for Motor {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("moves for some time, and takes its time to stop"),
+        ..About::new(Goal::Any)
+    });
 }
 
 impl Component for Motor {

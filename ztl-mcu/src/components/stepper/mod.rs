@@ -20,6 +20,8 @@ use super::expected::{put_range, put_takes};
 use super::number;
 use super::power::Power;
 use crate::component::{Component, Refused, Report, Run};
+use crate::describe::{About, Describe, Goal as Rule};
+use crate::description;
 
 /// A stepper motor. Its goals are absolute positions in steps or another unit, and `home` if it has a switch at its low
 /// end.
@@ -146,6 +148,24 @@ impl<M: StepDrive> Stepper<M> {
 enum Goal {
     Home,
     Steps(i32),
+}
+
+impl<M: StepDrive> Describe for Stepper<M> {
+    // No rule covers both numbers and `home`.
+    const DESCRIPTION: &'static str = if M::HOME {
+        description!(About {
+            about: Some("moves to a position; home finds its zero"),
+            result: Some("the position"),
+            examples: &["home"],
+            ..About::new(Rule::Any)
+        })
+    } else {
+        description!(About {
+            about: Some("moves to a position"),
+            result: Some("the position"),
+            ..About::new(Rule::NUMBER)
+        })
+    };
 }
 
 impl<M: StepDrive> Component for Stepper<M> {

@@ -4,9 +4,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_link::{DeviceInfo, LinkCounters, RoundTrips, Session, SessionJournal};
+use ztl_link::{ComponentInfo, DeviceInfo, LinkCounters, RoundTrips, Session, SessionJournal};
 
-use crate::gateway::report::{DeviceReport, FirmwareReport, LinkReport};
+use crate::gateway::description::{self, DeviceDescriptions};
+use crate::gateway::report::{ComponentReport, DeviceReport, FirmwareReport, LinkReport};
 use crate::time::{millis, now};
 
 #[derive(Debug, Default)]
@@ -14,6 +15,8 @@ struct Status {
     ready: bool,
     trouble: Option<String>,
     device: Option<DeviceInfo>,
+    /// What its components say of themselves.
+    descriptions: DeviceDescriptions,
     /// The device's uptime, and when it was measured.
     uptime: Option<(Duration, Instant)>,
     counters: LinkCounters,
@@ -34,6 +37,7 @@ impl SharedStatus {
     pub(super) fn update<B: SessionJournal>(
         &self,
         now: Instant,
+        name: &str,
         session: &Session<B>,
         trouble: Option<&String>,
     ) {
@@ -44,6 +48,9 @@ impl SharedStatus {
         }
         if status.device.as_ref() != session.device() {
             status.device = session.device().cloned();
+            let device = status.device.as_ref();
+            let described = device.map(|device| description::of_device(name, device));
+            status.descriptions = described.unwrap_or_default();
         }
         status.uptime = session.uptime(now).map(|uptime| (uptime, now));
         status.counters = session.counters();
@@ -58,6 +65,11 @@ impl SharedStatus {
         device.map_or_else(Vec::new, |device| {
             device.components.iter().map(|c| c.name.clone()).collect()
         })
+    }
+
+    /// What the components say of themselves.
+    pub(in crate::gateway) fn descriptions(&self) -> DeviceDescriptions {
+        self.lock().descriptions.clone()
     }
 
     pub(in crate::gateway) fn report(&self, url: String) -> DeviceReport {
@@ -81,7 +93,12 @@ impl SharedStatus {
                 link_timeout_ms: millis(device.link_timeout),
             }),
             components: device.map_or_else(Vec::new, |device| {
-                device.components.iter().map(Into::into).collect()
+                let components = device.components.iter();
+                let report = |info: &ComponentInfo| {
+                    let is = status.descriptions.get(&info.name);
+                    ComponentReport::new(info, is)
+                };
+                components.map(report).collect()
             }),
             link: LinkReport {
                 counters: status.counters,

@@ -170,7 +170,7 @@ impl Worker {
             self.check_opening();
             self.log.handle_timeout(now());
             self.status
-                .update(now(), &self.session, self.trouble.as_ref());
+                .update(now(), &self.name, &self.session, self.trouble.as_ref());
             let unused = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
             self.unused.store(unused, Ordering::Release);
             if let Some(end) = self.stopping

@@ -4,3 +4,5 @@
 
 #[path = "../robot.rs"]
 mod robot;
+
+use board_support::board::run;

@@ -1,0 +1,78 @@
+//! What components say of themselves.
+
+use super::*;
+use crate::describe::{About, Describe, Described, Goal};
+use crate::description;
+
+impl Describe for Motor<'_> {
+    const DESCRIPTION: &'static str = description!(About {
+        about: Some("turns until it is told to stop, or for some time"),
+        ..About::new(Goal::NUMBER)
+    });
+}
+
+fn motors(trace: &Trace) -> [Motor<'_>; 3] {
+    [
+        motor("a", Loss::Abort, trace),
+        motor("h", Loss::Hold, trace),
+        motor("c", Loss::CarryOn, trace),
+    ]
+}
+
+fn described(trace: &Trace) -> Node<'static, Described<[Motor<'_>; 3]>, 2, 128> {
+    Node::new(Identity::new("desk", "1", 77), Described(motors(trace)))
+}
+
+#[test]
+fn descriptions_come_in_parts_by_the_indices_after_the_components() {
+    let trace = Trace::default();
+    let mut node = described(&trace);
+    let mut desk = desk(&mut node);
+    desk.hello(5, 1);
+    let description = <Motor<'_>>::DESCRIPTION;
+    assert!((49..96).contains(&description.len()), "{description}");
+    let (first, second) = description.as_bytes().split_at(48);
+    for (component, [at_first, at_second]) in [[3, 4], [5, 6], [7, 8]].into_iter().enumerate() {
+        for (index, bytes) in [(at_first, first), (at_second, second)] {
+            let seq = index - 2;
+            let heard = desk.command(seq, Body::Describe { index });
+            let component = component as u8;
+            let expected = Body::Description {
+                index,
+                component,
+                bytes,
+            };
+            assert_said(heard.clone(), &[&format!("{expected:?}")]);
+            // An answer that was lost is sent again.
+            assert_eq!(desk.command(seq, Body::Describe { index }), heard);
+        }
+    }
+    for (seq, index) in [(7, 9), (8, 10), (9, 255)] {
+        let heard = desk.command(seq, Body::Describe { index });
+        assert_said(heard, &[&format!("{seq} Refused no such component")]);
+    }
+}
+
+#[test]
+fn an_older_gateway_notices_nothing_of_descriptions() {
+    let (trace, other) = (Trace::default(), Trace::default());
+    let mut node = described(&trace);
+    let mut plain = TestNode::<2>::new(Identity::new("desk", "1", 77), motors(&other));
+    fn play<C: Components>(mut desk: Desk<'_, C, 2>) -> Grown<String> {
+        let mut heard = desk.pass(300);
+        heard.extend(desk.hello(5, 1));
+        for index in 0..3 {
+            heard.extend(desk.command(index + 1, Body::Describe { index }));
+        }
+        heard.extend(desk.start(4, 1, 0, "50"));
+        heard.extend(desk.command(5, Body::Ping));
+        heard.extend(desk.command(6, Body::Abort { task: LinkId(1) }));
+        heard.extend(desk.pass(100));
+        heard.extend(desk.hello(6, 1));
+        heard.extend(desk.pass(5000));
+        heard
+    }
+    let heard = play(desk(&mut node));
+    assert!(heard.len() > 10, "{heard:?}");
+    assert_eq!(heard, play(desk(&mut plain)));
+}
