@@ -2,9 +2,11 @@
 
 use std::path::Path;
 use std::process::Command;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use ztl_tests::lab::{Process, SCOPE, Scratch, Server, Terminal, in_time, reserve_port, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, SCOPE, Scratch, Server, Terminal, in_time, reserve_port, until, ztl,
+};
 
 const COMPONENTS: &str = "
     head: {turn: {built-in: echo, goal: {one-of: [left, right, straight on]}}, stop: {built-in: echo, goal: nothing}}
@@ -70,77 +72,73 @@ impl Rig {
 fn lines() -> Vec<(String, String)> {
     let fetch = "ztl task-client -c remotes.yaml -r fetch";
     let remote = "ztl remote-task -c remotes.yaml fetch";
-    let case = |typed: String, shown: String| (typed, shown);
     vec![
-        case(format!("{fetch} he\t"), format!("{fetch} head:")),
-        case(
+        (format!("{fetch} he\tX"), format!("{fetch} head:X")),
+        (
             format!("{fetch} head:t\tr\tX"),
             format!("{fetch} head:turn:right X"),
         ),
-        case(
+        (
             format!("{fetch} hand:light:T\tX"),
             format!("{fetch} hand:light:True X"),
         ),
-        case(
+        (
             format!("{fetch} 'hand:say:i\tX"),
             format!("{fetch} 'hand:say:it is' X"),
         ),
-        case(
+        (
             format!("{remote} head:turn:l\tX"),
             format!("{remote} head:turn:left X"),
         ),
+        (
+            "ztl task-client --js\tX".to_owned(),
+            "ztl task-client --json X".to_owned(),
+        ),
     ]
+}
+
+/// Types each line, which ends in X, into a shell with the prompt `ok>`, until it shows what is expected: when the machine
+/// is busy, the server may answer too late.
+#[track_caller]
+fn types(mut shell: Terminal, lines: &[(String, String)]) {
+    for (typed, shown) in lines {
+        until(shown, PATIENCE, || {
+            shell.shows_that("an empty line", |screen| screen.trim() == "ok>");
+            shell.type_in(typed);
+            let screen = shell.shows_that("the whole line", |screen| screen.trim().ends_with('X'));
+            // Clears the line, then the screen.
+            shell.type_in("\x15\x0c");
+            (screen.trim() == format!("ok> {shown}")).then_some(())
+        });
+    }
+    shell.type_in("exit\r");
+    shell.end();
 }
 
 #[test]
 fn bash_completes_tasks_by_asking_the_server() {
     let rig = Rig::new();
-    let mut bash = Terminal::start(
-        &rig.shell("bash", &["--norc", "--noprofile", "-i"]),
-        (150, 24),
-    );
-    bash.shows("> ");
-    bash.type_in("bind 'set bell-style none'; source ./bash; clear; PS1='ok> '\r");
-    for (typed, shown) in lines() {
-        bash.shows("ok> ");
-        bash.type_in(&typed);
-        bash.shows(&format!("ok> {shown}"));
-        bash.type_in("\x15\x0c");
-        bash.shows_that("an empty line", |screen| screen.trim() == "ok>");
-    }
-    for (typed, shown) in [
+    let bash = rig.shell("bash", &["--norc", "--noprofile", "-i"]);
+    let mut bash = Terminal::start(&bash, (150, 24));
+    bash.shows(">");
+    bash.type_in("source ./bash; PS1='ok> '; clear\r");
+    let spaces = [
         (
             "ztl task-client -c remotes.yaml -r fetch head:turn:s\tX",
-            "head:turn:straight\\ on X",
+            "ztl task-client -c remotes.yaml -r fetch head:turn:straight\\ on X",
         ),
-        ("ztl task-client --js\tX", "ztl task-client --json X"),
         ("ztl task-cl\tX", "ztl task-client X"),
-    ] {
-        bash.type_in(typed);
-        bash.shows(shown);
-        bash.type_in("\x15\x0c");
-        bash.shows_that("an empty line", |screen| screen.trim() == "ok>");
-    }
-    bash.type_in("exit\r");
-    bash.end();
+    ];
+    let spaces = spaces.map(|(typed, shown)| (typed.to_owned(), shown.to_owned()));
+    types(bash, &[lines(), spaces.into()].concat());
 }
 
 #[test]
 fn zsh_completes_tasks_by_asking_the_server() {
     let rig = Rig::new();
     let mut zsh = Terminal::start(&rig.shell("zsh", &["-f", "-i"]), (150, 24));
-    zsh.type_in("PS1='ok> '; unsetopt beep; fpath=(. $fpath); autoload -U compinit; compinit -u -D; clear\r");
-    for (typed, shown) in lines() {
-        zsh.shows_that("a prompt", |screen| screen.trim() == "ok>");
-        zsh.type_in(&typed);
-        zsh.shows(&format!("ok> {shown}"));
-        zsh.type_in("\x15\x0c");
-    }
-    zsh.shows_that("a prompt", |screen| screen.trim() == "ok>");
-    zsh.type_in("ztl task-client --js\tX");
-    zsh.shows("ztl task-client --json X");
-    zsh.type_in("\x15exit\r");
-    zsh.end();
+    zsh.type_in("fpath=($PWD $fpath); autoload -U compinit; compinit -u -D; PS1='ok> '; clear\r");
+    types(zsh, &lines());
 }
 
 #[test]
@@ -166,13 +164,18 @@ fn fish_completes_tasks_by_asking_the_server() {
         ("head:stop:", &["head:stop:"]),
         ("hand:say:", &["hand:say:it is"]),
     ] {
-        let mut words = complete(&format!("{fetch}{word}"));
-        words.retain(|word| word.contains(':'));
-        words.sort();
-        assert_eq!(words, found, "{word}");
+        // When the machine is busy, the server may answer too late.
+        until(word, PATIENCE, || {
+            let mut words = complete(&format!("{fetch}{word}"));
+            words.retain(|word| word.contains(':'));
+            words.sort();
+            (words == found).then_some(())
+        });
     }
-    let words = complete("ztl remote-task -c remotes.yaml fetch head:turn:r");
-    assert_eq!(words, ["head:turn:right"]);
+    until("the tasks of a named server", PATIENCE, || {
+        let words = complete("ztl remote-task -c remotes.yaml fetch head:turn:r");
+        (words == ["head:turn:right"]).then_some(())
+    });
     let options = complete("ztl task-client --js");
     assert_eq!(options, ["--json"]);
 }
@@ -193,19 +196,17 @@ fn a_server_that_does_not_answer_delays_no_shell_and_prints_nothing() {
         ended.stdout
     };
     let task = ["task-client", "-c", "remotes.yaml", "-r"];
-    assert_eq!(
-        complete(&[&task[..], &["fetch", "hand:li"]].concat()),
-        "hand:light:\n"
-    );
+    until("an answer in time", PATIENCE, || {
+        let told = complete(&[&task[..], &["fetch", "hand:li"]].concat());
+        (told == "hand:light:\n").then_some(())
+    });
     rig.server.process.signal("STOP");
-    let start = Instant::now();
     for name in ["fetch", "lost", "nobody"] {
         let told = in_time(Duration::from_secs(2), || {
             complete(&[&task[..], &[name, "he"]].concat())
         });
         assert_eq!(told, "", "{name}");
     }
-    assert!(start.elapsed() < Duration::from_secs(4));
     rig.server.process.signal("CONT");
     for words in [
         &["task-client", "-r", "fe"][..],

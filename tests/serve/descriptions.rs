@@ -206,7 +206,7 @@ fn wrong_goals_of_a_script_are_found_with_the_server_and_without_it() {
             "show.yaml:4:7: server 'p': the goal '81' is not a number from 0 to 80 mm",
             "show.yaml:6:7: server 'p': the goal '[0, 2]' is not a list, each a number from -1 to 1",
             "show.yaml:8:11: server 'p': 'maybe' for a is not True or False",
-            "show.yaml:8:34: server 'p': 'p' has no component 'trun'; did you mean 'turn'?",
+            "show.yaml:8:35: server 'p': 'p' has no component 'trun'; did you mean 'turn'?",
         ],
         "{live:?}"
     );

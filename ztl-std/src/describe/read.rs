@@ -187,7 +187,7 @@ mod tests {
             ("{goal: {one-of: [left, 7]}}", "goal.one-of.1: "),
             (
                 "{goal: {list-of: {fields: [{name: x, type: numbr}]}}}",
-                "goal.list-of.fields: ",
+                "goal.list-of.fields.0.type: ",
             ),
             ("{goal: number}", "goal: "),
             ("{about: 7}", "about: "),

@@ -80,7 +80,7 @@ impl std::error::Error for SchemaError {}
 /// let wrong = of_type::<Go>().unwrap_err();
 /// assert_eq!(
 ///     wrong.to_string(),
-///     "goal.place: 'minItems' cannot be described; describe the component by hand, or change the type"
+///     "goal.place: 'maxItems' cannot be described; describe the component by hand, or change the type"
 /// );
 /// # Ok::<(), ztl_std::describe::SchemaError>(())
 /// ```
@@ -333,7 +333,7 @@ mod tests {
     #[test]
     fn a_type_is_described_with_its_fields() {
         let pose = of_type::<Pose>().expect("a description");
-        let expected = r#"{"goal": {"fields": [{"name": "names", "list-of": {"type": "text"}, "optional": true}, {"name": "side", "one-of": ["Left", "Right"], "optional": true}, {"name": "z", "fields": [{"name": "z", "type": "number"}, {"name": "a", "type": "whole", "least": 0, "most": 255}]}]}}"#;
+        let expected = r#"{"goal": {"fields": [{"name": "names", "list-of": {"type": "text"}, "optional": true}, {"name": "side", "one-of": ["Right", "Left"], "optional": true}, {"name": "z", "fields": [{"name": "z", "type": "number"}, {"name": "a", "type": "whole", "least": 0, "most": 255}]}]}}"#;
         assert_eq!(pose.json().to_string(), expected);
         assert!(pose.goal.check("{z: [1, 2]}", false).is_ok());
         assert!(pose.goal.check("{z: {z: 1, a: 256}}", false).is_err());

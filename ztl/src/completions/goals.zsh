@@ -6,5 +6,6 @@ _ztl_goals() {
     (( $#goals )) || return 1
     compadd -S '' -- ${(M)goals:#*:}
     compadd -- ${goals:#*:}
+    return 0
 }
 
