@@ -320,6 +320,18 @@ fn a_server_also_describes_what_it_forwards() {
         near.rejection("open", "81")
             .contains("is not a number from 0 to 80 mm")
     );
+    let write = |name: &str, text: &str| {
+        std::fs::write(near.scratch.path(name), text).expect("a file");
+    };
+    let port = near.server.port;
+    write("show.yaml", "s: {a: {p: {open: 81, way: [0]}}}\n");
+    write(
+        "remotes.yaml",
+        &format!("remotes: {{p: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n"),
+    );
+    let ended = run(&near.scratch, "check show.yaml -c remotes.yaml --live");
+    let wrong = "show.yaml:1:13: server 'p': the goal '81' is not a number from 0 to 80 mm";
+    assert_eq!(findings(&ended), [wrong], "{ended:?}");
     far.server.process.signal("STOP");
     // No answer waits for it.
     until("it is silent", PATIENCE, || {
