@@ -5,10 +5,12 @@
 //! serves `tcp://127.0.0.1:5700`, scope `/robot`, until Ctrl-C. Then, in another terminal:
 //!
 //!     cargo run --example client
+//!     ztl describe -r 127.0.0.1 -p 5700
 //!     ztl task-client -r 127.0.0.1 -p 5700 -s /robot robot:base:forward
 
 use std::time::Duration;
 
+use ztl_std::describe::{ScopeDescriptions, parse};
 use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest, TaskServer};
 
 /// Drives for two seconds, reports its progress, and stops on an abort.
@@ -36,6 +38,14 @@ impl TaskController for Robot {
             ("base", other) => Err(format!("no goal '{other}'; base takes: forward").into()),
             (other, _) => Err(format!("no component '{other}'; it has: base").into()),
         }
+    }
+
+    // Shown by `ztl describe`, and used by `ztl check` and shells.
+    fn describe(&self) -> ScopeDescriptions {
+        let base = parse("{goal: {one-of: [forward]}, about: drives for two seconds}");
+        let base = base.map(|base| [("base".to_owned(), base)].into());
+        base.map(|robot| [("robot".to_owned(), robot)].into())
+            .unwrap_or_default()
     }
 }
 

@@ -13,7 +13,9 @@ for command in $(ztl --help | sed -n '/^Commands:/,/^$/s/^  \([a-z-]*\) .*/\1/p'
     grep -q "($command)" /usr/share/zsh/vendor-completions/_ztl
     grep -q -- "-a \"$command\"" /usr/share/fish/vendor_completions.d/ztl.fish
 done
-bash -c '. /usr/share/bash-completion/completions/ztl && complete -p ztl'
+bash -c '. /usr/share/bash-completion/completions/ztl && complete -p ztl | grep -w _ztl_goals'
+grep -q "complete-goal --" /usr/share/zsh/vendor-completions/_ztl
+grep -q "complete-goal --" /usr/share/fish/vendor_completions.d/ztl.fish
 id --name --groups ztl | grep -w dialout
 test -s /usr/share/doc/ztl/copyright
 test -s /usr/lib/udev/rules.d/60-ztl.rules

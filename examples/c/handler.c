@@ -15,6 +15,9 @@
 #include <string.h>
 #include <ztl.h>
 
+/* What the head says of itself to `ztl describe` and others. */
+#define HEAD "{goal: {type: whole, least: -90, most: 90, unit: degrees}, about: turns the head, examples: ['45']}"
+
 /* The original program: each turn of the main loop moves the head by one degree. */
 struct head {
     int degrees;
@@ -91,6 +94,7 @@ int main(int count, char **words)
     signal(SIGINT, end);
     signal(SIGTERM, end);
     if (ztl_server_add_handler(server, "/robot", start, poll, stop, &head) != ZTL_OK
+        || ztl_server_describe(server, "/robot", "robot", "head", HEAD) != ZTL_OK
         || ztl_server_start_polled(server, count > 1 ? words[1] : "tcp://127.0.0.1:5700") != ZTL_OK) {
         ztl_server_error(server, text, sizeof text);
         fprintf(stderr, "handler: %s\n", text);

@@ -1,6 +1,7 @@
 //! The command `ztl`: its options, output, errors and exit codes, and the static build.
 
 mod boot;
+mod completions;
 mod dist;
 mod doctor;
 mod errors;

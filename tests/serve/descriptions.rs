@@ -1,15 +1,20 @@
 //! What components say of themselves: `describe`.
 
+use std::time::Duration;
+
 use serde_json::{Value, json};
-use ztl_std::describe::GoalValue;
-use ztl_std::encoded;
-use ztl_tests::lab::{FakeServer, Process, Random, SCOPE, run_python, seed, ztl};
+use ztl_std::describe::{GoalValue, ScopeDescriptions, parse};
+use ztl_std::{ExecutableTask, TaskController, TaskError, TaskRequest, encoded};
+use ztl_tests::lab::{
+    Ended, FakeServer, PATIENCE, Process, Random, SCOPE, Scratch, Server, in_time, port_of,
+    run_python, seed, serve, until, ztl,
+};
 
 use crate::rig::Rig;
 
 const COMPONENTS: &str = "
     open: {built-in: echo, goal: {least: 0, most: 80, step: 5, unit: mm}, about: opens the gripper, examples: [40, 0x10], returns: how far it is, usually: 1500 ms}
-    count: {built-in: echo, goal: {type: whole, most: 7}}
+    count: {built-in: echo, goal: {type: whole, most: 7}, streams: [/count]}
     say: {built-in: echo, goal: {type: text, longest: 5}}
     turn: {built-in: echo, goal: {one-of: [left, right]}}
     light: {built-in: echo, goal: truth}
@@ -146,4 +151,196 @@ fn hostile_descriptions_end_and_reach_no_terminal() {
             assert!(!ended.stdout.contains(control), "{options:?}");
         }
     }
+}
+
+/// The command in a directory.
+fn run(files: &Scratch, words: &str) -> Ended {
+    let mut command = ztl();
+    command
+        .args(words.split(' '))
+        .current_dir(files.path(""))
+        .env("XDG_CONFIG_HOME", files.path("nothing"));
+    Process::run(&mut command)
+}
+
+/// The findings of `ztl check` about a script.
+fn findings(ended: &Ended) -> Vec<String> {
+    let lines = ended.stdout.lines();
+    let found = lines.filter_map(|line| line.strip_prefix("mistake: "));
+    found.map(str::to_owned).collect()
+}
+
+#[test]
+fn wrong_goals_of_a_script_are_found_with_the_server_and_without_it() {
+    let rig = Rig::new(COMPONENTS);
+    let files = &rig.scratch;
+    let write = |name: &str, text: &str| std::fs::write(files.path(name), text).expect("a file");
+    write(
+        "show.yaml",
+        "s:\n  a:\n    p:\n      open: 81\n      turn: left\n      path: [0, 2]\n      free: x\n  \
+         b: {p: {pose: {z: 1, a: maybe}, trun: left}}\n",
+    );
+    let port = rig.server.port;
+    let remote =
+        |port: u16| format!("remotes: {{p: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n");
+    write("remotes.yaml", &remote(port));
+    write("moved.yaml", &remote(1));
+    let port = port.to_string();
+    for format in ["yaml", "json"] {
+        let told = run(
+            files,
+            &format!("describe --{format} -r localhost -p {port}"),
+        );
+        write(&format!("p.{format}"), &told.stdout);
+    }
+    let other = std::fs::read_to_string(files.path("p.yaml")).expect("a file");
+    write(
+        "other.yaml",
+        &other.replace(&port, "2").replace("most: 80", "most: 90"),
+    );
+
+    let live = run(files, "check show.yaml -c remotes.yaml --live");
+    assert_eq!(
+        findings(&live),
+        [
+            "show.yaml:4:7: server 'p': the goal '81' is not a number from 0 to 80 mm",
+            "show.yaml:6:7: server 'p': the goal '[0, 2]' is not a list, each a number from -1 to 1",
+            "show.yaml:8:11: server 'p': 'maybe' for a is not True or False",
+            "show.yaml:8:35: server 'p': 'p' has no component 'trun'; did you mean 'turn'?",
+        ],
+        "{live:?}"
+    );
+    drop(rig.server);
+    for saved in ["p.yaml", "p.json"] {
+        let ended = run(
+            files,
+            &format!("check show.yaml -c moved.yaml --descriptions {saved}"),
+        );
+        assert_eq!(findings(&ended), findings(&live), "{ended:?}");
+        assert_eq!(ended.code, Some(1));
+    }
+    // The file of the server's address counts.
+    let both = "--descriptions p.yaml --descriptions other.yaml";
+    let ended = run(files, &format!("check show.yaml -c remotes.yaml {both}"));
+    assert_eq!(findings(&ended), findings(&live), "{ended:?}");
+    let ended = run(files, &format!("check show.yaml -c moved.yaml {both}"));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(
+        ended.stdout.contains("p: more than one file describes "),
+        "{ended:?}"
+    );
+    for (file, wrong) in [
+        (
+            "remotes.yaml",
+            "remotes.yaml: this is not the description of a server: it has no list 'components'",
+        ),
+        ("missing.yaml", "missing.yaml: cannot read it: "),
+    ] {
+        let ended = run(
+            files,
+            &format!("check show.yaml -c remotes.yaml --descriptions {file}"),
+        );
+        assert!(
+            ended.stdout.starts_with(&format!("mistake: {wrong}"))
+                || ended.stdout.contains(&format!("\nmistake: {wrong}")),
+            "{ended:?}"
+        );
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+    }
+    let ended = run(files, "check show.yaml --descriptions p.yaml");
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+}
+
+/// Describes itself, and does not answer whether it would take a task.
+struct Head;
+
+impl TaskController for Head {
+    fn assign(&self, _: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        Err("nothing moves".into())
+    }
+
+    fn describe(&self) -> ScopeDescriptions {
+        let pan = parse("{goal: {one-of: [left, right]}}").expect("a description");
+        let pan = [("pan".to_owned(), pan)];
+        ScopeDescriptions::from([("head".to_owned(), pan.into())])
+    }
+}
+
+#[test]
+fn goals_for_a_server_that_only_describes_itself_are_checked_live() {
+    let server = serve(Head);
+    let files = Scratch::new();
+    let port = port_of(server.endpoint());
+    let write = |name: &str, text: &str| std::fs::write(files.path(name), text).expect("a file");
+    write(
+        "show.yaml",
+        "s: {a: {head: {pan: up, tilt: up}}, b: {head: {pan: left}}}\n",
+    );
+    write(
+        "remotes.yaml",
+        &format!("remotes: {{head: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n"),
+    );
+    let ended = run(&files, "check show.yaml -c remotes.yaml --live");
+    let wrong = "show.yaml:1:16: server 'head': the goal 'up' is not left or right";
+    assert_eq!(findings(&ended), [wrong], "{ended:?}");
+}
+
+#[test]
+fn a_server_also_describes_what_it_forwards() {
+    let mut far = Rig::new(COMPONENTS);
+    let original = Server::original();
+    let to = |port: u16| format!("forward: {{to: 'tcp://127.0.0.1:{port}', scope: {SCOPE}");
+    let (ours, theirs) = (to(far.server.port), to(original.port));
+    let near = Rig::new(&format!(
+        "open: {{{ours}}}, about: opens the far gripper}}\n\
+         way: {{{ours}, component: path}}}}\n\
+         echo: {{{theirs}, handler: test}}}}"
+    ));
+    let told = || {
+        let told = near.remote().describe_scope().expect("an answer");
+        let told = told["p"].iter();
+        told.map(|(name, is)| format!("{name}: {}", is.json()))
+            .collect::<Vec<_>>()
+    };
+    let alone = [
+        r#"echo: {"goal": {"type": "any"}}"#,
+        r#"open: {"goal": {"type": "any"}, "about": "opens the far gripper"}"#,
+        r#"way: {"goal": {"type": "any"}}"#,
+    ];
+    let with_far = [
+        alone[0],
+        r#"open: {"goal": {"type": "number", "least": 0, "most": 80, "step": 5, "unit": "mm"}, "about": "opens the far gripper", "examples": ["40", "0x10"], "result": "how far it is", "usually_ms": 1500}"#,
+        r#"way: {"goal": {"list-of": {"type": "number", "least": -1, "most": 1}}}"#,
+    ];
+    until("the far descriptions", PATIENCE, || {
+        (told() == with_far).then_some(())
+    });
+    // Its own rule is still any goal: the far server decides.
+    assert!(
+        near.rejection("open", "81")
+            .contains("is not a number from 0 to 80 mm")
+    );
+    let write = |name: &str, text: &str| {
+        std::fs::write(near.scratch.path(name), text).expect("a file");
+    };
+    let port = near.server.port;
+    write("show.yaml", "s: {a: {p: {open: 81, way: [0]}}}\n");
+    write(
+        "remotes.yaml",
+        &format!("remotes: {{p: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n"),
+    );
+    let ended = run(&near.scratch, "check show.yaml -c remotes.yaml --live");
+    let wrong = "show.yaml:1:13: server 'p': the goal '81' is not a number from 0 to 80 mm";
+    assert_eq!(findings(&ended), [wrong], "{ended:?}");
+    far.server.process.signal("STOP");
+    // No answer waits for it.
+    until("it is silent", PATIENCE, || {
+        in_time(Duration::from_secs(1), || (told() == alone).then_some(()))
+    });
+    far.server.process.signal("CONT");
+    until("the far descriptions again", PATIENCE, || {
+        (told() == with_far).then_some(())
+    });
+    far.server.process.kill();
+    until("it is gone", PATIENCE, || (told() == alone).then_some(()));
 }

@@ -39,7 +39,10 @@ fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
         rig.run("field", "{a: 'it''s', b: [-2, 3]}"),
         (Completed, said)
     );
-    assert_eq!(rig.rejection("field", "{a: 1}"), "the goal has no 'b.0'");
+    assert_eq!(
+        rig.rejection("field", "{a: 1}"),
+        "the goal has no 'b.0'; this task needs a goal with that field or item"
+    );
     assert!(rig.rejection("field", "{a: ").contains("has no fields"));
     assert_eq!(rig.run("number", "0x1F"), (Completed, "31".to_owned()));
     assert_eq!(rig.run("number", "-45"), (Completed, "-45".to_owned()));

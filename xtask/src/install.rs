@@ -26,6 +26,9 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
     // Shows the page of `ztl report`.
     ["chromium", "chromium --version"],
+    // Shells that complete our command.
+    ["zsh", "zsh --version"],
+    ["fish", "fish --version"],
     // `setsid` gives a program a terminal of its own.
     ["util-linux", "setsid --version"],
     // `systemd-analyze` checks the units in examples.

@@ -135,9 +135,10 @@ fn clippy_workspace(project: &Project) -> Result<()> {
 }
 
 /// Crates without some of the features that a build of the workspace turns on.
-const PARTLY: [(&str, &[&str]); 3] = [
+const PARTLY: [(&str, &[&str]); 4] = [
     ("ztl-zmtp", &["--features", "alloc"]),
     ("ztl-std", &["--no-default-features"]),
+    ("ztl-std", &["--features", "schemars"]),
     ("ztl", &["--no-default-features", "--features", "static"]),
 ];
 
@@ -209,6 +210,8 @@ fn tests(project: &Project) -> Result<()> {
     rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])?;
     // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
     let tests = ["--package", "ztl-mcu", "--all-features"];
+    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])?;
+    let tests = ["--package", "ztl-std", "--features", "schemars", "describe"];
     rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])
 }
 

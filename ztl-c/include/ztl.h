@@ -424,6 +424,19 @@ int ztl_server_add_handler(ztl_server *server,
                            void *context);
 
 /**
+ * Says what goals a component of a served scope takes, and what it does, for `ztl describe`, `ztl check` and others. The
+ * library does not check goals by it. `description` is JSON, or a goal in YAML such as
+ * "{goal: {type: number, least: -90, most: 90, unit: deg}, about: turns the head, examples: [20]}"; docs/protocol.md
+ * [11.7] lists the keys. "*" as handler or component stands for every other name. A second description replaces the
+ * first. ZTL_E_ARGUMENT says what is wrong in it, and where. Any thread; before the start. The texts are copied.
+ */
+int ztl_server_describe(ztl_server *server,
+                        const char *scope,
+                        const char *handler,
+                        const char *component,
+                        const char *description);
+
+/**
  * Listens at an address such as "tcp://0.0.0.0:12345" (every interface), "tcp://127.0.0.1:12345" (this machine only) or
  * "tcp://127.0.0.1:*" (any free port), and serves on threads of the library, which have all signals blocked. Any
  * thread, once; a start that failed may be tried again. The text is copied.

@@ -1,6 +1,7 @@
 //! A task server for C.
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::ffi::{c_char, c_int, c_uint, c_void};
 use std::path::Path;
 use std::ptr;
@@ -8,6 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use ztl_std::describe::{self, ScopeDescriptions};
 use ztl_std::keys::{KeyPair, PublicKey};
 use ztl_std::scope;
 use ztl_std::{Access, Limits, RunningServer, TaskServer};
@@ -93,6 +95,8 @@ struct Setup {
     access: Access,
     poll_every: Option<Duration>,
     scopes: Vec<(String, Callbacks)>,
+    /// What the components of each scope say of themselves.
+    described: BTreeMap<String, ScopeDescriptions>,
 }
 
 struct Running {
@@ -314,7 +318,9 @@ impl Server {
                     failure => failure,
                 })?;
             for (index, (scope, callbacks)) in setup.scopes.iter().enumerate() {
+                let described = setup.described.get(scope).cloned();
                 let handler = Handler {
+                    described: Arc::new(described.unwrap_or_default()),
                     tasks: Arc::clone(&tasks),
                     scope: index,
                     work: callbacks.work(handle),
@@ -635,6 +641,47 @@ pub unsafe extern "C" fn ztl_server_add_handler(
             start.ok_or_else(|| null("start"))?;
             let functions = Functions::Handler { start, poll, abort };
             server.add(text(scope, "scope")?, functions, context)
+        })
+    }
+}
+
+/// Says what goals a component of a served scope takes, and what it does, for `ztl describe`, `ztl check` and others. The
+/// library does not check goals by it. `description` is JSON, or a goal in YAML such as
+/// "{goal: {type: number, least: -90, most: 90, unit: deg}, about: turns the head, examples: [20]}"; docs/protocol.md
+/// [11.7] lists the keys. "*" as handler or component stands for every other name. A second description replaces the
+/// first. ZTL_E_ARGUMENT says what is wrong in it, and where. Any thread; before the start. The texts are copied.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ztl_server_describe(
+    server: *mut Server,
+    scope: *const c_char,
+    handler: *const c_char,
+    component: *const c_char,
+    description: *const c_char,
+) -> c_int {
+    // SAFETY: NULL, or a server that is not freed and texts, as their caller promises.
+    unsafe {
+        Server::with(server, |server| {
+            let scope = text(scope, "scope")?;
+            let (handler, component) = (text(handler, "handler")?, text(component, "component")?);
+            let is = describe::parse(text(description, "description")?);
+            let invalid = |text: String| Failure::new(ZTL_E_ARGUMENT, text);
+            for (name, what) in [(handler, "handler"), (component, "component")] {
+                if name.contains(':') {
+                    let text = format!("'{name}' is not the name of a {what}: it has a ':'");
+                    return Err(invalid(text));
+                }
+            }
+            let is = is.map_err(|why| invalid(format!("{handler}:{component}: {why}")))?;
+            server.set_up(|setup| {
+                if !setup.scopes.iter().any(|(known, _)| known == scope) {
+                    let text = format!("the scope '{scope}' is not served; add it first");
+                    return Err(invalid(text));
+                }
+                let handlers = setup.described.entry(scope.to_owned()).or_default();
+                let components = handlers.entry(handler.to_owned()).or_default();
+                components.insert(component.to_owned(), is);
+                Ok(())
+            })
         })
     }
 }

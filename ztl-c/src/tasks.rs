@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use ztl_core::{State, TaskId};
 use ztl_std::TaskRequest;
+use ztl_std::describe::{Descriptions, ScopeDescriptions};
 use ztl_std::server::{TaskHandler, TaskReporter};
 
 use crate::border::for_c;
@@ -336,6 +337,7 @@ pub(crate) struct Handler {
     pub(crate) scope: usize,
     /// The call that carries out a task, if tasks run on threads.
     pub(crate) work: Option<Work>,
+    pub(crate) described: Arc<ScopeDescriptions>,
 }
 
 impl TaskHandler for Handler {
@@ -388,6 +390,11 @@ impl TaskHandler for Handler {
                 let _ = self.tasks.end(id, State::Rejected, &text);
             }
         }
+    }
+
+    fn describe(&self) -> Descriptions {
+        let described = Arc::clone(&self.described);
+        Box::new(move || Arc::clone(&described))
     }
 
     fn abort(&mut self, id: TaskId) {

@@ -1,4 +1,5 @@
-//! `ztl completions`: prints a script that completes the command in a shell.
+//! `ztl completions`: prints a script that completes the command in a shell. To clap's scripts it adds the tasks of
+//! servers, which `ztl complete-goal` knows.
 
 use std::process::ExitCode;
 
@@ -18,6 +19,10 @@ pub(crate) struct Completions {
     shell: Shell,
 }
 
+const BASH: &str = include_str!("completions/goals.bash");
+const ZSH: &str = include_str!("completions/goals.zsh");
+const FISH: &str = include_str!("completions/goals.fish");
+
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Shell {
     Bash,
@@ -34,7 +39,21 @@ impl Completions {
             Shell::Zsh => generate(Zsh, command, name, &mut script),
             Shell::Fish => generate(Fish, command, name, &mut script),
         }
-        part(String::from_utf8(script)?);
+        let script = String::from_utf8(script)?;
+        part(match self.shell {
+            Shell::Bash => {
+                script.replace("    complete -F _ztl ", "    complete -F _ztl_goals ") + BASH
+            }
+            Shell::Zsh => {
+                let begin = "_ztl() {\n";
+                script.replacen(
+                    begin,
+                    &format!("{ZSH}{begin}    _ztl_goals && return 0\n"),
+                    1,
+                )
+            }
+            Shell::Fish => script + FISH,
+        });
         Ok(ExitCode::SUCCESS)
     }
 }

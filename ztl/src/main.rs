@@ -11,6 +11,7 @@ mod check;
 mod chosen_publisher;
 mod client;
 mod columns;
+mod complete_goal;
 mod completions;
 mod connect_options;
 mod data_format;
@@ -154,6 +155,9 @@ fn main() -> ExitCode {
     #[cfg(unix)]
     if let Some(watchdog) = serve::Watchdog::of(&args) {
         return exit("ztl", watchdog.run());
+    }
+    if let Some(code) = complete_goal::run(&args) {
+        return code;
     }
     let command = match Cli::try_parse_from(args) {
         Ok(cli) => cli.command,

@@ -36,6 +36,15 @@ pub(crate) struct RemoteTask {
 }
 
 impl RemoteTask {
+    /// The client, if the task is this text. It was parsed from a line that is being typed.
+    pub(crate) fn remote_at(self, task: &str) -> Option<ztl_std::RemoteTask> {
+        let remotes = self.remotes.read().ok()?;
+        let at = remotes.task(&self.remote).ok()?;
+        let remote = ztl_std::RemoteTask::connect(&at.endpoint(), &at.scope).ok()?;
+        let remote = self.connecting.apply(remote, at.keys.as_ref()).ok()?;
+        (self.payload == task).then_some(remote)
+    }
+
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         let remotes = self.remotes.read()?;

@@ -17,6 +17,8 @@ use crate::connect_options::ConnectOptions;
 /// A connection to the scope of one server.
 struct ServerConnection {
     remote: RemoteTask,
+    /// Whether it may answer which tasks it takes.
+    answers_takes: bool,
     /// What its components say of themselves, once that was asked.
     described: Option<ScopeDescriptions>,
 }
@@ -50,8 +52,11 @@ fn client(remotes: &Remotes, options: &ConnectOptions, name: &str) -> Result<Rem
 
 impl ServerConnection {
     fn new(remote: RemoteTask) -> Box<Self> {
-        let described = None;
-        Box::new(Self { remote, described })
+        Box::new(Self {
+            remote,
+            answers_takes: true,
+            described: None,
+        })
     }
 
     /// Who the server is, by its first answer on this connection.
@@ -129,6 +134,28 @@ impl ServerConnection {
         }
     }
 
+    /// Asks whether its handler would accept a task.
+    fn takes(&mut self, payload: &str) -> Acceptance {
+        if !self.answers_takes {
+            return Acceptance::Unknown;
+        }
+        let answer = match self.remote.ask_server(&format!("takes {payload}")) {
+            Ok(answer) => answer.unwrap_or_default(),
+            // The question is longer than the task.
+            Err(RequestError::TooLong { .. }) => return Acceptance::Unknown,
+            Err(_) => String::new(),
+        };
+        let scopes: Option<BTreeMap<String, Option<String>>> = serde_json::from_str(&answer).ok();
+        match scopes.and_then(|mut scopes| scopes.remove(self.remote.scope())) {
+            Some(Some(why)) => Acceptance::No(why),
+            Some(None) => Acceptance::Yes,
+            None => {
+                self.answers_takes = false;
+                Acceptance::Unknown
+            }
+        }
+    }
+
     /// The tasks that run or may run in the scope, whoever started them.
     fn tasks(&mut self) -> Result<ServerAnswer, RequestError> {
         let Some(known) = self.remote.tasks()? else {
@@ -182,23 +209,16 @@ impl Connection for ServerConnection {
         if let Err(error) = self.remote.check_length(&payload) {
             return Acceptance::No(error.to_string());
         }
-        if let Some(scope) = &self.described {
-            return Acceptance::described(scope, handler, component, goal);
-        }
-        let answer = self.remote.ask_server(&format!("takes {payload}"));
-        let scopes: Option<BTreeMap<String, Option<String>>> = answer
-            .ok()
-            .flatten()
-            .and_then(|json| serde_json::from_str(&json).ok());
-        match scopes.and_then(|mut scopes| scopes.remove(self.remote.scope())) {
-            Some(Some(why)) => Acceptance::No(why),
-            Some(None) => Acceptance::Yes,
-            None => {
-                // Its handlers do not know the question.
-                let scope = self.remote.describe_scope().unwrap_or_default();
-                let scope = self.described.insert(scope);
-                Acceptance::described(scope, handler, component, goal)
-            }
+        let told = match self.takes(&payload) {
+            Acceptance::No(why) => return Acceptance::No(why),
+            told => told,
+        };
+        // A server takes any task for what it forwards, and may describe which are right.
+        let ask = || self.remote.describe_scope().unwrap_or_default();
+        let scope = self.described.get_or_insert_with(ask);
+        match Acceptance::described(scope, handler, component, goal) {
+            Acceptance::Unknown => told,
+            said => said,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! `ztl task-client`: runs a task on a server, with the original's options and output.
 
 use tracing::Level;
+use ztl_std::RemoteTask;
 
 use crate::called::Called;
 use crate::client::AFTER_HELP;
@@ -36,6 +37,15 @@ pub(crate) struct TaskClient {
 }
 
 impl TaskClient {
+    /// The client, if the task is this text. It was parsed from a line that is being typed.
+    pub(crate) fn remote_at(self, task: &str) -> Option<RemoteTask> {
+        let address = self.address.resolve().ok()?;
+        let scope = address.scope(self.scope.as_ref()).ok()??;
+        let remote = RemoteTask::connect(&address.endpoint(), &scope).ok()?;
+        let remote = self.connecting.apply(remote, address.keys.as_ref()).ok()?;
+        (self.payload == task).then_some(remote)
+    }
+
     pub(crate) fn run(self, called: &Called) -> Done {
         log::init(Level::INFO);
         let request = request(&self.payload)?;

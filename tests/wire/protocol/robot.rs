@@ -4,6 +4,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 
 use ztl_core::TaskId;
+use ztl_std::describe::{Descriptions, ScopeDescriptions, parse};
 use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{
     Aborted, ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest,
@@ -111,4 +112,11 @@ impl TaskHandler for Lamp {
     }
 
     fn abort(&mut self, _id: TaskId) {}
+
+    fn describe(&self) -> Descriptions {
+        let led = parse("{goal: {type: text, longest: 20}, about: shows a text, examples: ['on']}");
+        let led = [("led".to_owned(), led.expect("a description"))];
+        let all = Arc::new(ScopeDescriptions::from([("lamp".to_owned(), led.into())]));
+        Box::new(move || Arc::clone(&all))
+    }
 }

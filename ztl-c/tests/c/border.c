@@ -116,12 +116,23 @@ static void mistakes(void)
     CHECK(ztl_server_add_worker(server, "/\xff", nothing, NULL) == ZTL_E_ARGUMENT && said(server, "UTF-8"));
     CHECK(ztl_server_add_worker(server, "/x", nothing, NULL) == ZTL_OK);
     CHECK(ztl_server_add_worker(server, "/x", nothing, NULL) == ZTL_E_ARGUMENT && said(server, "already"));
+    CHECK(ztl_server_describe(NULL, "/x", "arm", "left", "{}") == ZTL_E_NULL);
+    CHECK(ztl_server_describe(server, "/x", "arm", NULL, "{}") == ZTL_E_NULL && said(server, "component is NULL"));
+    CHECK(ztl_server_describe(server, "/x", "arm", "left", NULL) == ZTL_E_NULL && said(server, "description is NULL"));
+    CHECK(ztl_server_describe(server, "/y", "arm", "left", "{}") == ZTL_E_ARGUMENT && said(server, "'/y' is not served"));
+    CHECK(ztl_server_describe(server, "/x", "a:b", "left", "{}") == ZTL_E_ARGUMENT && said(server, "':'"));
+    CHECK(ztl_server_describe(server, "/x", "arm", "left", "\xff") == ZTL_E_ARGUMENT && said(server, "UTF-8"));
+    CHECK(ztl_server_describe(server, "/x", "arm", "left", "left or right") == ZTL_E_ARGUMENT && said(server, "a mapping"));
+    CHECK(ztl_server_describe(server, "/x", "arm", "left", "{goal: {type: numbr}}") == ZTL_E_ARGUMENT
+          && said(server, "arm:left: goal.type: not understood"));
+    CHECK(ztl_server_describe(server, "/x", "arm", "left", "{goal: {type: number}, about: lifts}") == ZTL_OK);
     CHECK(ztl_server_start(server, "nowhere") == ZTL_E_ARGUMENT && said(server, "'nowhere' is not an address"));
     CHECK(ztl_server_start(server, "tcp://1.2.3.4:1") == ZTL_E_ADDRESS);
     CHECK(ztl_server_error(server, small, sizeof small) > 7 && strlen(small) == 7);
     CHECK(ztl_server_error(server, small, 1) > 7 && small[0] == '\0');
     CHECK(ztl_server_start(server, "tcp://127.0.0.1:*") == ZTL_OK);
     CHECK(ztl_server_start(server, "tcp://127.0.0.1:*") == ZTL_E_STATE && said(server, "started already"));
+    CHECK(ztl_server_describe(server, "/x", "arm", "left", "{}") == ZTL_E_STATE);
     CHECK(ztl_server_add_worker(server, "/y", nothing, NULL) == ZTL_E_STATE);
     CHECK(ztl_server_set(server, ZTL_MAX_RUNNING, 1) == ZTL_E_STATE);
     CHECK(ztl_server_poll(server, 1) == ZTL_OK);

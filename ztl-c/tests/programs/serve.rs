@@ -1,6 +1,6 @@
 //! Handlers in C, and the original's client.
 
-use ztl_tests::lab::{ABORTED, ACCEPTED, COMPLETED, OriginalClient, PATIENCE, Process, until};
+use ztl_tests::lab::{ABORTED, ACCEPTED, COMPLETED, OriginalClient, PATIENCE, Process, until, ztl};
 
 use crate::build::{Build, ended_well};
 
@@ -45,6 +45,12 @@ pub(crate) fn from_its_main_loop(build: Build) {
     warm_up(&mut client, "no such component; there is: head");
     let id = client.start("robot", "head", "20");
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "20 degrees"));
+
+    let port_text = port.to_string();
+    let told = Process::run(ztl().args(["describe", "-r", "localhost", "-p", &port_text]));
+    let head =
+        "robot:head  a whole number from -90 to 90 degrees  turns the head; for example 45\n";
+    assert!(told.stdout.contains(head), "{told:?}");
 
     for (component, goal, reason) in [
         ("head", "91", "head takes degrees from -90 to 90"),

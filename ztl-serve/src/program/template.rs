@@ -114,7 +114,12 @@ impl Template {
                 Part::Goal(path) if path.is_empty() => filled.push_str(&call.goal.text),
                 Part::Goal(path) => {
                     let value = field(call, path);
-                    let lacking = || format!("the goal has no '{}'", path.join("."));
+                    let lacking = || {
+                        let path = path.join(".");
+                        format!(
+                            "the goal has no '{path}'; this task needs a goal with that field or item"
+                        )
+                    };
                     filled.push_str(&value.ok_or_else(lacking)?);
                 }
                 Part::Handler => filled.push_str(&call.handler),
@@ -199,7 +204,10 @@ mod tests {
             assert_eq!(parsed.fill(&call).as_deref(), Ok(filled), "{template}");
         }
         let lacking = Template::parse("{goal.y}").expect("a template");
-        assert_eq!(lacking.fill(&call), Err("the goal has no 'y'".to_owned()));
+        assert_eq!(
+            lacking.fill(&call),
+            Err("the goal has no 'y'; this task needs a goal with that field or item".to_owned())
+        );
     }
 
     #[test]

@@ -27,8 +27,20 @@ pub trait TaskController: Send + Sync + 'static {
         Offers::new()
     }
 
-    /// What the components say of themselves, for `ztl describe` and others. Called once, on registration.
-    /// Default: nothing.
+    /// What the components say of themselves, for `ztl describe`, `ztl check` and others. Called once, on registration.
+    /// [`parse`](crate::describe::parse) reads a description; with the feature `schemars`,
+    /// `ztl_std::describe::of_type` makes it from a type. Default: nothing.
+    ///
+    /// ```
+    /// use ztl_std::describe::{ScopeDescriptions, parse};
+    ///
+    /// fn describe() -> ScopeDescriptions {
+    ///     let tts = parse("{goal: {type: text, longest: 200}, about: speaks, examples: [hello there]}");
+    ///     let robot = [("tts".to_owned(), tts.expect("a description"))];
+    ///     ScopeDescriptions::from([("robot".to_owned(), robot.into())])
+    /// }
+    /// # assert_eq!(describe()["robot"]["tts"].goal.to_string(), "a text of at most 200 characters");
+    /// ```
     fn describe(&self) -> ScopeDescriptions {
         ScopeDescriptions::new()
     }

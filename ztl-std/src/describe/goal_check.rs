@@ -54,7 +54,10 @@ impl CheckGoal for GoalRule {
                 });
             }
         };
-        let no_fields = |error| format!("the goal '{}' has no fields: {error}", shown(text));
+        let no_fields = |error| {
+            let text = shown(text);
+            format!("the goal '{text}' has no fields, as {{x: 1}} has: {error}")
+        };
         let fields = needs_fields.then(|| GoalValue::parse(text).map_err(no_fields));
         Ok(CheckedGoal {
             text: goal,

@@ -4,6 +4,8 @@
 mod goal_check;
 mod goal_value;
 mod read;
+#[cfg(feature = "schemars")]
+mod schema;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,7 +14,9 @@ use ztl_core::describe::Storage;
 
 pub use goal_check::{CheckGoal, CheckedGoal, shown};
 pub use goal_value::GoalValue;
-pub use read::{MAX_DEPTH, MAX_LENGTH, component};
+pub use read::{MAX_DEPTH, MAX_LENGTH, component, parse};
+#[cfg(feature = "schemars")]
+pub use schema::{SchemaError, of_schema, of_type};
 
 /// Stores descriptions on the heap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,10 +1,10 @@
-//! Reads descriptions from the answers of servers and from files.
+//! Reads descriptions: leniently from the answers of servers and from files, strictly from authors.
 
 use std::sync::Arc;
 
 use serde_json::{Map, Value};
 
-use super::{ComponentDescription, GoalField, GoalRule, described};
+use super::{CheckGoal, ComponentDescription, GoalField, GoalRule, GoalValue, described};
 
 /// Most levels of a goal.
 pub const MAX_DEPTH: usize = 8;
@@ -29,6 +29,71 @@ pub fn component(value: &Value) -> Option<ComponentDescription> {
     let usually = keys.get("usually_ms").and_then(Value::as_u64);
     read.usually_ms = usually.and_then(|ms| u32::try_from(ms).ok());
     Some(read)
+}
+
+/// Reads the description of a component as its author writes it: in JSON, or as a goal in YAML's flow style. Unlike
+/// [`component`], it accepts nothing that it does not understand.
+///
+/// ```
+/// use ztl_std::describe::parse;
+///
+/// let turns = parse("{goal: {least: -90, most: 90, type: number, unit: deg}, about: turns the head}").unwrap();
+/// assert_eq!(turns.goal.to_string(), "a number from -90 to 90 deg");
+/// assert!(parse("{goal: {type: numbr}}").unwrap_err().starts_with("goal.type: "));
+/// ```
+///
+/// # Errors
+/// What is wrong, and where.
+pub fn parse(text: &str) -> Result<ComponentDescription, String> {
+    let value: Value = match serde_json::from_str(text) {
+        Ok(value) => value,
+        Err(_) => {
+            let value = GoalValue::parse(text).map_err(|error| error.to_string())?;
+            serde_json::to_value(&value).map_err(|error| error.to_string())?
+        }
+    };
+    let read = component(&value).ok_or_else(|| {
+        format!("a description is a mapping such as {{goal: {{type: number}}}}, of at most {MAX_LENGTH} bytes")
+    })?;
+    let written = serde_json::from_str(&read.json().to_string()).unwrap_or_default();
+    if let Some(path) = lost(&value, &written) {
+        let path = path.join(".");
+        return Err(format!(
+            "{path}: not understood; docs/protocol.md [11.7] has the keys and their values, and a text that looks \
+             like a number or a word of YAML needs quotes"
+        ));
+    }
+    for example in read.examples.iter() {
+        let fits = read.goal.check(example, false);
+        fits.map_err(|why| format!("examples: {why}"))?;
+    }
+    Ok(read)
+}
+
+/// Where a value has something that was not read.
+fn lost(given: &Value, read: &Value) -> Option<Vec<String>> {
+    let within = |key: String, given: &Value, read: Option<&Value>| {
+        let mut path = match read {
+            Some(read) => lost(given, read)?,
+            // What a description leaves out.
+            None if key == "optional" && given == &Value::Bool(false) => return None,
+            None if key == "abort" && given == &Value::Bool(true) => return None,
+            None => Vec::new(),
+        };
+        path.insert(0, key);
+        Some(path)
+    };
+    match (given, read) {
+        (Value::Object(given), Value::Object(read)) => given
+            .iter()
+            .find_map(|(key, value)| within(key.clone(), value, read.get(key))),
+        (Value::Array(given), Value::Array(read)) => given
+            .iter()
+            .enumerate()
+            .find_map(|(place, value)| within(place.to_string(), value, read.get(place))),
+        (Value::Number(given), Value::Number(read)) if given.as_f64() == read.as_f64() => None,
+        (given, read) => (given != read).then(Vec::new),
+    }
 }
 
 fn text(keys: &Map<String, Value>, key: &str) -> Option<Arc<str>> {
@@ -111,6 +176,38 @@ mod tests {
         ] {
             let read = read(json).expect("a description");
             assert_eq!(read.json().to_string(), json);
+        }
+    }
+
+    #[test]
+    fn authors_learn_what_is_wrong_and_where() {
+        for (text, place) in [
+            ("{goal: {type: number, leest: 3}}", "goal.leest: "),
+            ("{goal: {type: number, least: three}}", "goal.least: "),
+            ("{goal: {one-of: [left, 7]}}", "goal.one-of.1: "),
+            (
+                "{goal: {list-of: {fields: [{name: x, type: numbr}]}}}",
+                "goal.list-of.fields.0.type: ",
+            ),
+            ("{goal: number}", "goal: "),
+            ("{about: 7}", "about: "),
+            (
+                "{goal: {one-of: [left, right]}, examples: [up]}",
+                "examples: the goal 'up' is not left or right",
+            ),
+            ("{goal: [}", "expected"),
+            ("[]", "a description is a mapping"),
+        ] {
+            let wrong = parse(text).expect_err(text);
+            assert!(wrong.contains(place), "{text}: {wrong}");
+        }
+        for text in [
+            "{goal: {one-of: [left, right]}, examples: [left], abort: true, streams: [/pose]}",
+            "{goal: {fields: [{name: x, type: whole, least: 1.0, optional: false}]}, usually_ms: 20}",
+            r#"{"goal": {"list-of": {"list-of": {"list-of": {"list-of": {"list-of": {"type": "truth"}}}}}}}"#,
+            "{}",
+        ] {
+            parse(text).expect(text);
         }
     }
 

@@ -1,0 +1,278 @@
+//! `ztl complete-goal`: completes the task of `ztl task-client` and `ztl remote-task` for a shell, by asking the server.
+//!
+//! The scripts of `ztl completions` call it. clap's own dynamic completion cannot do it: bash splits words at `:`,
+//! which it takes for separate arguments, and its interface is unstable.
+
+use std::collections::BTreeSet;
+use std::ffi::OsString;
+use std::iter::once;
+use std::process::ExitCode;
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use clap::Parser as _;
+use ztl_std::describe::{GoalRule, ScopeDescriptions, find};
+use ztl_std::{Offers, RemoteTask};
+
+use crate::terminal::line;
+use crate::tools::Tool;
+use crate::{Cli, Command};
+
+/// How long a shell waits.
+const LIMIT: Duration = Duration::from_millis(300);
+
+/// Stands for the word that is completed.
+const CURSOR: &str = "\u{1}";
+
+/// What a server says of the scope that a command line names.
+struct Scope {
+    offers: Offers,
+    said: ScopeDescriptions,
+}
+
+/// Prints the words that may stand at the cursor, if the arguments are those of this verb. Nothing that goes wrong is
+/// printed, since a shell would show it within the line.
+pub(crate) fn run(args: &[OsString]) -> Option<ExitCode> {
+    let [_, verb, form, words @ ..] = args else {
+        return None;
+    };
+    if verb != "complete-goal" {
+        return None;
+    }
+    let words: Option<Vec<String>> = words
+        .iter()
+        .map(|word| Some(word.to_str()?.to_owned()))
+        .collect();
+    let bash = form == "--line";
+    let (words, typed) = match words.unwrap_or_default().as_slice() {
+        [text, typed] if bash => {
+            let mut words = Words::of(text);
+            if !words.all.is_empty() {
+                words.all.remove(0);
+            }
+            (words, Words::of(typed).last())
+        }
+        [words @ .., last] if !bash => {
+            let mut all = Words::of(last);
+            all.all = words.iter().cloned().chain([all.last()]).collect();
+            (all, String::new())
+        }
+        _ => return Some(ExitCode::SUCCESS),
+    };
+    let word = words.last();
+    // bash replaces a part of the word.
+    let kept = match bash {
+        true => word.len() - typed.len().min(word.len()),
+        false => 0,
+    };
+    for candidate in candidates(&words) {
+        if bash {
+            line(words.written(candidate.get(kept..).unwrap_or_default()));
+        } else {
+            line(candidate);
+        }
+    }
+    Some(ExitCode::SUCCESS)
+}
+
+/// The words that may stand at the cursor.
+fn candidates(words: &Words) -> Vec<String> {
+    let word = words.last();
+    if word.starts_with('-') {
+        return Vec::new();
+    }
+    let before = words.all.iter().rev().skip(1).rev().cloned();
+    let line: Vec<String> = once("ztl".to_owned())
+        .chain(before)
+        .chain([CURSOR.to_owned()])
+        .collect();
+    let (tell, told) = channel();
+    // The thread ends with the process.
+    let asks = std::thread::Builder::new().spawn(move || tell.send(ask(line)));
+    if asks.is_err() {
+        return Vec::new();
+    }
+    let scope = told.recv_timeout(LIMIT).ok().flatten();
+    let mut found = scope.map_or_else(Vec::new, |scope| scope.completed(&word));
+    found.retain(|text| text.starts_with(&word) && !text.contains(char::is_control));
+    found
+}
+
+/// Asks the server of a command line whose task is at the cursor.
+fn ask(line: Vec<String>) -> Option<Scope> {
+    let Command::Tool(tool) = Cli::try_parse_from(line).ok()?.command else {
+        return None;
+    };
+    let mut remote: RemoteTask = match tool {
+        Tool::TaskClient(client) => client.remote_at(CURSOR)?,
+        Tool::RemoteTask(client) => client.remote_at(CURSOR)?,
+        _ => return None,
+    };
+    let offers = remote.describe().ok()??.scopes.remove(remote.scope());
+    Some(Scope {
+        offers: offers.unwrap_or_default(),
+        said: remote.describe_scope().unwrap_or_default(),
+    })
+}
+
+impl Scope {
+    /// The tasks that a word may become, as far as the next `:`.
+    fn completed(&self, word: &str) -> Vec<String> {
+        let mut parts = word.splitn(3, ':');
+        let (handler, component, goal) =
+            (parts.next().unwrap_or_default(), parts.next(), parts.next());
+        let Some(component) = component else {
+            let names = self.offers.keys().chain(self.said.keys());
+            return named(names, String::new());
+        };
+        let Some(_) = goal else {
+            let offered = self.offers.get(handler).or_else(|| self.offers.get("*"));
+            let said = self.said.get(handler).or_else(|| self.said.get("*"));
+            let said = said.into_iter().flat_map(|components| components.keys());
+            return named(
+                offered.into_iter().flatten().chain(said),
+                format!("{handler}:"),
+            );
+        };
+        let Some(is) = find(&self.said, handler, component) else {
+            return Vec::new();
+        };
+        let words = match &is.goal {
+            GoalRule::OneOf(words) => words.iter().map(|word| word.to_string()).collect(),
+            GoalRule::Bool => vec!["True".to_owned(), "False".to_owned()],
+            GoalRule::Nothing => vec![String::new()],
+            _ => Vec::new(),
+        };
+        let examples = is.examples.iter().map(|goal| goal.to_string());
+        let mut goals: Vec<String> = Vec::new();
+        for goal in words.into_iter().chain(examples) {
+            if !goals.contains(&goal) {
+                goals.push(goal);
+            }
+        }
+        goals
+            .into_iter()
+            .map(|goal| format!("{handler}:{component}:{goal}"))
+            .collect()
+    }
+}
+
+/// Each name once, between what stands before it and a `:`.
+fn named<'a>(names: impl Iterator<Item = &'a String>, before: String) -> Vec<String> {
+    let names: BTreeSet<&String> = names.filter(|name| *name != "*").collect();
+    names
+        .into_iter()
+        .map(|name| format!("{before}{name}:"))
+        .collect()
+}
+
+/// A command line as a shell splits it.
+#[derive(Debug, Default, PartialEq)]
+struct Words {
+    /// The last one is at the cursor; it may be empty.
+    all: Vec<String>,
+    /// The quote that is open at the cursor.
+    quote: Option<char>,
+}
+
+impl Words {
+    fn of(line: &str) -> Self {
+        let (mut words, mut quote) = (vec![String::new()], None);
+        let mut chars = line.trim_start().chars();
+        while let Some(c) = chars.next() {
+            let word = words.last_mut().map(|word| (word, quote));
+            let Some((word, quoted)) = word else { break };
+            match (c, quoted) {
+                (c, Some(open)) if c == open => quote = None,
+                (c, Some('\'')) => word.push(c),
+                ('\\', _) => word.extend(chars.next()),
+                ('\'' | '"', None) => quote = Some(c),
+                (c, None) if c.is_whitespace() => {
+                    if !word.is_empty() {
+                        words.push(String::new());
+                    }
+                }
+                (c, _) => word.push(c),
+            }
+        }
+        Self { all: words, quote }
+    }
+
+    fn last(&self) -> String {
+        self.all.last().cloned().unwrap_or_default()
+    }
+
+    /// A text as it is written at the cursor.
+    fn written(&self, text: &str) -> String {
+        let plain = |c: char| c.is_alphanumeric() || "/_-.,:=+@%".contains(c);
+        let special = |c: char| match self.quote {
+            Some('\'') => false,
+            Some(_) => "\"\\$`".contains(c),
+            None => !plain(c),
+        };
+        let mut written = String::new();
+        for c in text.chars() {
+            match (c, self.quote) {
+                // Ends the quote, and begins another.
+                ('\'', Some('\'')) => written.push_str("'\\'"),
+                (c, _) if special(c) => written.push('\\'),
+                _ => {}
+            }
+            written.push(c);
+        }
+        written
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_split_as_bash_does_it() {
+        for (line, words, quote) in [
+            (
+                "ztl  task-client a:b",
+                &["ztl", "task-client", "a:b"][..],
+                None,
+            ),
+            ("ztl 'a b':\"c d\" ", &["ztl", "a b:c d", ""], None),
+            ("ztl arm:'say it", &["ztl", "arm:say it"], Some('\'')),
+            (r#"ztl a\ b\:"c\"d"#, &["ztl", "a b:c\"d"], Some('"')),
+            ("", &[""], None),
+        ] {
+            let split = Words::of(line);
+            assert_eq!(
+                (split.all.as_slice(), split.quote),
+                (
+                    words
+                        .iter()
+                        .map(|word| (*word).to_owned())
+                        .collect::<Vec<_>>()
+                        .as_slice(),
+                    quote
+                ),
+                "{line}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        for text in [
+            "{x: 1, 'y': [\"a b\"]}",
+            "$HOME",
+            "it's",
+            "a;b|c",
+            "`ls`",
+            "ü*?",
+            "\\",
+        ] {
+            for open in ["", "'", "\""] {
+                let written = Words::of(open).written(text);
+                let read = Words::of(&format!("{open}{written}"));
+                assert_eq!(read.last(), text, "{open}{written}");
+            }
+        }
+    }
+}
