@@ -67,7 +67,7 @@ impl<'d> ConfigReader<'d> {
         path: Option<String>,
     ) -> Option<StreamConfig> {
         let mut fields = self.yaml.fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
-        let framing = fields.required("frame", "frame: line, json, jpeg, length, or 3200 bytes");
+        let framing = fields.required("frame", "frame: line");
         let framing = framing.and_then(|node| self.framing(node));
         let longest_node = fields.optional("longest");
         let longest = longest_node.and_then(|node| self.frame_size(node));

@@ -147,7 +147,8 @@ impl Splitter {
                     Some(Jpeg::Marker)
                 }
                 (Jpeg::Before(count, _), _) => {
-                    if count == GAP {
+                    // The first byte of an image may follow the gap.
+                    if count == GAP + 1 {
                         found(Piece::NotJpeg);
                     }
                     Some(Jpeg::Before(count.saturating_add(1), byte == 0xff))
@@ -184,17 +185,23 @@ impl Splitter {
                 }
                 (Jpeg::Marker | Jpeg::Code(_), _) => None,
             };
-            self.jpeg = next.unwrap_or_else(|| {
-                found(Piece::NotJpeg);
-                self.reset();
-                // A new image begins in the middle of this one.
-                if matches!(self.jpeg, Jpeg::Code(_)) && byte == SOI {
-                    self.frame.push(0xff);
-                    begin = at - 1;
-                    return Jpeg::Marker;
+            self.jpeg = match next {
+                Some(next) => next,
+                None => {
+                    self.keep(bytes.get(begin..at).unwrap_or_default(), found);
+                    found(Piece::NotJpeg);
+                    self.reset();
+                    match (self.jpeg, byte) {
+                        // A new image begins in the middle of this one.
+                        (Jpeg::Code(_), SOI) => {
+                            self.frame.push(0xff);
+                            begin = at - 1;
+                            Jpeg::Marker
+                        }
+                        _ => Jpeg::Before(0, false),
+                    }
                 }
-                Jpeg::Before(0, false)
-            });
+            };
         }
         if !matches!(self.jpeg, Jpeg::Before(..)) {
             self.keep(bytes.get(begin..).unwrap_or_default(), found);
@@ -244,5 +251,170 @@ const fn segment(rest: usize, is_scan: bool) -> Jpeg {
         (0, true) => Jpeg::Data,
         (0, false) => Jpeg::Marker,
         _ => Jpeg::Segment(rest, is_scan),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ztl_tests::garbage::Garbage;
+
+    use super::*;
+
+    const THUMBNAIL: &[u8] = include_bytes!("../../../tests/serve/images/thumbnail.jpg");
+    const PROGRESSIVE: &[u8] = include_bytes!("../../../tests/serve/images/progressive.jpg");
+    /// With a filled marker, one without a segment, and data that looks like one.
+    const SMALL: &[u8] = b"\xff\xd8\xff\x01\xff\xff\xe0\0\x04\xff\xd9\xff\xda\0\x02d\xff\0\xff\xd7\xff\xff\xd9";
+    const LONGEST: usize = 8192;
+
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    enum Found {
+        Frame(Vec<u8>),
+        TooLong,
+        NotJpeg,
+    }
+
+    use Found::{Frame, NotJpeg, TooLong};
+
+    fn push(splitter: &mut Splitter, bytes: &[u8], found: &mut Vec<Found>) {
+        splitter.push(bytes, |piece| {
+            found.push(match piece {
+                Piece::Frame(frame) => Frame(frame.to_vec()),
+                Piece::TooLong => TooLong,
+                Piece::NotJpeg => NotJpeg,
+            });
+        });
+        let held = splitter.frame.capacity();
+        assert!(held <= 2 * (splitter.longest + 4), "{held}");
+    }
+
+    /// What output has in it. The same, wherever it is cut into two, and in pieces of each length up to 100.
+    #[track_caller]
+    fn of(framing: Framing, longest: usize, bytes: &[u8]) -> Vec<Found> {
+        let split = |pieces: &mut dyn Iterator<Item = &[u8]>| {
+            let mut splitter = Splitter::new(framing, longest);
+            let mut found = Vec::new();
+            for piece in pieces {
+                push(&mut splitter, piece, &mut found);
+            }
+            found
+        };
+        let whole = split(&mut std::iter::once(bytes));
+        for cut in 0..=bytes.len() {
+            let (left, right) = bytes.split_at(cut);
+            assert_eq!(split(&mut [left, right].into_iter()), whole, "cut at {cut}");
+        }
+        for length in 1..100 {
+            assert_eq!(split(&mut bytes.chunks(length)), whole, "by {length}");
+        }
+        whole
+    }
+
+    fn frames(frames: &[&[u8]]) -> Vec<Found> {
+        frames.iter().map(|frame| Frame(frame.to_vec())).collect()
+    }
+
+    #[test]
+    fn lines_end_with_their_line_breaks() {
+        let lines = |bytes| of(Framing::Line, 8, bytes);
+        assert_eq!(
+            lines(b"1\n\n\xff2\r\n3\r4\nrest"),
+            frames(&[b"1", b"", b"\xff2", b"3\r4"])
+        );
+        assert_eq!(
+            lines(b"12345678\n123456789\n1234567\r\n1234567890123456789\n1\n"),
+            [
+                Frame(b"12345678".to_vec()),
+                TooLong,
+                Frame(b"1234567".to_vec()),
+                TooLong,
+                Frame(b"1".to_vec())
+            ]
+        );
+        assert_eq!(lines(&[b'x'; 1000]), [TooLong]);
+    }
+
+    #[test]
+    fn blocks_have_their_length() {
+        let blocks = of(Framing::Fixed(3), 1, b"123456789a");
+        assert_eq!(blocks, frames(&[b"123", b"456", b"789"]));
+        assert_eq!(of(Framing::Fixed(1), 1, b"ab"), frames(&[b"a", b"b"]));
+    }
+
+    #[test]
+    fn a_length_is_before_each_frame() {
+        let lengths = |bytes| of(Framing::Length, 4, bytes);
+        let right = b"\0\0\0\x03abc\0\0\0\0\0\0\0\x04\0\0\0\x01\0\0\0\x02x";
+        assert_eq!(lengths(right), frames(&[b"abc", b"", b"\0\0\0\x01"]));
+        let long = b"\0\0\0\x05abcde\0\0\0\x01f\xff\xff\xff\xff\0\0\0\x01g";
+        assert_eq!(lengths(long), [TooLong, Frame(b"f".to_vec()), TooLong]);
+    }
+
+    fn images(bytes: &[u8]) -> Vec<Found> {
+        of(Framing::Jpeg, LONGEST, bytes)
+    }
+
+    #[test]
+    fn images_are_whole_wherever_the_output_is_cut() {
+        // The end of the small image within the first is not the end of the first.
+        let ends = |image: &[u8]| image.windows(2).filter(|pair| *pair == [0xff, EOI]).count();
+        assert_eq!((ends(THUMBNAIL), ends(PROGRESSIVE)), (2, 1));
+        let header = b"\r\n--frame\r\nContent-Type: image/jpeg\r\n\r\n";
+        let found = images(&[THUMBNAIL, header, PROGRESSIVE, SMALL, b"\0\xff", SMALL].concat());
+        assert!(found == frames(&[THUMBNAIL, PROGRESSIVE, SMALL, SMALL]));
+    }
+
+    #[test]
+    fn a_damaged_image_is_dropped_and_the_next_one_is_not() {
+        let next = Frame(SMALL.to_vec());
+        let with_next = |begin: &[u8]| images(&[begin, SMALL].concat());
+        // It breaks off in its data.
+        let broken = &PROGRESSIVE[..PROGRESSIVE.len() - 50];
+        assert_eq!(with_next(broken), [NotJpeg, next.clone()]);
+        let gap = vec![b'.'; GAP];
+        assert_eq!(with_next(&gap), [next.clone()]);
+        assert_eq!(with_next(&[&gap[..], b"."].concat()), [NotJpeg, next.clone()]);
+        // A start without a marker, and a segment that is shorter than its own length.
+        assert_eq!(with_next(b"\xff\xd8.."), [NotJpeg, next.clone()]);
+        assert_eq!(with_next(b"\xff\xd8\xff\xe0\0\x01"), [NotJpeg, next.clone()]);
+        assert_eq!(with_next(b"\xff\xd8\xff\xd8\xff\xd8.."), [NotJpeg, NotJpeg, NotJpeg, next]);
+    }
+
+    #[test]
+    fn an_image_without_an_end_takes_no_more_memory_than_the_limit() {
+        let image = |length| {
+            let head: &[u8] = b"\xff\xd8\xff\xda\0\x02";
+            [head, &vec![b'.'; length - head.len() - 2], &[0xff, EOI]].concat()
+        };
+        let all = [image(LONGEST), image(LONGEST + 1), image(100)].concat();
+        assert_eq!(
+            images(&all),
+            [Frame(image(LONGEST)), TooLong, Frame(image(100))]
+        );
+        let mut splitter = Splitter::new(Framing::Jpeg, LONGEST);
+        let mut found = Vec::new();
+        push(&mut splitter, b"\xff\xd8\xff\xda\0\x02", &mut found);
+        for _ in 0..1000 {
+            push(&mut splitter, &[0; 1000], &mut found);
+        }
+        assert_eq!(found, [TooLong]);
+        push(&mut splitter, SMALL, &mut found);
+        assert_eq!(found.last(), Some(&Frame(SMALL.to_vec())));
+    }
+
+    #[test]
+    fn any_output_is_cut_as_if_it_came_at_once() {
+        let mut garbage = Garbage::new(17);
+        for round in 0..300 {
+            // Markers are frequent, lengths are small.
+            let often = [0xff, 0xff, 0xd8, 0xd9, 0xda, 0xe0, 0, 0, 0, 3, 9, b'\n', b'x'];
+            let bytes: Vec<u8> = (0..120).map(|_| often[garbage.below(often.len())]).collect();
+            let framings = [
+                Framing::Line,
+                Framing::Jpeg,
+                Framing::Length,
+                Framing::Fixed(7),
+            ];
+            of(framings[round % 4], 12, &bytes);
+        }
     }
 }
