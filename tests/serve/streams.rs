@@ -26,8 +26,13 @@ impl Robot {
 
     #[track_caller]
     fn with(streams: &str, options: &[&str]) -> Self {
+        Self::of_file(&file(streams), options)
+    }
+
+    #[track_caller]
+    fn of_file(text: &str, options: &[&str]) -> Self {
         let options = [&["--publish", "0"], options].concat();
-        let rig = Rig::of_file(&file(streams), &options);
+        let rig = Rig::of_file(text, &options);
         let said = "Publishing streams and events of tasks at ";
         let port = rig.server.process.wait_for_port(said);
         Self { rig, port }
@@ -401,7 +406,6 @@ fn hostile_output_takes_bounded_memory_and_delays_no_other_stream() {
         noise: {shell: 'cat /dev/zero', frame: jpeg, when-watched: 60 s}
         length: {shell: 'printf "\377\377\377\377"; cat /dev/zero', frame: length, when-watched: 60 s}
         json: {shell: 'while :; do echo "{\"x\": "; printf "\377\n"; done', frame: json, when-watched: 60 s}
-        flood: {shell: 'yes ""', frame: line, when-watched: 60 s}
         tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}
         "#,
     );
@@ -428,9 +432,48 @@ fn hostile_output_takes_bounded_memory_and_delays_no_other_stream() {
     let grown = process.peak_kib().saturating_sub(before);
     println!("hostile output: the server had grown by {grown} KiB");
     assert!(grown < 96 << 10, "{grown} KiB");
-    let lines = |name: &str| process.stderr().matches(&format!("Stream /robot/{name}: ")).count();
     // One line in ten seconds.
-    assert!(lines("json") <= 4, "{}", process.stderr());
+    let lines = process.stderr().matches("Stream /robot/json: ").count();
+    assert!(lines <= 4, "{}", process.stderr());
+}
+
+#[test]
+fn a_flood_of_frames_leaves_room_for_other_streams_and_for_tasks() {
+    let _busy = busy();
+    let text = "scopes: {/robot: {h: {echo: echo}}}\n".to_owned()
+        + &file(
+            r#"
+            flood: {shell: 'yes ""', frame: line, when-watched: 60 s}
+            tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}
+            "#,
+        );
+    let robot = Robot::of_file(&text, &[]);
+    let mut flood = robot.subscribe("/robot/flood");
+    assert_eq!(shown(&mut flood), "''");
+    let process = &robot.rig.server.process;
+    let mut tick = robot.subscribe("/robot/tick");
+    let mut events = robot.subscribe("/robot/$tasks");
+    let endpoint = robot.rig.server.endpoint();
+    let mut remote = ztl_std::RemoteTask::connect(&endpoint, "/robot").expect("an address");
+    // Until its subscription has arrived.
+    until("an event", PATIENCE, || {
+        let ended = remote.run("h", "echo", "first", Some(PATIENCE));
+        assert_eq!(ended.expect("its end").text, "first");
+        events.next_within(WAIT).expect("it can wait")
+    });
+    for number in 0..20 {
+        assert_eq!(shown(&mut tick), "'tick'");
+        let goal = number.to_string();
+        let ended = remote.run("h", "echo", &goal, Some(PATIENCE));
+        assert_eq!(ended.expect("its end").text, goal);
+    }
+    let last = "'text': '19'";
+    until(last, PATIENCE, || shown(&mut events).contains(last).then_some(()));
+    assert_eq!((tick.missed(), events.missed()), (0, 0));
+    assert!(!process.stderr().contains("were not published"));
+    let held = process.peak_kib();
+    println!("a flood: the server had {held} KiB");
+    assert!(held < 96 << 10, "{held} KiB");
 }
 
 #[test]

@@ -40,7 +40,7 @@ pub struct Config {
     pub warnings: Vec<Diagnostic>,
     /// The mistake that there are streams and no port to publish them at, unless that is given elsewhere.
     pub unpublished: Option<Diagnostic>,
-    streams: Vec<Arc<StreamConfig>>,
+    pub(crate) streams: Vec<Arc<StreamConfig>>,
     at_once: usize,
 }
 

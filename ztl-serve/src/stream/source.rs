@@ -179,3 +179,98 @@ impl Source {
         self.pause = (self.pause * 2).min(PAUSE.1);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use ztl_yaml::Document;
+
+    use super::*;
+    use crate::Config;
+
+    struct Nothing;
+
+    impl Job for Nothing {
+        fn stop(&mut self, _: Instant, _: StopReason, effects: &mut Vec<Effect>) {
+            effects.push(Effect::End(Outcome::Aborted(String::new())));
+        }
+    }
+
+    /// A stream with this setting, and what tells whether anyone subscribes.
+    fn source(now: Instant, setting: &str) -> (Source, Arc<AtomicBool>) {
+        let text = format!("streams: {{/r: {{s: {{run: [x], frame: line, {setting}}}}}}}");
+        let document = Document::parse("robot.yaml", text.as_bytes()).expect("YAML");
+        let config = Config::read(&document, Path::new("/")).expect("a stream");
+        let [config] = config.streams.as_slice() else {
+            panic!("{config:?}");
+        };
+        let publisher = Publisher::bind("tcp://127.0.0.1:*", "/r").expect("a port");
+        let is_watched = Arc::new(AtomicBool::new(config.when_watched.is_none()));
+        let source = Source::new(now, config, publisher, Arc::clone(&is_watched));
+        (source, is_watched)
+    }
+
+    fn start(source: &mut Source, now: Instant) {
+        assert!(source.is_due(now));
+        let id = TaskId::new(1).expect("an id");
+        source.started(now, id, Box::new(Nothing));
+        assert!(!source.is_due(now));
+    }
+
+    #[test]
+    fn pauses_become_longer_until_a_program_has_run_well() {
+        let mut now = Instant::now();
+        let (mut source, _) = source(now, "latest: no");
+        // The program runs for a time, and the pause after that is of a length.
+        let mut pause = |runs: Duration| {
+            start(&mut source, now);
+            source.with_job(now, |_, effects| effects.push(Effect::Accept));
+            now += runs;
+            source.with_job(now, |_, effects| {
+                effects.push(Effect::End(Outcome::Failed("exit code 1".to_owned())));
+            });
+            let due = source.poll_timeout(now).expect("a start");
+            let pause = due - now;
+            now = due;
+            pause.as_millis()
+        };
+        let short = WELL - Duration::from_millis(1);
+        let pauses: Vec<u128> = (0..9).map(|_| pause(short)).collect();
+        let longest = PAUSE.1.as_millis();
+        assert_eq!(
+            pauses,
+            [500, 1000, 2000, 4000, 8000, 16_000, longest, longest, longest]
+        );
+        assert_eq!([pause(WELL), pause(short)], [500, 1000]);
+    }
+
+    #[test]
+    fn a_program_that_nobody_subscribes_to_stops_after_its_time() {
+        let now = Instant::now();
+        let at = |millis| now + Duration::from_millis(millis);
+        let (mut source, is_watched) = source(now, "when-watched: 1 s");
+        assert!(!source.is_due(now));
+        assert_eq!(source.poll_timeout(now), None);
+        is_watched.store(true, Ordering::Release);
+        start(&mut source, now);
+        let runs = |source: &mut Source, millis| {
+            source.handle_timeout(at(millis), false);
+            source.job().is_some()
+        };
+        assert!(runs(&mut source, 5000));
+        is_watched.store(false, Ordering::Release);
+        assert!(runs(&mut source, 5000));
+        assert_eq!(source.poll_timeout(at(5000)), Some(at(6000)));
+        is_watched.store(true, Ordering::Release);
+        assert!(runs(&mut source, 5999));
+        is_watched.store(false, Ordering::Release);
+        assert!(runs(&mut source, 6000));
+        assert!(runs(&mut source, 6999));
+        assert!(!runs(&mut source, 7000));
+        assert!(!source.is_due(at(7000)));
+        // Stopped on purpose, so there is no pause.
+        is_watched.store(true, Ordering::Release);
+        start(&mut source, at(7000));
+    }
+}
