@@ -308,7 +308,8 @@ fn a_program_that_ends_is_started_again_after_longer_and_longer_pauses() {
     );
     let process = &robot.rig.server.process;
     for pause in ["500 ms", "1 s", "2 s"] {
-        let again = |name: &str| format!("Stream /robot/{name} has ended, and begins again in {pause}: ");
+        let again =
+            |name: &str| format!("Stream /robot/{name} has ended, and begins again in {pause}: ");
         process.wait_for(&format!("{}exit code 3: oops", again("fails")));
         process.wait_for(&format!("{}exit code 0", again("ends")));
         let line = process.wait_for(&format!("{}no-such-program: not found;", again("missing")));
@@ -468,7 +469,9 @@ fn a_flood_of_frames_leaves_room_for_other_streams_and_for_tasks() {
         assert_eq!(ended.expect("its end").text, goal);
     }
     let last = "'text': '19'";
-    until(last, PATIENCE, || shown(&mut events).contains(last).then_some(()));
+    until(last, PATIENCE, || {
+        shown(&mut events).contains(last).then_some(())
+    });
     assert_eq!((tick.missed(), events.missed()), (0, 0));
     assert!(!process.stderr().contains("were not published"));
     let held = process.peak_kib();
@@ -505,10 +508,13 @@ streams:
     let rig = Rig::of_file(text, &["--publish", "0"]);
     let served = "Serving 1 component at /robot, 3 streams at /robot at ";
     rig.server.process.wait_for(served);
-    let mut remote = ztl_std::RemoteTask::connect(&rig.server.endpoint(), "/robot").expect("an address");
+    let mut remote =
+        ztl_std::RemoteTask::connect(&rig.server.endpoint(), "/robot").expect("an address");
     remote.trigger("h", "c", "").expect("taken");
     for name in ["task", "careful", "stubborn", "driven"] {
-        until(name, PATIENCE, || rig.scratch.path(name).exists().then_some(()));
+        until(name, PATIENCE, || {
+            rig.scratch.path(name).exists().then_some(())
+        });
     }
     let start = Instant::now();
     rig.server.process.signal("TERM");
@@ -522,7 +528,10 @@ streams:
     // Not one after the other.
     assert!(took >= Duration::from_secs(2), "{took:?}");
     println!("stopped within {took:?}");
-    assert!(!ended.stderr.contains("has ended, and begins again"), "{ended:?}");
+    assert!(
+        !ended.stderr.contains("has ended, and begins again"),
+        "{ended:?}"
+    );
     drop(scratch);
 }
 
@@ -536,7 +545,8 @@ fn a_key_of_another_scope_neither_hears_a_stream_nor_starts_it() {
         "sound: {shell: 'echo >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 60 s}",
         &["--key", &own, "--client-key", &anna, "--client-key", &berta],
     );
-    let warned = "client keys are allowed at scope '/other', which is not served; there are: /robot";
+    let warned =
+        "client keys are allowed at scope '/other', which is not served; there are: /robot";
     robot.rig.server.process.wait_for(warned);
     let subscribe = |name: &str| {
         let subscriber = Subscriber::builder().keys(keys.pair(name), keys.pair("server").public());
@@ -561,7 +571,13 @@ fn streams_need_a_port_to_publish_at() {
     let path = scratch.path("robot.yaml");
     let check = |text: &str, options: &[&str]| -> Ended {
         std::fs::write(&path, text).expect("to write");
-        Process::run(ztl().arg("serve").arg(&path).args(["--check", "-p", "0"]).args(options))
+        Process::run(
+            ztl()
+                .arg("serve")
+                .arg(&path)
+                .args(["--check", "-p", "0"])
+                .args(options),
+        )
     };
     let text = "streams:\n  /a: {b: {run: [sh], frame: line}, c: {run: [sh], frame: json}}\n";
     let ended = check(text, &[]);
@@ -573,12 +589,25 @@ fn streams_need_a_port_to_publish_at() {
     assert!(ended.stderr.starts_with(&said), "{ended:?}");
     let ended = check(text, &["--publish", "0", "-s", "/x"]);
     let said = "Nothing is wrong: 2 streams at /x, at 127.0.0.1:0.\n";
-    assert_eq!((ended.code, ended.stdout.as_str()), (Some(0), said), "{ended:?}");
+    assert_eq!(
+        (ended.code, ended.stdout.as_str()),
+        (Some(0), said),
+        "{ended:?}"
+    );
     let text = format!("publish: 0\nscopes: {{/b: {{h: {{c: echo}}}}}}\n{text}");
     let ended = check(&text, &[]);
     let said = "Nothing is wrong: 1 component at /b, 2 streams at /a, at 127.0.0.1:0.\n";
-    assert_eq!((ended.code, ended.stdout.as_str()), (Some(0), said), "{ended:?}");
+    assert_eq!(
+        (ended.code, ended.stdout.as_str()),
+        (Some(0), said),
+        "{ended:?}"
+    );
     let ended = check(&text, &["-s", "/x"]);
     assert_eq!(ended.code, Some(2), "{ended:?}");
-    assert!(ended.stderr.contains("--scope names the only scope of a file"), "{ended:?}");
+    assert!(
+        ended
+            .stderr
+            .contains("--scope names the only scope of a file"),
+        "{ended:?}"
+    );
 }

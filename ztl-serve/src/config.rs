@@ -7,8 +7,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ztl_std::describe::{CheckGoal, ComponentDescription, GoalRule, described};
 use ztl_std::Publisher;
+use ztl_std::describe::{CheckGoal, ComponentDescription, GoalRule, described};
 use ztl_std::listen::Listen;
 use ztl_yaml::{Diagnostic, Diagnostics, Document, Node, NodeValue};
 
@@ -188,7 +188,8 @@ impl<'d> ConfigReader<'d> {
         }
         let streams = streams_node.map(|node| self.streams(node));
         let unpublished = streams_node.filter(|_| listen.publish.is_none());
-        let message = "streams need a port where they are published; write publish: 12346, or give --publish";
+        let message =
+            "streams need a port where they are published; write publish: 12346, or give --publish";
         let unpublished = unpublished.map(|node| self.yaml.mistake(node, message));
         fields.finish(&mut self.yaml);
         Some(Config {

@@ -15,8 +15,8 @@ use ztl_std::server::KEEP;
 use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
 use ztl_yaml::{Fields, Node};
 
-use crate::human::human_time;
 use crate::call::Call;
+use crate::human::human_time;
 use crate::kind::{Effect, JobContext, Kind, Outcome, Services, Start};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::thread_job;

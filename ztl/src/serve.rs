@@ -174,7 +174,10 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
             Some(_) => "streams and events of tasks",
             None => "events of tasks",
         };
-        line(format_args!("Publishing {what} at {}.", publisher.endpoint()));
+        line(format_args!(
+            "Publishing {what} at {}.",
+            publisher.endpoint()
+        ));
     }
     line(format_args!(
         "Serving {} at {}. Reachable for {who}.",

@@ -287,12 +287,18 @@ streams:
     assert_eq!(run.directory.to_str(), Some("/tmp"));
     assert_eq!(run.environment, [("A".to_owned(), "b".to_owned())]);
     assert!(run.user.is_some());
-    assert!(matches!(battery.program.abort.by, AbortBy::Signal("INT", _)));
+    assert!(matches!(
+        battery.program.abort.by,
+        AbortBy::Signal("INT", _)
+    ));
     assert_eq!((arm.framing, arm.longest), (Framing::Jpeg, 4 << 20));
     assert_eq!(arm.topic(), "/robot/arm/left");
     assert_eq!(arm.interval, Some(Duration::from_millis(400)));
     assert!(matches!(arm.program.abort.by, AbortBy::Program(_)));
-    assert_eq!((pose.framing, raw.framing), (Framing::Json, Framing::Length));
+    assert_eq!(
+        (pose.framing, raw.framing),
+        (Framing::Json, Framing::Length)
+    );
     config.rename_scopes("/lab");
     assert_eq!(config.streams(), [("/lab", 5)]);
 }

@@ -110,10 +110,7 @@ impl Invocation {
     pub(crate) fn launch_stream(&self, scope: &str, id: &str) -> Launch {
         let arguments = self.arguments.iter();
         let arguments = arguments.map(|argument| argument.template.beginning().to_owned());
-        self.with(
-            arguments.collect(),
-            &[("ZTL_ID", id), ("ZTL_SCOPE", scope)],
-        )
+        self.with(arguments.collect(), &[("ZTL_ID", id), ("ZTL_SCOPE", scope)])
     }
 
     fn with(&self, arguments: Vec<String>, more: &[(&str, &str)]) -> Launch {

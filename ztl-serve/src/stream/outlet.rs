@@ -99,7 +99,9 @@ impl Outlet {
         let topic = self.config.topic();
         match std::mem::take(&mut self.dropped) {
             1 => warn!(target: LOG, "Stream {topic}: a frame was dropped: {why}"),
-            many => warn!(target: LOG, "Stream {topic}: {many} frames were dropped; the last one: {why}"),
+            many => {
+                warn!(target: LOG, "Stream {topic}: {many} frames were dropped; the last one: {why}")
+            }
         }
     }
 }

@@ -66,7 +66,9 @@ impl<'d> ConfigReader<'d> {
         scope: Option<&str>,
         path: Option<String>,
     ) -> Option<StreamConfig> {
-        let mut fields = self.yaml.fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
+        let mut fields = self
+            .yaml
+            .fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
         let framing = fields.required("frame", "frame: line");
         let framing = framing.and_then(|node| self.framing(node));
         let longest_node = fields.optional("longest");

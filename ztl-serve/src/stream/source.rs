@@ -240,7 +240,9 @@ mod tests {
         let longest = PAUSE.1.as_millis();
         assert_eq!(
             pauses,
-            [500, 1000, 2000, 4000, 8000, 16_000, longest, longest, longest]
+            [
+                500, 1000, 2000, 4000, 8000, 16_000, longest, longest, longest
+            ]
         );
         assert_eq!([pause(WELL), pause(short)], [500, 1000]);
     }

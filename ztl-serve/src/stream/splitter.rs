@@ -263,7 +263,8 @@ mod tests {
     const THUMBNAIL: &[u8] = include_bytes!("../../../tests/serve/images/thumbnail.jpg");
     const PROGRESSIVE: &[u8] = include_bytes!("../../../tests/serve/images/progressive.jpg");
     /// With a filled marker, one without a segment, and data that looks like one.
-    const SMALL: &[u8] = b"\xff\xd8\xff\x01\xff\xff\xe0\0\x04\xff\xd9\xff\xda\0\x02d\xff\0\xff\xd7\xff\xff\xd9";
+    const SMALL: &[u8] =
+        b"\xff\xd8\xff\x01\xff\xff\xe0\0\x04\xff\xd9\xff\xda\0\x02d\xff\0\xff\xd7\xff\xff\xd9";
     const LONGEST: usize = 8192;
 
     #[derive(Debug, Clone, PartialEq, Eq)]
@@ -372,11 +373,20 @@ mod tests {
         assert_eq!(with_next(broken), [NotJpeg, next.clone()]);
         let gap = vec![b'.'; GAP];
         assert_eq!(with_next(&gap), [next.clone()]);
-        assert_eq!(with_next(&[&gap[..], b"."].concat()), [NotJpeg, next.clone()]);
+        assert_eq!(
+            with_next(&[&gap[..], b"."].concat()),
+            [NotJpeg, next.clone()]
+        );
         // A start without a marker, and a segment that is shorter than its own length.
         assert_eq!(with_next(b"\xff\xd8.."), [NotJpeg, next.clone()]);
-        assert_eq!(with_next(b"\xff\xd8\xff\xe0\0\x01"), [NotJpeg, next.clone()]);
-        assert_eq!(with_next(b"\xff\xd8\xff\xd8\xff\xd8.."), [NotJpeg, NotJpeg, NotJpeg, next]);
+        assert_eq!(
+            with_next(b"\xff\xd8\xff\xe0\0\x01"),
+            [NotJpeg, next.clone()]
+        );
+        assert_eq!(
+            with_next(b"\xff\xd8\xff\xd8\xff\xd8.."),
+            [NotJpeg, NotJpeg, NotJpeg, next]
+        );
     }
 
     #[test]
@@ -406,8 +416,12 @@ mod tests {
         let mut garbage = Garbage::new(17);
         for round in 0..300 {
             // Markers are frequent, lengths are small.
-            let often = [0xff, 0xff, 0xd8, 0xd9, 0xda, 0xe0, 0, 0, 0, 3, 9, b'\n', b'x'];
-            let bytes: Vec<u8> = (0..120).map(|_| often[garbage.below(often.len())]).collect();
+            let often = [
+                0xff, 0xff, 0xd8, 0xd9, 0xda, 0xe0, 0, 0, 0, 3, 9, b'\n', b'x',
+            ];
+            let bytes: Vec<u8> = (0..120)
+                .map(|_| often[garbage.below(often.len())])
+                .collect();
             let framings = [
                 Framing::Line,
                 Framing::Jpeg,

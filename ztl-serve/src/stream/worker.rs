@@ -150,8 +150,7 @@ impl Worker {
             let config = Arc::clone(&source.config);
             let program = Arc::clone(&config.program);
             let mark = format!("stream-{:016x}-{id}", self.mark);
-            let assignment =
-                Assignment::of_stream(&program, &config.scope, &config.topic(), mark);
+            let assignment = Assignment::of_stream(&program, &config.scope, &config.topic(), mark);
             let context = JobContext {
                 id,
                 mailbox: self.mailbox.clone(),

@@ -223,7 +223,8 @@ impl Orphan {
             }
             Ending::Run(launch) => match spawn(launch) {
                 Ok(child) => {
-                    let mut helper = Charge::new(&charge.name, &charge.id, Ending::Wait, charge.grace);
+                    let mut helper =
+                        Charge::new(&charge.name, &charge.id, Ending::Wait, charge.grace);
                     helper.group = Some(ProcessGroup::of(group::led_by(&child)));
                     return Some(Self::new(helper));
                 }
