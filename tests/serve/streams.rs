@@ -4,9 +4,9 @@ use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use ztl_pickle::Pickle;
+use ztl_pickle::{Kind, Pickle};
 use ztl_std::Subscriber;
-use ztl_tests::lab::{Ended, Keys, PATIENCE, Process, Scratch, busy, python, until, ztl};
+use ztl_tests::lab::{Ended, Keys, PATIENCE, Process, Scratch, Server, busy, python, until, ztl};
 
 use crate::rig::{Rig, dies, lives, project};
 
@@ -155,17 +155,17 @@ fn each_kind_of_frame_is_a_value_in_python() {
         let path = project(&format!("tests/serve/images/{name}.jpg"));
         std::fs::read(path).expect("an image")
     });
-    let robot = Robot::new(
-        r#"
+    let streams = r#"
         line: {run: [sh, -c, 'until [ -e go ]; do sleep 0.01; done; printf "one\r\n\n\377 2\nrest"; sleep 60'], frame: line}
         json: {shell: 'until [ -e go ]; do sleep 0.01; done; cat json; sleep 60', frame: json}
         blocks: {shell: 'until [ -e go ]; do sleep 0.01; done; printf "\0\1\2\3\4"; sleep 60', frame: 2 bytes}
         length: {shell: 'until [ -e go ]; do sleep 0.01; done; printf "\0\0\0\3abc\0\0\0\0\0\0\0\1d"; sleep 60', frame: length}
-        jpeg: {run: [python3, cut.py], frame: jpeg}
+        jpeg: {run: [PYTHON, cut.py], frame: jpeg}
         who: {shell: 'until [ -e go ]; do sleep 0.01; done; echo "$ZTL_SCOPE $LANG ${ZTL_GOAL-none}"; sleep 60', environment: {LANG: de}, frame: line}
         tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}
-        "#,
-    );
+        "#;
+    let python = python().display().to_string();
+    let robot = Robot::new(&streams.replace("PYTHON", &python));
     let json = r#"{"x": [1, -2.5, 0.1, 12345678901234567890, true, null], "a": "\u00e4"}
 
 nonsense
@@ -226,21 +226,25 @@ fn of_twenty_subscribers_five_that_never_read_cost_the_others_nothing() {
     const BATCHES: usize = 20;
     const READERS: usize = 15;
     let _busy = busy();
-    let robot = Robot::new("blocks: {run: [python3, blocks.py], frame: 20000 bytes}");
+    let python = python().display().to_string();
+    let robot = Robot::new(&format!(
+        "blocks: {{run: [{python}, blocks.py], frame: 20000 bytes}}"
+    ));
     let script = format!(
         "
 import os, time
-def wait(name):
-    while not os.path.exists(name): time.sleep(0.01)
-number = 0
-wait('go')
+def put(number):
+    block = b'%08d' % number + b'x' * 19992
+    while block:
+        block = block[os.write(1, block):]
+while not os.path.exists('go'):
+    put(99999999)
+    time.sleep(0.02)
 for batch in range({BATCHES}):
-    for _ in range({BATCH}):
-        block = b'%08d' % number + b'x' * 19992
-        while block:
-            block = block[os.write(1, block):]
-        number += 1
-    wait('got%d' % batch)
+    for number in range({BATCH}):
+        put(batch * {BATCH} + number)
+    while not os.path.exists('got%d' % batch):
+        time.sleep(0.01)
 time.sleep(600)
 "
     );
@@ -249,46 +253,57 @@ time.sleep(600)
     let subscribe = |most| {
         let socket = context.socket(zmq::SUB).expect("a socket");
         socket.set_rcvhwm(most).expect("a limit");
-        socket.set_rcvtimeo(10_000).expect("a limit");
+        socket.set_rcvtimeo(20_000).expect("a limit");
         socket.set_subscribe(b"/robot/blocks").expect("a topic");
         socket.connect(&robot.endpoint()).expect("an address");
         socket
     };
     let _slow: Vec<_> = (0..5).map(|_| subscribe(1)).collect();
     let readers: Vec<_> = (0..READERS).map(|_| subscribe(0)).collect();
-    let mut watching = robot.subscribe("/robot/$tasks");
     let process = &robot.rig.server.process;
-    let got = AtomicUsize::new(0);
+    let [ready, got] = [0, 0].map(AtomicUsize::new);
     let before = std::thread::scope(|scope| {
         for reader in readers {
-            let got = &got;
+            let next = move || {
+                let frames = reader.recv_multipart(0).expect("a message");
+                let [topic, body] = frames.as_slice() else {
+                    panic!("{} frames", frames.len());
+                };
+                assert_eq!(topic, b"/robot/blocks");
+                let value = Pickle::read(body).expect("a pickle");
+                let Kind::Bytes(block) = value.value().kind() else {
+                    panic!("{value:?}");
+                };
+                assert!(block.len() == 20_000 && block.ends_with(b"xxx"));
+                let digits = std::str::from_utf8(&block[..8]).expect("digits");
+                digits.parse::<usize>().expect("a number")
+            };
+            let (ready, got) = (&ready, &got);
             scope.spawn(move || {
-                for number in 0..BATCH * BATCHES {
-                    let frames = reader.recv_multipart(0).expect("a message");
-                    let [topic, body] = frames.as_slice() else {
-                        panic!("{} frames", frames.len());
-                    };
-                    assert_eq!(topic, b"/robot/blocks");
-                    let digits = format!("{number:08}xxx");
-                    let is_here = body.windows(11).any(|part| part == digits.as_bytes());
-                    assert!(is_here, "{number}");
+                let mut number = next();
+                ready.fetch_add(1, Ordering::SeqCst);
+                while number == 99_999_999 {
+                    number = next();
+                }
+                for expected in 0..BATCH * BATCHES {
+                    assert_eq!(number, expected);
                     got.fetch_add(1, Ordering::SeqCst);
+                    if expected + 1 < BATCH * BATCHES {
+                        number = next();
+                    }
                 }
             });
         }
-        // All connections are there, with their subscriptions.
-        until("twenty connections", PATIENCE, || {
-            watching.next_within(WAIT).expect("it can wait");
-            (process.open_files() >= 20).then_some(())
-        });
-        std::thread::sleep(Duration::from_millis(300));
+        let reach = |count: &AtomicUsize, most| {
+            until("all readers", 2 * PATIENCE, || {
+                (count.load(Ordering::SeqCst) >= most).then_some(())
+            });
+        };
+        reach(&ready, READERS);
         let before = process.resident_kib();
         robot.touch("go");
         for batch in 0..BATCHES {
-            until("the batch", PATIENCE, || {
-                let all = (batch + 1) * BATCH * READERS;
-                (got.load(Ordering::SeqCst) >= all).then_some(())
-            });
+            reach(&got, (batch + 1) * BATCH * READERS);
             robot.touch(&format!("got{batch}"));
         }
         before
@@ -384,11 +399,16 @@ fn a_rate_leaves_out_what_is_between_and_keeps_the_last() {
 #[test]
 fn a_late_subscriber_gets_the_newest_value_of_a_stream_that_has_one() {
     let robot = Robot::new(
-        "level: {shell: 'echo 41; echo 42; sleep 60', frame: json, latest: true}
-        word: {shell: 'echo early; sleep 60', frame: line}
-        done: {shell: 'sleep 0.3; echo > done; sleep 60', frame: line}",
+        "level: {shell: 'echo 41; echo 42; sleep 60', frame: json, latest: true, when-watched: 60 s}
+        word: {shell: 'echo early; sleep 60', frame: line, when-watched: 60 s}",
     );
-    robot.rig.written("done");
+    let mut early = robot.subscribe("/robot");
+    let mut heard = [shown(&mut early), shown(&mut early)];
+    if heard.contains(&"41".to_owned()) {
+        heard = heard.map(|one| if one == "41" { shown(&mut early) } else { one });
+    }
+    heard.sort();
+    assert_eq!(heard, ["'early'", "42"]);
     let mut late = robot.subscribe("/robot");
     assert_eq!(shown(&mut late), "42");
     let more = late.next_within(Duration::from_millis(100));
@@ -481,17 +501,29 @@ fn a_flood_of_frames_leaves_room_for_other_streams_and_for_tasks() {
 
 #[test]
 fn a_killed_server_leaves_no_program_behind() {
-    for delay in 0..6 {
-        let mut robot = Robot::new(
-            "one: {shell: 'while sleep 0.02; do echo 1; done', frame: line}
-            two: {run: [sh, -c, 'trap \"\" TERM; sleep 60 & wait; sleep 60'], frame: line, abort: {grace: 100 ms}}",
-        );
-        std::thread::sleep(Duration::from_millis(delay * delay * 10));
-        robot.rig.server.process.kill();
-        robot.rig.server.process.wait_for_end_of_output();
-        until("nothing is left", PATIENCE, || {
-            robot.rig.at_home().is_empty().then_some(())
-        });
+    let text = file(
+        "one: {shell: 'while sleep 0.02; do echo 1; done', frame: line}
+        two: {run: [sh, -c, 'trap \"\" TERM; sleep 60 & wait; sleep 60'], frame: line, abort: {grace: 100 ms}}",
+    );
+    for delay in 0..12 {
+        let scratch = Scratch::new();
+        let path = scratch.path("robot.yaml");
+        std::fs::write(&path, &text).expect("to write");
+        let mut command = ztl();
+        command
+            .arg("serve")
+            .arg(path)
+            .args(["-p", "0", "--publish", "0"]);
+        let process = Process::start(&mut command);
+        process.wait_for("Task Server listening at");
+        // At a different moment of their starts each time; the last ones run.
+        std::thread::sleep(Duration::from_micros(delay * delay * delay * 100));
+        let server = Server { process, port: 0 };
+        let mut rig = Rig { server, scratch };
+        rig.server.process.kill();
+        // That of the watchdog, too.
+        rig.server.process.wait_for_end_of_output();
+        assert!(rig.at_home().is_empty(), "{delay}: {:?}", rig.at_home());
     }
 }
 

@@ -104,3 +104,35 @@ fn link<E: serde::de::Error>(graph: &mut Graph, chain: &mut Chain, item: Ref) ->
     let linked = graph.link(chain, item, &mut Account::unlimited());
     linked.map_err(E::custom)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_becomes_the_values_that_python_reads_from_it() {
+        for (json, shown) in [
+            ("null", "None"),
+            ("true", "True"),
+            ("-7", "-7"),
+            ("9223372036854775808", "9223372036854775808"),
+            ("-9223372036854775808", "-9223372036854775808"),
+            ("1e3", "1000.0"),
+            (r#""it's \u00e4""#, r#""it's ä""#),
+            ("[]", "[]"),
+            ("{}", "{}"),
+            ("[[1, [2]], [], {}, [3]]", "[[1, [2]], [], {}, [3]]"),
+            (
+                r#"{"a": {"b": [1], "b": [2]}, "c": 3, "a": [{"d": null}]}"#,
+                "{'a': [{'d': None}], 'c': 3}",
+            ),
+            (r#"[{"a": 1, "a": 2}]"#, "[{'a': 2}]"),
+        ] {
+            let pickle: Pickle = serde_json::from_str(json).expect(json);
+            assert_eq!(pickle.value().repr().to_string(), shown, "{json}");
+            let read = Pickle::read(&pickle.to_bytes()).expect(json);
+            assert_eq!(read, pickle, "{json}");
+        }
+        assert!(serde_json::from_str::<Pickle>("[1, 2").is_err());
+    }
+}

@@ -372,7 +372,7 @@ mod tests {
         let broken = &PROGRESSIVE[..PROGRESSIVE.len() - 50];
         assert_eq!(with_next(broken), [NotJpeg, next.clone()]);
         let gap = vec![b'.'; GAP];
-        assert_eq!(with_next(&gap), [next.clone()]);
+        assert_eq!(with_next(&gap), frames(&[SMALL]));
         assert_eq!(
             with_next(&[&gap[..], b"."].concat()),
             [NotJpeg, next.clone()]
