@@ -469,8 +469,14 @@ fn a_flood_of_frames_leaves_room_for_other_streams_and_for_tasks() {
             "#,
         );
     let robot = Robot::of_file(&text, &[]);
-    let mut flood = robot.subscribe("/robot/flood");
-    assert_eq!(shown(&mut flood), "''");
+    // So many that sending takes longer than writing.
+    let _floods: Vec<_> = (0..4)
+        .map(|_| {
+            let mut flood = robot.subscribe("/robot/flood");
+            assert_eq!(shown(&mut flood), "''");
+            flood
+        })
+        .collect();
     let process = &robot.rig.server.process;
     let mut tick = robot.subscribe("/robot/tick");
     let mut events = robot.subscribe("/robot/$tasks");
