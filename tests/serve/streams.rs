@@ -8,7 +8,7 @@ use ztl_pickle::{Kind, Pickle};
 use ztl_std::Subscriber;
 use ztl_tests::lab::{Ended, Keys, PATIENCE, Process, Scratch, Server, busy, python, until, ztl};
 
-use crate::rig::{Rig, dies, lives, project};
+use crate::rig::{Rig, dies, is_starved, lives, project};
 
 const WAIT: Duration = Duration::from_millis(20);
 
@@ -322,16 +322,27 @@ fn a_program_that_ends_is_started_again_after_longer_and_longer_pauses() {
         tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}",
     );
     let process = &robot.rig.server.process;
-    for pause in ["500 ms", "1 s", "2 s"] {
-        let again =
-            |name: &str| format!("Stream /robot/{name} has ended, and begins again in {pause}: ");
-        process.wait_for(&format!("{}exit code 3: oops", again("fails")));
-        process.wait_for(&format!("{}exit code 0", again("ends")));
-        let line = process.wait_for(&format!("{}no-such-program: not found;", again("missing")));
-        assert!(line.ends_with("robot.yaml:4"), "{line}");
+    for (name, why) in [
+        ("fails", "exit code 3: oops"),
+        ("ends", "exit code 0"),
+        ("missing", "no-such-program: not found; install it"),
+    ] {
+        let again = format!("Stream /robot/{name} has ended, and begins again in ");
+        for pause in ["500 ms", "1 s", "2 s"] {
+            process.wait_for(&format!("{again}{pause}: "));
+        }
+        process.wait_for(&format!(": {why}"));
+        let log = process.stderr();
+        for line in log.lines().filter(|line| line.contains(&again)) {
+            assert!(line.contains(why) || is_starved(line), "{line}");
+        }
     }
+    let line = process.wait_for("no-such-program: not found; ");
+    assert!(line.ends_with("robot.yaml:4"), "{line}");
+    until("a third start", PATIENCE, || {
+        (robot.lines("ids").len() >= 3).then_some(())
+    });
     let ids = robot.lines("ids");
-    assert!(ids.len() >= 3, "{ids:?}");
     assert!(ids.iter().all(|id| id.starts_with("stream-")), "{ids:?}");
     assert_ne!(ids[0], ids[1]);
     let mut ends = robot.subscribe("/robot/ends");

@@ -113,7 +113,7 @@ impl Config {
         names
     }
 
-    /// Renames all scopes.
+    /// Gives all scopes this name: for a file that has only one.
     pub fn rename_scopes(&mut self, name: &str) {
         for scope in &mut self.scopes {
             name.clone_into(&mut scope.name);
