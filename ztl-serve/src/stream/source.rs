@@ -96,9 +96,9 @@ impl Source {
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout), or to start the program.
-    pub(super) fn poll_timeout(&self, now: Instant) -> Option<Instant> {
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
         let is_waiting = self.running.is_none() && self.is_watched.load(Ordering::Acquire);
-        let start_at = (is_waiting && now < self.start_at).then_some(self.start_at);
+        let start_at = is_waiting.then_some(self.start_at);
         let times = [start_at, self.leave_at, self.outlet.poll_timeout()];
         times.into_iter().flatten().min()
     }
@@ -230,7 +230,7 @@ mod tests {
             source.with_job(now, |_, effects| {
                 effects.push(Effect::End(Outcome::Failed("exit code 1".to_owned())));
             });
-            let due = source.poll_timeout(now).expect("a start");
+            let due = source.poll_timeout().expect("a start");
             let pause = due - now;
             now = due;
             pause.as_millis()
@@ -253,7 +253,7 @@ mod tests {
         let at = |millis| now + Duration::from_millis(millis);
         let (mut source, is_watched) = source(now, "when-watched: 1 s");
         assert!(!source.is_due(now));
-        assert_eq!(source.poll_timeout(now), None);
+        assert_eq!(source.poll_timeout(), None);
         is_watched.store(true, Ordering::Release);
         start(&mut source, now);
         let runs = |source: &mut Source, millis| {
@@ -263,7 +263,7 @@ mod tests {
         assert!(runs(&mut source, 5000));
         is_watched.store(false, Ordering::Release);
         assert!(runs(&mut source, 5000));
-        assert_eq!(source.poll_timeout(at(5000)), Some(at(6000)));
+        assert_eq!(source.poll_timeout(), Some(at(6000)));
         is_watched.store(true, Ordering::Release);
         assert!(runs(&mut source, 5999));
         is_watched.store(false, Ordering::Release);

@@ -162,10 +162,10 @@ impl Worker {
 
     /// Waits until something happens.
     fn wait(&self) -> jobs::Ready {
-        let now = Instant::now();
         let reads = self.publisher.has_room();
-        let due = self.sources.iter().filter_map(|it| it.poll_timeout(now));
-        let due = due.chain((!reads).then(|| now + BEHIND)).min();
+        let sources = self.sources.iter().filter(|_| !self.is_stopping);
+        let due = sources.filter_map(Source::poll_timeout);
+        let due = due.chain((!reads).then(|| Instant::now() + BEHIND)).min();
         let jobs = self.sources.iter().filter_map(Source::job);
         jobs::wait(&self.inbox, jobs, &self.background, due, reads)
     }
