@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use ztl_std::State::{Aborted, Completed, Failed};
-use ztl_std::{RemoteTask, TriggerError};
+use ztl_std::{RemoteTask, Subscriber, TriggerError};
 use ztl_tests::lab::{
     ABORTED, COMPLETED, OriginalClient, PATIENCE, Process, Scratch, Server, built, python,
     python27, reserve_port, verify_unit, ztl,
@@ -32,11 +32,11 @@ fn example(python: &Path) -> (Scratch, Server) {
     path.push(std::env::var_os("PATH").unwrap_or_default());
     let mut command = ztl();
     command
-        .args(["serve", "-p", "0"])
+        .args(["serve", "-p", "0", "--publish", "0"])
         .arg(scratch.path("robot.yaml"))
         .env("PATH", path);
     let process = Process::start(&mut command);
-    let port = process.wait_for_port("Serving 5 components at /robot at ");
+    let port = process.wait_for_port("Serving 5 components at /robot, 1 stream at /robot at ");
     (scratch, Server { process, port })
 }
 
@@ -141,6 +141,17 @@ fn the_originals_client_runs_the_examples() {
 }
 
 #[test]
+fn a_subscriber_hears_the_stream_of_the_examples() {
+    let (_scratch, server) = example(&python());
+    let port = server.process.wait_for_port("Publishing ");
+    let endpoint = format!("tcp://127.0.0.1:{port}");
+    let mut load = Subscriber::connect(&endpoint, "/robot/load").expect("an address");
+    let heard = load.next_within(PATIENCE).expect("it can wait");
+    let value = heard.expect("a message").value().expect("a value");
+    assert!(value.value().as_f64() >= Some(0.0), "{value:?}");
+}
+
+#[test]
 fn the_example_configuration_is_valid() {
     let file = project("examples/serve/robot.yaml");
     let ended = Process::run(ztl().arg("serve").arg(file).arg("--check"));
@@ -148,7 +159,7 @@ fn the_example_configuration_is_valid() {
     assert!(
         ended
             .stdout
-            .ends_with(": 5 components at /robot, at 127.0.0.1:12345.\n"),
+            .ends_with(": 5 components at /robot, 1 stream at /robot, at 127.0.0.1:12345.\n"),
         "{ended:?}"
     );
 }

@@ -21,4 +21,5 @@ mod results;
 mod rig;
 mod several;
 mod stop;
+mod streams;
 mod watchdog;

@@ -24,6 +24,8 @@ const PROGRAMS: &[[&str; 2]] = &[
     // For the client in JavaScript.
     ["nodejs", "node --eval 'console.log(\"Node\", process.version)'"],
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
+    // Makes a tone for a stream.
+    ["sox", "sox --version"],
     // Shows the page of `ztl report`.
     ["chromium", "chromium --version"],
     // Shells that complete our command.

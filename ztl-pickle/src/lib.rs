@@ -23,6 +23,7 @@
 mod array;
 mod calls;
 mod chunks;
+mod deserialize;
 mod dtype;
 mod equal;
 mod error;

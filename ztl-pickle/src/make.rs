@@ -141,7 +141,7 @@ impl Pickle {
     }
 
     /// With equal keys united.
-    fn checked(mut self) -> Result<Self, Error> {
+    pub(crate) fn checked(mut self) -> Result<Self, Error> {
         let account = &mut Account::unlimited();
         finish(&mut self.graph, self.root, &LIMITS, usize::MAX, account)?;
         Ok(self)

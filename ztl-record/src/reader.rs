@@ -14,7 +14,6 @@ use serde::Deserialize;
 use ztl_pickle::Pickle;
 
 use crate::form::{Form, Image, Sound, Text, from_base64};
-use crate::plain::Plain;
 use crate::prepare::SoundFormat;
 use crate::source::Source;
 use crate::task::{TASKS, TaskEvent};
@@ -375,14 +374,14 @@ impl Waiting {
                 let scope = topic.strip_suffix(TASKS.trim_end_matches('/'))?;
                 let event = TaskEvent::read(scope, &serde_json::from_slice(&data).ok()?)?;
                 topic = format!("{scope}{TASKS}{}", event.id);
-                let Plain(value) = serde_json::from_slice(&data).ok()?;
+                let value = serde_json::from_slice(&data).ok()?;
                 Content::Task(event, value)
             }
             Form::Value => {
                 let stored: StoredValue = serde_json::from_slice(&data).ok()?;
                 Content::Value(match (stored.pickle, stored.value) {
                     (Some(pickle), _) => Pickle::read(&from_base64(&pickle)?).ok()?,
-                    (None, value) => value.map_or_else(Pickle::none, |Plain(value)| value),
+                    (None, value) => value.unwrap_or_else(Pickle::none),
                 })
             }
             Form::Text => Content::Text(serde_json::from_slice::<Text>(&data).ok()?.text),
@@ -414,7 +413,7 @@ impl Waiting {
 /// `ztl.Value`. A value of `null` is `None`, as an absent one.
 #[derive(Deserialize)]
 struct StoredValue {
-    value: Option<Plain>,
+    value: Option<Pickle>,
     pickle: Option<String>,
 }
 

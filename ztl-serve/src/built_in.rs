@@ -53,16 +53,16 @@ impl Kind for BuiltIn {
         }
     }
 
-    fn start(self: Arc<Self>, task: JobContext, _: &Services) -> Start {
+    fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, _: &Services) -> Start {
         match *self {
-            Self::Echo => Start::Ended(Outcome::Completed(task.call.goal.text.clone())),
+            Self::Echo => Start::Ended(Outcome::Completed(call.goal.text.clone())),
             Self::Sleep => {
-                let seconds = task.call.goal.text.parse().unwrap_or_default();
+                let seconds = call.goal.text.parse().unwrap_or_default();
                 let time = Duration::try_from_secs_f64(seconds).unwrap_or_default();
                 task.effect(Effect::Accept);
                 Start::Running(Box::new(Sleep(Instant::now().checked_add(time))))
             }
-            Self::Print => thread_job::start(task, |task, _| print(&task.call)),
+            Self::Print => thread_job::start(task, move |_, _| print(&call)),
         }
     }
 }

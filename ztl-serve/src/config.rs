@@ -7,9 +7,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ztl_std::Publisher;
 use ztl_std::describe::{CheckGoal, ComponentDescription, GoalRule, described};
 use ztl_std::listen::Listen;
-use ztl_std::scope;
 use ztl_yaml::{Diagnostic, Diagnostics, Document, Node, NodeValue};
 
 use crate::admission::BusyPolicy;
@@ -19,6 +19,7 @@ use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
 use crate::program::processes::ProcessRegistry;
 use crate::reader::{ComponentContext, ConfigReader};
+use crate::stream::{StreamConfig, Streams};
 
 /// How many tasks may run or wait in all, unless the file says otherwise.
 const AT_ONCE: usize = 200;
@@ -37,6 +38,9 @@ pub struct Config {
     pub scopes: Vec<Scope>,
     /// What may not be as intended, such as a program that is not installed.
     pub warnings: Vec<Diagnostic>,
+    /// The mistake that there are streams and no port to publish them at, unless that is given elsewhere.
+    pub unpublished: Option<Diagnostic>,
+    pub(crate) streams: Vec<Arc<StreamConfig>>,
     at_once: usize,
 }
 
@@ -53,11 +57,6 @@ impl Scope {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
-    }
-
-    /// Renames the scope.
-    pub fn rename(&mut self, name: &str) {
-        name.clone_into(&mut self.name);
     }
 
     /// The number of components.
@@ -102,6 +101,56 @@ impl Config {
         Ok(config)
     }
 
+    /// The names of all scopes, those of handlers first.
+    #[must_use]
+    pub fn scope_names(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = self.scopes.iter().map(Scope::name).collect();
+        for (scope, _) in self.streams() {
+            if !names.contains(&scope) {
+                names.push(scope);
+            }
+        }
+        names
+    }
+
+    /// Gives all scopes this name: for a file that has only one.
+    pub fn rename_scopes(&mut self, name: &str) {
+        for scope in &mut self.scopes {
+            name.clone_into(&mut scope.name);
+        }
+        for stream in &mut self.streams {
+            name.clone_into(&mut Arc::make_mut(stream).scope);
+        }
+    }
+
+    /// The number of streams of each scope that has any.
+    #[must_use]
+    pub fn streams(&self) -> Vec<(&str, usize)> {
+        let mut counts: Vec<(&str, usize)> = Vec::new();
+        for stream in &self.streams {
+            match counts.iter_mut().find(|(scope, _)| *scope == stream.scope) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((&stream.scope, 1)),
+            }
+        }
+        counts
+    }
+
+    /// Starts the streams, which are published under their scopes; `None` if the file has none.
+    ///
+    /// # Errors
+    /// If the system has no more threads or files.
+    pub fn start_streams(
+        &self,
+        processes: &ProcessRegistry,
+        publisher: &Publisher,
+    ) -> io::Result<Option<Streams>> {
+        match self.streams.is_empty() {
+            true => Ok(None),
+            false => Streams::start(&self.streams, processes, publisher).map(Some),
+        }
+    }
+
     /// Makes the handler of each scope, to be registered under the scope's name.
     ///
     /// # Errors
@@ -127,24 +176,34 @@ impl<'d> ConfigReader<'d> {
         let at_once = at_once.and_then(|node| self.count(node, MOST));
         let mut scopes = Vec::new();
         let example = "scopes: {/robot: {tts: {say: [espeak-ng, '{goal}']}}}";
-        if let Some(node) = fields.required("scopes", example) {
+        let streams_node = fields.optional("streams");
+        let scopes_node = match streams_node {
+            Some(_) => fields.optional("scopes"),
+            None => fields.required("scopes", example),
+        };
+        if let Some(node) = scopes_node {
             for (name, node) in self.non_empty(node, "scopes, as /robot") {
                 scopes.extend(self.scope(name, node));
             }
         }
+        let streams = streams_node.map(|node| self.streams(node));
+        let unpublished = streams_node.filter(|_| listen.publish.is_none());
+        let message =
+            "streams need a port where they are published; write publish: 12346, or give --publish";
+        let unpublished = unpublished.map(|node| self.yaml.mistake(node, message));
         fields.finish(&mut self.yaml);
         Some(Config {
             listen,
             scopes,
             warnings: Vec::new(),
+            unpublished,
+            streams: streams.unwrap_or_default(),
             at_once: at_once.unwrap_or(AT_ONCE),
         })
     }
 
     fn scope(&mut self, name: &'d Node, node: &'d Node) -> Option<Scope> {
-        let known = self.yaml.parsed(name, "a scope, as /robot", |text| {
-            scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
-        });
+        let known = self.scope_name(name);
         let mut configs = Vec::new();
         for (handler, node) in self.non_empty(node, "its handlers") {
             let handler = self.name(handler, "a handler");

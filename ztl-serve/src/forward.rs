@@ -15,6 +15,7 @@ use ztl_std::server::KEEP;
 use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
 use ztl_yaml::{Fields, Node};
 
+use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{Effect, JobContext, Kind, Outcome, Services, Start};
 use crate::reader::{ComponentContext, ConfigReader};
@@ -84,8 +85,8 @@ pub(crate) fn read<'d>(
 }
 
 impl Kind for Forward {
-    fn start(self: Arc<Self>, task: JobContext, _: &Services) -> Start {
-        thread_job::start(task, move |task, abort| self.run(task, abort))
+    fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, _: &Services) -> Start {
+        thread_job::start(task, move |task, abort| self.run(&call, task, abort))
     }
 }
 
@@ -106,8 +107,8 @@ impl Forward {
     }
 
     /// Runs a task there. `abort` may be set at any time.
-    fn run(&self, task: &JobContext, abort: &AtomicBool) -> Outcome {
-        let (to, call) = (&self.to, &task.call);
+    fn run(&self, call: &Call, task: &JobContext, abort: &AtomicBool) -> Outcome {
+        let to = &self.to;
         let mut remote = match self.connect() {
             Ok(remote) => remote,
             Err(error) => return Outcome::Rejected(format!("{to}: {error}")),

@@ -54,7 +54,7 @@ pub(crate) trait Kind: Any + fmt::Debug + Send + Sync {
     }
 
     /// Starts a task. Must not block.
-    fn start(self: Arc<Self>, task: JobContext, services: &Services) -> Start;
+    fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, services: &Services) -> Start;
 }
 
 /// How a task has started.
@@ -102,6 +102,8 @@ pub(crate) enum Effect {
     /// Reports the task as accepted, unless that was done before.
     Accept,
     Progress(String),
+    /// The program of a stream has written this.
+    Output(Vec<u8>),
     /// Answers an abort: the task continues.
     RejectAbort,
     /// Runs another job, which may outlive the task.
@@ -154,7 +156,7 @@ pub(crate) enum JobEvent {
     AbortNotStarted(String),
 }
 
-/// Messages to the supervisor.
+/// Messages to the supervisor, or to the thread of all streams, which gets neither `Start` nor `Abort`.
 pub(crate) enum Message {
     /// A client starts a task of the component with this index.
     Start {
@@ -176,21 +178,21 @@ pub(crate) struct Services {
     pub(crate) processes: ProcessRegistry,
 }
 
-/// A task, and the way to its supervisor from any thread.
+/// The way from any thread to the supervisor of a job.
 #[derive(Clone)]
 pub(crate) struct JobContext {
-    pub(crate) call: Arc<Call>,
+    pub(crate) id: TaskId,
     pub(crate) mailbox: Mailbox<Message>,
 }
 
 impl JobContext {
     /// Has the supervisor do this.
     pub(crate) fn effect(&self, effect: Effect) {
-        self.mailbox.send(Message::Effect(self.call.id, effect));
+        self.mailbox.send(Message::Effect(self.id, effect));
     }
 
     /// Has the supervisor pass this to the task's job.
     pub(crate) fn event(&self, event: JobEvent) {
-        self.mailbox.send(Message::Event(self.call.id, event));
+        self.mailbox.send(Message::Event(self.id, event));
     }
 }

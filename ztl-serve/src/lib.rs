@@ -25,6 +25,8 @@
 //! | `program` | `run`, `shell`: a program in a process group of its own, watched by `program/watchdog` |
 //! | `built_in` | `built-in`: `echo` and others |
 //! | `forward` | `forward`: another ZTL server |
+//!
+//! `stream` has the programs whose output is published: `worker` runs them as jobs, like those of tasks.
 
 #![cfg(unix)]
 
@@ -37,12 +39,14 @@ mod far_descriptions;
 mod forward;
 mod handler;
 mod human;
+mod jobs;
 mod kind;
 mod kinds;
 mod log;
 mod mailbox;
 mod program;
 mod reader;
+mod stream;
 mod supervisor;
 mod thread_job;
 
@@ -51,3 +55,4 @@ pub use handler::ScopeHandler;
 pub use program::ignored::ignored_signals;
 pub use program::processes::ProcessRegistry;
 pub use program::watchdog::watchdog;
+pub use stream::Streams;

@@ -45,6 +45,11 @@ impl<M> Mailbox<M> {
     /// Sends a message. It is dropped if the receiving end is gone.
     pub(crate) fn send(&self, message: M) {
         drop(self.messages.send(message));
+        self.wake();
+    }
+
+    /// Wakes the thread without a message.
+    pub(crate) fn wake(&self) {
         // A full socket wakes the thread too.
         let _ = (&*self.wake).write(&[0]);
     }

@@ -1,5 +1,6 @@
 //! Programs as handlers: scripts and command-line tools.
 
+pub(crate) mod assignment;
 pub(crate) mod ignored;
 mod launch;
 mod output;
@@ -27,11 +28,12 @@ use crate::kind::{
     Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start, StopReason,
 };
 use crate::log::LOG;
-use launch::{Invocation, Launch};
+use assignment::Assignment;
+use launch::Launch;
 use processes::{Announcement, Process, ProcessRegistry};
 use run::{Action, Run};
-use settings::{AbortBy, Program};
-use watchdog::protocol::Charge;
+use settings::{AbortBy, Program, ResultKind};
+use watchdog::protocol::{Charge, Ending};
 
 /// How long the watchdog may take to confirm that it knows of a program. Less than the 1.5 s after which the
 /// server answers an INIT with an id.
@@ -67,32 +69,27 @@ impl Kind for Program {
         self.run.launch(call).map(drop)
     }
 
-    fn start(self: Arc<Self>, task: JobContext, services: &Services) -> Start {
-        let launch = match self.run.launch(&task.call) {
-            Ok(launch) => launch,
-            Err(reason) => return Start::Ended(Outcome::Rejected(reason)),
-        };
-        let charge = Charge::of(&self, &task.call);
-        let context = task.clone();
-        let confirmed = move || context.event(JobEvent::Confirmed);
-        let announcement = services.processes.announce(charge, confirmed);
-        Start::Running(Box::new(ProgramJob {
-            program: self,
-            processes: services.processes.clone(),
-            state: State::Announced {
-                announcement,
-                launch,
-                until: Instant::now().checked_add(CONFIRM),
-            },
-            task,
-        }))
+    fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, services: &Services) -> Start {
+        match Assignment::of_task(&self, &call) {
+            Ok(assignment) => {
+                let job = ProgramJob::new(self, assignment, task, &services.processes);
+                Start::Running(Box::new(job))
+            }
+            Err(reason) => Start::Ended(Outcome::Rejected(reason)),
+        }
     }
 }
 
-struct ProgramJob {
+/// A program that runs for a task or a stream.
+pub(crate) struct ProgramJob {
     program: Arc<Program>,
     processes: ProcessRegistry,
-    task: JobContext,
+    context: JobContext,
+    name: String,
+    /// `ZTL_ID`
+    id: String,
+    /// What stops it, if a program does.
+    abort: Option<Result<Launch, String>>,
     state: State,
 }
 
@@ -197,6 +194,31 @@ impl Job for ProgramJob {
 }
 
 impl ProgramJob {
+    /// Announces the program to the watchdog; the rest follows.
+    pub(crate) fn new(
+        program: Arc<Program>,
+        assignment: Assignment,
+        context: JobContext,
+        processes: &ProcessRegistry,
+    ) -> Self {
+        let charge = Charge::of(&assignment, &program.abort);
+        let to_job = context.clone();
+        let confirmed = move || to_job.event(JobEvent::Confirmed);
+        Self {
+            program,
+            processes: processes.clone(),
+            name: assignment.name,
+            id: assignment.id,
+            abort: assignment.abort,
+            state: State::Announced {
+                announcement: processes.announce(charge, confirmed),
+                launch: assignment.launch,
+                until: Instant::now().checked_add(CONFIRM),
+            },
+            context,
+        }
+    }
+
     fn on_confirmed(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         match std::mem::replace(&mut self.state, State::Starting(None)) {
             State::Announced {
@@ -224,9 +246,9 @@ impl ProgramJob {
         piped: bool,
         then: impl FnOnce(&JobContext, Result<Process, String>) + Send + 'static,
     ) -> Result<(), String> {
-        let task = self.task.clone();
-        let thread = std::thread::Builder::new().name(format!("ztl-start-{}", task.call.id));
-        let spawned = thread.spawn(move || then(&task, announcement.start(&launch, piped)));
+        let context = self.context.clone();
+        let thread = std::thread::Builder::new().name(format!("ztl-start-{}", context.id));
+        let spawned = thread.spawn(move || then(&context, announcement.start(&launch, piped)));
         let failed = |error| format!("cannot start a thread: {error}");
         spawned.map(drop).map_err(failed)
     }
@@ -269,22 +291,19 @@ impl ProgramJob {
     }
 
     fn run_abort(&self) {
-        let AbortBy::Program(invocation) = &self.program.abort.by else {
+        let Some(launch) = self.abort.clone() else {
             return;
         };
-        let started = invocation
-            .launch(&self.task.call)
-            .and_then(|launch| self.start_abort(launch, invocation));
-        if let Err(reason) = started {
+        if let Err(reason) = launch.and_then(|launch| self.start_abort(launch)) {
             self.on_abort_not_started(&reason);
         }
     }
 
-    fn start_abort(&self, launch: Launch, invocation: &Invocation) -> Result<(), String> {
+    fn start_abort(&self, launch: Launch) -> Result<(), String> {
         let grace = self.program.abort.grace;
-        let place = invocation.place.clone();
+        let place = launch.place.clone();
         // Starts without the watchdog's confirmation, since it stops something.
-        let charge = Charge::of_abort_program(self.task.call.id, grace);
+        let charge = Charge::new(&self.name, &self.id, Ending::Wait, grace);
         let announcement = self.processes.announce(charge, || {});
         self.start(
             launch,
@@ -303,8 +322,8 @@ impl ProgramJob {
     }
 
     fn on_abort_not_started(&self, reason: &str) {
-        let id = self.task.call.id;
-        warn!(target: LOG, "Cannot start the abort program of task {id}, sent SIGTERM instead: {reason}");
+        let name = &self.name;
+        warn!(target: LOG, "Cannot start the abort program of {name}, sent SIGTERM instead: {reason}");
         self.signal(Signal::TERM);
     }
 
@@ -313,16 +332,19 @@ impl ProgramJob {
         let State::Running(running) = &mut self.state else {
             return false;
         };
-        let id = self.task.call.id;
+        let name = &self.name;
         let mut buffer = [0; READ];
         let mut actions = Vec::new();
         let mut any = false;
         if let Some(bytes) = read(&mut running.out, &mut buffer) {
-            running.run.handle_output(bytes, &mut actions);
+            match self.program.result {
+                ResultKind::Stream => effects.push(Effect::Output(bytes.to_vec())),
+                _ => running.run.handle_output(bytes, &mut actions),
+            }
             any = true;
         }
         if let Some(bytes) = read(&mut running.err, &mut buffer) {
-            let log = |line: &str| debug!(target: LOG, "Task {id} says: {line}");
+            let log = |line: &str| debug!(target: LOG, "From {name}: {line}");
             running.run.handle_error_output(bytes, log);
             any = true;
         }

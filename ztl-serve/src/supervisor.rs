@@ -4,9 +4,8 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use signal_hook::consts::SIGCHLD;
 use signal_hook::low_level::{pipe, unregister};
 use tracing::{debug, info, warn};
@@ -17,13 +16,11 @@ use ztl_std::server::TaskReporter;
 use crate::admission::{Admission, Admitted};
 use crate::call::Call;
 use crate::component_config::{ComponentConfig, TotalLimit};
+use crate::jobs;
 use crate::kind::{Effect, Job, JobContext, Message, Outcome, Services, Start, StopReason};
 use crate::log::LOG;
 use crate::mailbox::{Inbox, Mailbox};
 use crate::program::processes::ProcessRegistry;
-
-/// Longest wait while programs run, in case the system has not reported that one has ended.
-const CHECK: Duration = Duration::from_secs(1);
 
 /// A task that has not ended.
 struct Task {
@@ -47,16 +44,6 @@ pub(crate) struct Supervisor {
     services: Services,
     total: TotalLimit,
     stopping: bool,
-}
-
-/// What `poll` has reported.
-struct Ready {
-    /// A message or a signal may have come.
-    woken: bool,
-    /// Nothing has happened in time.
-    timed_out: bool,
-    /// Tasks whose pipes can be read.
-    readable: Vec<TaskId>,
 }
 
 impl Supervisor {
@@ -92,7 +79,7 @@ impl Supervisor {
     /// Runs until it receives the request to stop and all tasks have ended.
     pub(crate) fn run(mut self) {
         while !(self.stopping && self.tasks.is_empty() && self.background.is_empty()) {
-            let ready = self.wait();
+            let ready = jobs::wait(&self.inbox, self.jobs(), &self.background, None, true);
             for id in ready.readable {
                 self.with_job(id, |job, effects| job.read_pipes(effects));
             }
@@ -113,57 +100,13 @@ impl Supervisor {
                     job.handle_timeout(now, effects);
                 });
             }
-            self.background.retain_mut(|job| {
-                let mut effects = Vec::new();
-                if check {
-                    job.check_process();
-                }
-                job.handle_timeout(now, &mut effects);
-                effects.is_empty()
-            });
+            jobs::tend(&mut self.background, now, check);
         }
     }
 
-    fn jobs(&self) -> impl Iterator<Item = (TaskId, &dyn Job)> {
+    fn jobs(&self) -> impl Iterator<Item = (TaskId, &dyn Job)> + Clone {
         let tasks = self.tasks.iter();
         tasks.filter_map(|(id, task)| Some((*id, task.job.as_deref()?)))
-    }
-
-    /// Waits until something happens.
-    fn wait(&self) -> Ready {
-        let background = self.background.iter().map(AsRef::as_ref);
-        let jobs = || self.jobs().map(|(_, job)| job).chain(background.clone());
-        let due = jobs().filter_map(Job::poll_timeout).min();
-        let left = due.map(|due| due.saturating_duration_since(Instant::now()));
-        let check = jobs().any(Job::has_process).then_some(CHECK);
-        let left = left.into_iter().chain(check).min();
-        // No timeout if the time is beyond what the system can count.
-        let left = left.and_then(|left| Timespec::try_from(left).ok());
-        let mut polled = vec![PollFd::new(&self.inbox, PollFlags::IN)];
-        let mut whose = Vec::new();
-        for (id, job) in self.jobs() {
-            for pipe in job.pipes() {
-                polled.push(PollFd::from_borrowed_fd(pipe, PollFlags::IN));
-                whose.push(id);
-            }
-        }
-        // An interrupted wait counts as one in which nothing has happened.
-        let count = poll(&mut polled, left.as_ref()).unwrap_or_default();
-        let mut happened = polled
-            .iter()
-            .map(|fd| count > 0 && !fd.revents().is_empty());
-        let woken = happened.next().unwrap_or_default();
-        let mut readable: Vec<TaskId> = whose
-            .iter()
-            .zip(happened)
-            .filter_map(|(id, happened)| happened.then_some(*id))
-            .collect();
-        readable.dedup();
-        Ready {
-            woken,
-            timed_out: count == 0,
-            readable,
-        }
     }
 
     fn handle(&mut self, message: Message) {
@@ -274,10 +217,11 @@ impl Supervisor {
         };
         debug!(target: LOG, "Task {id}, {}, begins.", task.name());
         let context = JobContext {
-            call: Arc::clone(&task.call),
+            id,
             mailbox: self.mailbox.clone(),
         };
-        match Arc::clone(&component.kind).start(context, &self.services) {
+        let call = Arc::clone(&task.call);
+        match Arc::clone(&component.kind).start(call, context, &self.services) {
             Start::Running(job) => task.job = Some(job),
             Start::Ended(outcome) => self.finish(id, outcome),
         }
@@ -317,6 +261,7 @@ impl Supervisor {
         match effect {
             Effect::Accept => task.accept(),
             Effect::Progress(text) => task.reporter.progress(text),
+            Effect::Output(_) => {}
             Effect::RejectAbort => task.reporter.abort_rejected(),
             Effect::Background(job) => self.background.push(job),
             Effect::End(outcome) => self.finish(id, outcome),

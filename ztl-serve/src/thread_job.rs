@@ -19,7 +19,7 @@ pub(crate) fn start(
 ) -> Start {
     let abort = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&abort);
-    let thread = std::thread::Builder::new().name(format!("ztl-task-{}", task.call.id));
+    let thread = std::thread::Builder::new().name(format!("ztl-task-{}", task.id));
     let spawned = thread.spawn(move || {
         let outcome = work(&task, &flag);
         task.effect(Effect::End(outcome));

@@ -87,7 +87,7 @@ impl Plan {
             systemd::of_devices(&watch.reports())
         })?;
         signals::leave_at_the_second();
-        service.stops(handle);
+        service.stops(move || handle.stop());
         server.listen()?;
         line("Stopped.");
         Ok(signals::exit_code_or(ExitCode::SUCCESS))

@@ -66,7 +66,7 @@ pub(crate) struct ListenOptions {
     #[arg(long, value_name = "ADDR", value_parser = bind)]
     bind: Option<String>,
 
-    /// Publish what happens to tasks, and a gateway's readings, at this port for ZeroMQ subscribers (docs/streams.md)
+    /// Publish what happens to tasks, readings and streams at this port for ZeroMQ subscribers (docs/streams.md)
     #[arg(long, value_name = "PORT", value_parser = port)]
     publish: Option<u16>,
 

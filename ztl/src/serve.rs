@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use tracing::{Level, warn};
-use ztl_serve::{Config, ProcessRegistry, Scope};
+use ztl_serve::{Config, ProcessRegistry, Streams};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
 
 use crate::exit::Done;
@@ -95,8 +95,7 @@ impl Serve {
         for warning in &config.warnings {
             error_part(warning);
         }
-        let scopes: Vec<&str> = config.scopes.iter().map(Scope::name).collect();
-        let warnings = place.warnings(&scopes);
+        let warnings = place.warnings(&config.scope_names());
         for warning in &warnings {
             error_line(format_args!("ztl: warning: {warning}"));
         }
@@ -118,10 +117,9 @@ impl Serve {
         let mut config = Config::load(&self.file).map_err(ConfigError::File)?;
         let file = self.file.display().to_string();
         if let Some(name) = &self.scope {
-            match config.scopes.as_mut_slice() {
-                [scope] => scope.rename(name),
-                scopes => {
-                    let many = scopes.len();
+            match config.scope_names().len() {
+                1 => config.rename_scopes(name),
+                many => {
                     let mistake = format!(
                         "--scope names the only scope of a file, and {file} has {many}; name them there"
                     );
@@ -131,20 +129,27 @@ impl Serve {
         }
         let place = self.listen.with(std::mem::take(&mut config.listen))?;
         let missing = || ConfigError::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
-        Ok((config, place.ok_or_else(missing)?))
+        let place = place.ok_or_else(missing)?;
+        if place.publish.is_none()
+            && let Some(mistake) = config.unpublished.take()
+        {
+            return Err(ConfigError::File(mistake.into()));
+        }
+        Ok((config, place))
     }
 }
 
 /// Describes what is served.
 fn served(config: &Config) -> String {
-    let scopes = config.scopes.iter().map(|scope| {
-        let name = scope.name();
-        match scope.components() {
-            1 => format!("1 component at {name}"),
-            many => format!("{many} components at {name}"),
-        }
-    });
-    scopes.collect::<Vec<_>>().join(", ")
+    let some = |count, what, scope: &str| match count {
+        1 => format!("1 {what} at {scope}"),
+        many => format!("{many} {what}s at {scope}"),
+    };
+    let scopes = config.scopes.iter();
+    let components = scopes.map(|scope| some(scope.components(), "component", scope.name()));
+    let streams = config.streams().into_iter();
+    let streams = streams.map(|(scope, count)| some(count, "stream", scope));
+    components.chain(streams).collect::<Vec<_>>().join(", ")
 }
 
 fn serve(config: &Config, place: ListenPlace) -> Done {
@@ -161,9 +166,18 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
     for (scope, handler) in config.handlers(&processes)? {
         server.register_handler(&scope, handler);
     }
+    let mut streams = None;
     if let Some(endpoint) = place.publish_endpoint() {
-        let endpoint = server.publish_events(&endpoint)?;
-        line(format_args!("Publishing events of tasks at {endpoint}."));
+        let publisher = server.publish_events(&endpoint)?;
+        streams = config.start_streams(&processes, &publisher)?;
+        let what = match streams {
+            Some(_) => "streams and events of tasks",
+            None => "events of tasks",
+        };
+        line(format_args!(
+            "Publishing {what} at {}.",
+            publisher.endpoint()
+        ));
     }
     line(format_args!(
         "Serving {} at {}. Reachable for {who}.",
@@ -173,8 +187,15 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
     let handle = server.handle();
     signals::leave_at_the_second_after(move || processes.kill());
     let served = served(config);
-    Service::ready(handle.clone(), move || served.clone())?.stops(handle);
+    let stop_streams = streams.as_ref().map(Streams::stopper);
+    Service::ready(handle.clone(), move || served.clone())?.stops(move || {
+        if let Some(stop) = &stop_streams {
+            stop();
+        }
+        handle.stop();
+    });
     server.listen()?;
+    drop(streams);
     line("Stopped.");
     Ok(signals::exit_code_or(ExitCode::SUCCESS))
 }

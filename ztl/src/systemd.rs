@@ -65,8 +65,8 @@ impl Service {
         })
     }
 
-    /// Stops the server at a signal, and notifies that.
-    pub(crate) fn stops(self, server: ServerHandle) {
+    /// Calls `stop` at a signal, and notifies that.
+    pub(crate) fn stops(self, stop: impl Fn() + Send + 'static) {
         let service = Mutex::new(Some(self));
         signals::then(move || {
             let mut service = service.lock().unwrap_or_else(PoisonError::into_inner);
@@ -74,7 +74,7 @@ impl Service {
                 service.manager.tell("STOPPING=1\nSTATUS=Stopping.");
             }
             line("Stopping; another Ctrl-C or SIGTERM exits at once.");
-            server.stop();
+            stop();
         });
     }
 }

@@ -10,6 +10,7 @@ use super::*;
 use crate::built_in::BuiltIn;
 use crate::forward::Forward;
 use crate::program::settings::{Abort, AbortBy, Program, ResultKind};
+use crate::stream::splitter::Framing;
 
 fn parse(text: &str) -> Result<Config, Diagnostics> {
     let document = Document::parse("robot.yaml", text.as_bytes())?;
@@ -255,6 +256,114 @@ scopes:
         none.contains("'scopes' is missing; write scopes: {/robot:"),
         "{none}"
     );
+}
+
+#[test]
+fn streams_are_read() {
+    let text = "\
+publish: 2
+streams:
+  /robot:
+    microphone: {run: [sh, '{x: 1}'], frame: 3200 bytes, when-watched: 5 s}
+    battery: {shell: 'echo {id}', frame: line, latest: true, longest: 64 KiB, directory: /tmp, environment: {A: b}, user: root, abort: {signal: INT, grace: 1 s}}
+    arm/left: {run: [sh], frame: jpeg, rate: 2.5 Hz, abort: {run: [sh, stop.sh]}}
+  /other: {pose: {run: [sh], frame: json}, raw: {run: [sh], frame: length}}
+";
+    let mut config = parse(text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    assert_eq!(config.streams(), [("/robot", 3), ("/other", 2)]);
+    assert_eq!(config.scope_names(), ["/robot", "/other"]);
+    assert!(config.unpublished.is_none());
+    let [microphone, battery, arm, pose, raw] = config.streams.as_slice() else {
+        panic!("{config:?}");
+    };
+    assert_eq!(microphone.topic(), "/robot/microphone");
+    assert_eq!(microphone.framing, Framing::Fixed(3200));
+    assert_eq!(microphone.when_watched, Some(Duration::from_secs(5)));
+    assert_eq!((microphone.latest, microphone.interval), (false, None));
+    assert_eq!(microphone.program.result, ResultKind::Stream);
+    assert_eq!((battery.framing, battery.latest), (Framing::Line, true));
+    assert_eq!((battery.longest, battery.when_watched), (64 * 1024, None));
+    let run = &battery.program.run;
+    assert_eq!(run.directory.to_str(), Some("/tmp"));
+    assert_eq!(run.environment, [("A".to_owned(), "b".to_owned())]);
+    assert!(run.user.is_some());
+    assert!(matches!(
+        battery.program.abort.by,
+        AbortBy::Signal("INT", _)
+    ));
+    assert_eq!((arm.framing, arm.longest), (Framing::Jpeg, 4 << 20));
+    assert_eq!(arm.topic(), "/robot/arm/left");
+    assert_eq!(arm.interval, Some(Duration::from_millis(400)));
+    assert!(matches!(arm.program.abort.by, AbortBy::Program(_)));
+    assert_eq!(
+        (pose.framing, raw.framing),
+        (Framing::Json, Framing::Length)
+    );
+    config.rename_scopes("/lab");
+    assert_eq!(config.streams(), [("/lab", 5)]);
+}
+
+#[test]
+fn each_mistake_in_a_stream_is_shown_with_its_place_and_a_remedy() {
+    let text = "\
+publish: 2
+streams:
+  a;b: {x: {run: [sh], frame: line}}
+  /none: {}
+  /r:
+    /one: {run: [sh], frame: line}
+    $two: {run: [sh], frame: line}
+    three: {run: [sh], frame: jpg, latests: true}
+    four: {run: [sh]}
+    five: {frame: line}
+    six: {run: [sh], shell: x, frame: 0 bytes}
+    seven: {run: [sh], frame: 3200, rate: 10, when-watched: 0 s}
+    eight: {run: [sh], frame: 2 bytes, longest: 1 KiB, latest: maybe}
+    nine: {run: [sh, '{goal}'], frame: line, longest: 17 MiB, rate: 0 Hz}
+    ten: {run: [sh], frame: line, abort: no, dashes: allowed}
+    eleven: {run: [sh], frame: line, abort: {signal: IMT}, user: nobody-is-called-so}
+    twelve: [sh]
+    thirteen: {run: [], frame: line, environment: {'a=b': c}, rate: -1 Hz}
+";
+    let mistakes = parse(text).expect_err("mistakes").to_string();
+    let places = mistakes
+        .lines()
+        .filter(|line| line.starts_with("robot.yaml:"));
+    let expected = [
+        "robot.yaml:3:3: the scope 'a;b' contains ';', so no client can reach it; write it as /lab",
+        "robot.yaml:4:10: this is empty; expected its streams",
+        "robot.yaml:6:5: invalid name '/one' for a stream; write it as microphone or arm/left",
+        "robot.yaml:7:5: invalid name '$two' for a stream; write it as microphone or arm/left",
+        "robot.yaml:8:31: 'jpg' is not known here; did you mean 'jpeg'?",
+        "robot.yaml:8:36: unknown key 'latests'; did you mean 'latest'?",
+        "robot.yaml:9:11: 'frame' is missing; write frame: line",
+        "robot.yaml:10:11: nothing writes this stream; write run: [PROGRAM, ARGUMENT]",
+        "robot.yaml:11:29: give only one of: run, shell",
+        "robot.yaml:11:39: '0 bytes' is not a size from 1 byte to 16 MiB, as 3200 bytes",
+        "robot.yaml:12:31: '3200' is not a size from 1 byte to 16 MiB, as 3200 bytes",
+        "robot.yaml:12:43: '10' is not a rate from 0.001 Hz to 1000 Hz, as 10 Hz",
+        "robot.yaml:12:61: this must be greater than zero",
+        "robot.yaml:13:49: each frame has the same length; leave this out",
+        "robot.yaml:13:64: 'maybe' is neither true nor false",
+        "robot.yaml:14:22: a stream has no task, so nothing stands for '{goal}'",
+        "robot.yaml:14:55: '17 MiB' is not a size from 1 byte to 16 MiB, as 3200 bytes",
+        "robot.yaml:14:69: '0 Hz' is not a rate from 0.001 Hz to 1000 Hz, as 10 Hz",
+        "robot.yaml:15:42: no client can abort a stream; leave this out",
+        "robot.yaml:15:46: unknown key 'dashes'; there are: frame, longest, latest, rate, when-watched, run, shell, directory, environment, user, abort",
+        "robot.yaml:16:54: 'IMT' is not known here; did you mean 'INT'?",
+        "robot.yaml:16:66: there is no user 'nobody-is-called-so' on this machine",
+        "robot.yaml:17:13: here is a list; wanted is a mapping: run: [PROGRAM, ARGUMENT], frame: line",
+        "robot.yaml:18:21: there is no program in this list",
+        "robot.yaml:18:52: invalid name 'a=b' for a variable",
+        "robot.yaml:18:69: '-1 Hz' is not a rate from 0.001 Hz to 1000 Hz, as 10 Hz",
+    ];
+    let places: Vec<&str> = places.collect();
+    assert_eq!(places, expected, "{mistakes}");
+    let unpublished = parse("streams: {/r: {x: {run: [sh], frame: line}}}");
+    let mistake = unpublished.expect("it may be an option").unpublished;
+    let said = "robot.yaml:1:10: streams need a port where they are published; write publish: 12346, or give --publish\n";
+    let mistake = mistake.expect("a mistake").to_string();
+    assert!(mistake.starts_with(said), "{mistake}");
 }
 
 #[test]

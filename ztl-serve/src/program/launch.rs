@@ -34,14 +34,14 @@ pub(crate) struct Account {
     pub(crate) home: PathBuf,
 }
 
-/// A command for one task.
+/// A command for one task, or one start of a stream.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Launch {
     arguments: Vec<String>,
     directory: PathBuf,
     environment: Vec<(String, String)>,
     user: Option<Account>,
-    place: String,
+    pub(crate) place: String,
 }
 
 /// One argument.
@@ -95,22 +95,35 @@ impl Invocation {
             }
             Ok(text)
         };
-        let mut environment = self.environment.clone();
+        let arguments = self.arguments.iter().map(fill).collect::<Result<_, _>>()?;
         let of_task = [
-            ("ZTL_GOAL", call.goal.text.clone()),
-            ("ZTL_ID", call.id.to_string()),
-            ("ZTL_HANDLER", call.handler.clone()),
-            ("ZTL_COMPONENT", call.component.clone()),
-            ("ZTL_SCOPE", call.scope.clone()),
+            ("ZTL_GOAL", call.goal.text.as_str()),
+            ("ZTL_ID", &call.id.to_string()),
+            ("ZTL_HANDLER", &call.handler),
+            ("ZTL_COMPONENT", &call.component),
+            ("ZTL_SCOPE", &call.scope),
         ];
-        environment.extend(of_task.map(|(name, value)| (name.to_owned(), value)));
-        Ok(Launch {
-            arguments: self.arguments.iter().map(fill).collect::<Result<_, _>>()?,
+        Ok(self.with(arguments, &of_task))
+    }
+
+    /// The command for a stream, which has no placeholders.
+    pub(crate) fn launch_stream(&self, scope: &str, id: &str) -> Launch {
+        let arguments = self.arguments.iter();
+        let arguments = arguments.map(|argument| argument.template.beginning().to_owned());
+        self.with(arguments.collect(), &[("ZTL_ID", id), ("ZTL_SCOPE", scope)])
+    }
+
+    fn with(&self, arguments: Vec<String>, more: &[(&str, &str)]) -> Launch {
+        let mut environment = self.environment.clone();
+        let more = more.iter();
+        environment.extend(more.map(|(name, value)| ((*name).to_owned(), (*value).to_owned())));
+        Launch {
+            arguments,
             directory: self.directory.clone(),
             environment,
             user: self.user.clone(),
             place: self.place.clone(),
-        })
+        }
     }
 }
 

@@ -29,10 +29,11 @@ const OUTPUT: usize = 64 * 1024;
 /// Most that fit into a message.
 const MOST_OUTPUT: usize = 1000 * 1024;
 
-/// What the command and the abort command of a component have in common.
+/// What the command and the abort command of a component or stream have in common.
 struct ProgramReader<'r, 'd, 'c> {
     reader: &'r mut ConfigReader<'d>,
-    context: ComponentContext<'c>,
+    /// `None` for a stream, whose command has no placeholders.
+    context: Option<ComponentContext<'c>>,
     directory: PathBuf,
     environment: Vec<(String, String)>,
     user: Option<Account>,
@@ -47,7 +48,7 @@ pub(crate) fn read<'d>(
     fields: Option<&mut Fields<'d>>,
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
-    ProgramReader::new(reader, context).program(fields, |reader| reader.invocation(node))
+    ProgramReader::new(reader, Some(context)).program(fields, |reader| reader.invocation(node))
 }
 
 /// Reads `shell`: a command for `/bin/sh`.
@@ -57,11 +58,41 @@ pub(crate) fn read_shell<'d>(
     fields: Option<&mut Fields<'d>>,
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
-    ProgramReader::new(reader, context).program(fields, |reader| reader.shell(node))
+    ProgramReader::new(reader, Some(context)).program(fields, |reader| reader.shell(node))
+}
+
+/// Reads the program of a stream: `run` or `shell`, where it runs and how it is stopped.
+pub(crate) fn read_stream<'d>(
+    reader: &mut ConfigReader<'d>,
+    node: &'d Node,
+    fields: &mut Fields<'d>,
+) -> Option<Program> {
+    let (run, shell) = (fields.optional("run"), fields.optional("shell"));
+    let mut reader = ProgramReader::new(reader, None);
+    reader.account(fields);
+    let command = match (run, shell) {
+        (Some(_), Some(second)) => {
+            reader.wrong(second, "give only one of: run, shell");
+            None
+        }
+        (Some(node), None) => reader.invocation(node),
+        (None, Some(node)) => reader.shell(node),
+        (None, None) => {
+            let message = "nothing writes this stream; write run: [PROGRAM, ARGUMENT]";
+            reader.wrong(node, message);
+            None
+        }
+    };
+    let abort = reader.abort_of(fields);
+    Some(Program {
+        abort: abort?,
+        result: ResultKind::Stream,
+        ..program(command?)
+    })
 }
 
 impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
-    fn new(reader: &'r mut ConfigReader<'d>, context: ComponentContext<'c>) -> Self {
+    fn new(reader: &'r mut ConfigReader<'d>, context: Option<ComponentContext<'c>>) -> Self {
         Self {
             directory: reader.base.to_owned(),
             environment: Vec::new(),
@@ -80,6 +111,23 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
         let Some(fields) = fields else {
             return Some(Arc::new(program(run(&mut self)?)));
         };
+        self.account(fields);
+        if let Some(node) = fields.optional("dashes") {
+            let known = [("allowed", true), ("rejected", false)];
+            self.dashes = self.one_of(node, &known).unwrap_or_default();
+        }
+        let run = run(&mut self);
+        let abort = self.abort_of(fields);
+        // Without a command, the other keys are still checked.
+        let is_complete = run.is_some();
+        let mut program = program(run.unwrap_or_default());
+        self.settings(fields, &mut program);
+        program.abort = abort?;
+        is_complete.then(|| -> Arc<dyn Kind> { Arc::new(program) })
+    }
+
+    /// Where and as whom the program runs.
+    fn account(&mut self, fields: &mut Fields<'d>) {
         if let Some(node) = fields.optional("directory") {
             self.directory(node);
         }
@@ -89,19 +137,18 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
         if let Some(node) = fields.optional("user") {
             self.user = self.user(node);
         }
-        if let Some(node) = fields.optional("dashes") {
-            let known = [("allowed", true), ("rejected", false)];
-            self.dashes = self.one_of(node, &known).unwrap_or_default();
+    }
+
+    /// How the program is stopped.
+    fn abort_of(&mut self, fields: &mut Fields<'d>) -> Option<Abort> {
+        let Some(node) = fields.optional("abort") else {
+            return Some(default_abort());
+        };
+        let abort = self.abort(node)?;
+        if self.context.is_none() && !abort.allowed {
+            self.wrong(node, "no client can abort a stream; leave this out");
         }
-        let run = run(&mut self);
-        let abort = fields.optional("abort");
-        let abort = abort.map_or(Some(default_abort()), |node| self.abort(node));
-        // Without a command, the other keys are still checked.
-        let is_complete = run.is_some();
-        let mut program = program(run.unwrap_or_default());
-        self.settings(fields, &mut program);
-        program.abort = abort?;
-        is_complete.then(|| -> Arc<dyn Kind> { Arc::new(program) })
+        Some(abort)
     }
 
     /// The keys that say how the program is treated once it runs.
@@ -173,7 +220,17 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
                     self.reader.warn(node, message);
                 }
             }
-            let ComponentContext { rule, wildcard } = self.context;
+            let Some(ComponentContext { rule, wildcard }) = self.context else {
+                if !template.is_fixed() {
+                    let message = format!("a stream has no task, so nothing stands for '{text}'");
+                    self.wrong(node, message);
+                }
+                arguments.push(Argument {
+                    template,
+                    guarded: false,
+                });
+                continue;
+            };
             if let Some(part) = template.lacks(rule) {
                 self.wrong(node, format!("no goal has '{part}': it is {rule}"));
             }
@@ -200,7 +257,11 @@ impl<'r, 'd, 'c> ProgramReader<'r, 'd, 'c> {
 
     fn shell(&mut self, node: &'d Node) -> Option<Invocation> {
         let text = self.reader.yaml.text(node, "a command for the shell")?;
-        for word in ["goal", "handler", "component", "id", "scope"] {
+        let of_tasks: &[&str] = match self.context {
+            Some(_) => &["goal", "handler", "component", "id", "scope"],
+            None => &[],
+        };
+        for word in of_tasks {
             let is_placeholder = |start: String| {
                 let before = text.split_once(&start).map(|(before, _)| before);
                 before.is_some_and(|before| !before.ends_with('$'))

@@ -64,7 +64,7 @@ impl Run {
         let keep = match program.result {
             ResultKind::LastLine => Keep::Last,
             ResultKind::All | ResultKind::Json => Keep::All,
-            ResultKind::Nothing => Keep::None,
+            ResultKind::Nothing | ResultKind::Stream => Keep::None,
         };
         let mut run = Self {
             undecided: None,
@@ -248,7 +248,7 @@ impl Run {
         let Kept { text, cut } = self.out.kept();
         let most = human_size(self.program.output);
         match self.program.result {
-            ResultKind::Nothing => Outcome::Completed("None".to_owned()),
+            ResultKind::Nothing | ResultKind::Stream => Outcome::Completed("None".to_owned()),
             ResultKind::Json if cut => Outcome::Failed(format!("its JSON output exceeds {most}")),
             ResultKind::Json => json(&text),
             ResultKind::LastLine | ResultKind::All if cut => {

@@ -50,4 +50,6 @@ pub(crate) enum ResultKind {
     All,
     Json,
     Nothing,
+    /// Nothing: the output is a stream.
+    Stream,
 }

@@ -4,6 +4,7 @@
 //! ones. Messages that wait for several subscribers are in memory once.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
 use std::io;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -22,6 +23,8 @@ use crate::server::{Access, CurrentAccess};
 
 /// Bytes of messages that wait for the thread. Above, nothing more is published.
 const QUEUE: usize = 32 << 20;
+/// Bytes up to which a source that can wait need not. So others have room, and what waits is sent soon.
+const READY: usize = 1 << 20;
 /// Bytes of messages that wait for one subscriber. Above, the oldest one is dropped.
 const BEHIND: usize = 8 << 20;
 /// Bytes of the newest messages, which late subscribers get.
@@ -110,11 +113,26 @@ fn put_header(flags: u8, size: usize, out: &mut Vec<u8>) {
     }
 }
 
+/// Learns whether anyone subscribes to a topic.
+struct Watch {
+    /// A message of this topic.
+    message: PubMessage,
+    is_heard: bool,
+    changed: Box<dyn FnMut(bool) + Send>,
+}
+
+impl fmt::Debug for Watch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Watch")
+    }
+}
+
 /// What waits for the thread.
 #[derive(Debug, Default)]
 struct Queue {
     messages: VecDeque<PubMessage>,
     held: usize,
+    watches: Vec<Watch>,
     /// Whether the thread was woken, and has not looked since.
     is_awake: bool,
     is_closed: bool,
@@ -149,6 +167,7 @@ struct Worker {
     access: CurrentAccess,
     shared: Arc<Shared>,
     subscribers: BTreeMap<PeerId, Subscriber>,
+    watches: Vec<Watch>,
     /// Bytes that the topics of all subscribers take.
     topics: usize,
     /// The newest state of each topic, and the bytes of all.
@@ -182,6 +201,7 @@ impl PubSocket {
             access,
             shared: Arc::clone(&shared),
             subscribers: BTreeMap::new(),
+            watches: Vec::new(),
             topics: 0,
             newest: BTreeMap::new(),
             newest_held: 0,
@@ -227,12 +247,34 @@ impl PubSocket {
             queue.held = held;
             queue.messages.push_back(message);
         }
+        self.wake(queue);
+        has_room
+    }
+
+    /// Whether there is room for a source that can wait.
+    pub(crate) fn has_room(&self) -> bool {
+        self.shared.queue().held <= READY
+    }
+
+    /// Calls `changed` on the publisher's thread whenever it changes whether any subscriber gets such a message; at first
+    /// none does.
+    pub(crate) fn watch(&self, message: PubMessage, changed: impl FnMut(bool) + Send + 'static) {
+        let mut queue = self.shared.queue();
+        queue.watches.push(Watch {
+            message,
+            is_heard: false,
+            changed: Box::new(changed),
+        });
+        self.wake(queue);
+    }
+
+    /// Wakes the thread, unless that was done before.
+    fn wake(&self, mut queue: MutexGuard<'_, Queue>) {
         let wake = !std::mem::replace(&mut queue.is_awake, true);
         drop(queue);
         if wake {
             let _ = self.waker.wake();
         }
-        has_room
     }
 }
 
@@ -252,14 +294,19 @@ impl Worker {
     fn run(mut self) -> io::Result<()> {
         loop {
             self.peers.wait(None)?;
-            self.take_subscriptions();
+            let mut has_changed = self.take_subscriptions();
             let (messages, is_closed) = {
                 let mut queue = self.shared.queue();
                 queue.is_awake = false;
                 queue.held = 0;
+                has_changed |= !queue.watches.is_empty();
+                self.watches.append(&mut queue.watches);
                 let messages = std::mem::take(&mut queue.messages);
                 (messages, queue.is_closed)
             };
+            if has_changed {
+                self.tell_watches();
+            }
             for message in messages {
                 self.publish(&message);
             }
@@ -292,8 +339,22 @@ impl Worker {
         Ok(())
     }
 
-    /// Reads what subscribers ask for, and notes who has left.
-    fn take_subscriptions(&mut self) {
+    /// Tells those who watch a topic whether that has a subscriber.
+    fn tell_watches(&mut self) {
+        let access = self.access.read();
+        for watch in &mut self.watches {
+            let mut subscribers = self.subscribers.values();
+            let is_heard = subscribers.any(|one| one.gets(&watch.message, &access));
+            if is_heard != watch.is_heard {
+                watch.is_heard = is_heard;
+                (watch.changed)(is_heard);
+            }
+        }
+    }
+
+    /// Reads what subscribers ask for, and notes who has left. Returns whether that was anything.
+    fn take_subscriptions(&mut self) -> bool {
+        let mut has_changed = false;
         let access = &self.access;
         let mut admit =
             |address, key: Option<[u8; 32]>| access.admits(address, key.map(PublicKey::from_bytes));
@@ -301,6 +362,7 @@ impl Worker {
             let Some(message) = self.peers.next(&mut admit) else {
                 break;
             };
+            has_changed = true;
             let body = message.body.unwrap_or_default();
             if let Some((begins @ 0..=1, topic)) = body.split_first() {
                 let subscriber = self.subscribers.entry(message.peer).or_default();
@@ -329,6 +391,7 @@ impl Worker {
             let is_there = peers.waiting(*peer).is_some();
             if !is_there {
                 *topics -= subscriber.bytes;
+                has_changed = true;
             }
             is_there
         });
@@ -342,6 +405,7 @@ impl Worker {
                 info!(target: PUBLISHER, "Subscriber left! Total connected: {total}");
             }
         }
+        has_changed
     }
 
     fn publish(&mut self, message: &PubMessage) {

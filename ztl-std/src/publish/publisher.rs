@@ -1,5 +1,7 @@
 //! Publishes values.
 
+use std::sync::Arc;
+
 use tracing::info;
 use ztl_pickle::Pickle;
 
@@ -9,11 +11,12 @@ use crate::server::{Access, BindError, CurrentAccess, Limits, rules, to_bind};
 
 /// Publishes values under a scope, to any number of subscribers. Never waits for one.
 ///
-/// When it is dropped, it still sends for at most one second what subscribers have not taken yet.
+/// When it is dropped, with all that [`under`](Self::under) has made of it, it still sends for at most one second what
+/// subscribers have not taken yet.
 #[derive(Debug)]
 pub struct Publisher {
-    socket: PubSocket,
-    scope: String,
+    pub(crate) socket: Arc<PubSocket>,
+    pub(crate) scope: String,
 }
 
 /// Options of a publisher that is to be bound.
@@ -54,7 +57,7 @@ impl PublisherBuilder {
         let port = port.map_or("", |(_, port)| port);
         info!(target: PUBLISHER, "Publisher '{scope}' created at '{named}:{port}'");
         Ok(Publisher {
-            socket,
+            socket: Arc::new(socket),
             scope: scope.to_owned(),
         })
     }
@@ -78,6 +81,29 @@ impl Publisher {
     #[must_use]
     pub fn endpoint(&self) -> &str {
         self.socket.endpoint()
+    }
+
+    /// A publisher at the same place, under another scope.
+    #[must_use]
+    pub fn under(&self, scope: &str) -> Self {
+        Self {
+            socket: Arc::clone(&self.socket),
+            scope: scope.to_owned(),
+        }
+    }
+
+    /// Calls `changed` whenever the first subscriber comes who hears the topic of `path`, with `true`, and whenever the
+    /// last one has left, with `false`. It is called on the publisher's thread, so it must be quick.
+    pub fn watch(&self, path: &str, changed: impl FnMut(bool) + Send + 'static) {
+        let message = PubMessage::new(&self.scope, path, &[], false);
+        self.socket.watch(message, changed);
+    }
+
+    /// Whether there is much room for values that wait to be sent. A source that can wait, such as a pipe, should wait until
+    /// then.
+    #[must_use]
+    pub fn has_room(&self) -> bool {
+        self.socket.has_room()
     }
 
     /// How many subscribers there are: connections that have subscribed to something.

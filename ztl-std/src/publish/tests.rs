@@ -182,6 +182,59 @@ fn encrypted_a_subscriber_hears_the_scopes_that_its_key_may_use() {
 }
 
 #[test]
+fn a_watch_tells_of_the_first_subscriber_who_hears_the_topic_and_of_the_last() {
+    let [own, lab, other] = [(); 3].map(|()| KeyPair::generate());
+    let public = own.public();
+    let access = Access::everybody().with_keys(own);
+    let access = access.allow_scope("/lab", lab.public());
+    let access = access.allow_scope("/other", other.public());
+    let publisher = Publisher::builder().access(access);
+    let publisher = publisher.bind("tcp://127.0.0.1:*", "/other").unwrap();
+    let (tell, told) = std::sync::mpsc::channel();
+    let watch = |scope: &str, path: &'static str| {
+        let tell = tell.clone();
+        let changed = move |is_heard| tell.send((path, is_heard)).unwrap();
+        publisher.under(scope).watch(path, changed);
+    };
+    watch("/lab", "/arm");
+    watch("/lab", "/leg");
+    let subscribe = |keys: &KeyPair, topic: &str| {
+        let subscriber = Subscriber::builder().keys(keys.clone(), public);
+        let subscriber = subscriber.scope(topic).connect(publisher.endpoint());
+        subscriber.unwrap()
+    };
+    let wait = Duration::from_millis(10);
+    let next = |subscriber: &mut Subscriber| {
+        loop {
+            subscriber.next_within(wait).unwrap();
+            if let Ok(told) = told.try_recv() {
+                return told;
+            }
+        }
+    };
+    // It may not hear them, so nothing is told.
+    let mut deaf = subscribe(&other, "");
+    while publisher.subscribers() < 1 {
+        deaf.next_within(wait).unwrap();
+    }
+    let mut arm = subscribe(&lab, "/lab/arm");
+    assert_eq!(next(&mut arm), ("/arm", true));
+    // Its topic begins both.
+    let mut all = subscribe(&lab, "/lab");
+    assert_eq!(next(&mut all), ("/leg", true));
+    drop((arm, all));
+    let mut ends = [next(&mut deaf), next(&mut deaf)];
+    ends.sort_unstable();
+    assert_eq!(ends, [("/arm", false), ("/leg", false)]);
+    let mut again = subscribe(&lab, "/lab/le");
+    assert_eq!(next(&mut again), ("/leg", true));
+    // Who is there already is told at once.
+    watch("/lab", "/leg");
+    assert_eq!(next(&mut again), ("/leg", true));
+    assert!(told.try_recv().is_err());
+}
+
+#[test]
 fn messages_that_are_not_wanted_do_not_hold_a_subscriber_past_its_limit() {
     let publisher = publisher();
     let mut subscriber = Subscriber::connect(publisher.endpoint(), "/lab/arm").unwrap();
@@ -391,7 +444,8 @@ impl TaskController for Echo {
 #[test]
 fn a_server_publishes_what_happens_to_its_tasks() {
     let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
-    let events = server.publish_events("tcp://127.0.0.1:*").unwrap();
+    let publisher = server.publish_events("tcp://127.0.0.1:*").unwrap();
+    let events = publisher.endpoint().to_owned();
     for scope in ["/lab", "/other"] {
         server.register(scope, Echo);
     }

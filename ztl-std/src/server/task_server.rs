@@ -32,6 +32,8 @@ use super::waker::Waker;
 use crate::log_targets::TASKS;
 #[cfg(feature = "publish")]
 use crate::native::publisher::PubSocket;
+#[cfg(feature = "publish")]
+use crate::publish::Publisher;
 use crate::random;
 use crate::rate_limit::RateLimit;
 use crate::transport::Transport;
@@ -156,15 +158,17 @@ impl TaskServer {
         ServerBuilder::default()
     }
 
-    /// Publishes what happens to tasks, for those who may use the server (`docs/streams.md`). Returns the endpoint, with
-    /// the port that was chosen.
+    /// Publishes what happens to tasks, for those who may use the server (`docs/streams.md`). Returns a publisher for
+    /// other values at the same place, whose scope is empty: [`Publisher::under`] gives it one.
     ///
     /// # Errors
     /// [`BindError`].
     #[cfg(feature = "publish")]
-    pub fn publish_events(&mut self, endpoint: &str) -> Result<String, BindError> {
-        let socket = self.publish_at(endpoint)?;
-        Ok(socket.endpoint().to_owned())
+    pub fn publish_events(&mut self, endpoint: &str) -> Result<Publisher, BindError> {
+        Ok(Publisher {
+            socket: self.publish_at(endpoint)?,
+            scope: String::new(),
+        })
     }
 
     /// As [`publish_events`](Self::publish_events). A handler publishes at the same socket.

@@ -193,8 +193,8 @@ impl Orphan {
             Some(asked) if now >= asked + self.charge.grace => {
                 group::signal(group.number, Signal::KILL);
                 log.warn(format!(
-                    "Task {} was killed: it did not end within its grace.",
-                    self.charge.task
+                    "The program of {} was killed: it did not end within its grace.",
+                    self.charge.name
                 ));
                 false
             }
@@ -205,7 +205,7 @@ impl Orphan {
     fn group(&mut self) -> Option<ProcessGroup> {
         let found = self.charge.group.or_else(|| {
             // The server has ended while it started the program.
-            group::with_variable("ZTL_ID", &self.charge.task.to_string())
+            group::with_variable("ZTL_ID", &self.charge.id)
         });
         self.charge.group = found;
         found
@@ -223,14 +223,15 @@ impl Orphan {
             }
             Ending::Run(launch) => match spawn(launch) {
                 Ok(child) => {
-                    let mut helper = Charge::new(charge.task, Ending::Wait, charge.grace);
+                    let mut helper =
+                        Charge::new(&charge.name, &charge.id, Ending::Wait, charge.grace);
                     helper.group = Some(ProcessGroup::of(group::led_by(&child)));
                     return Some(Self::new(helper));
                 }
                 Err(reason) => {
                     log.warn(format!(
-                        "Cannot start the abort program of task {}, sent SIGTERM instead: {reason}",
-                        charge.task
+                        "Cannot start the abort program of {}, sent SIGTERM instead: {reason}",
+                        charge.name
                     ));
                 }
             },
@@ -276,8 +277,10 @@ mod tests {
         let mut children = [told, untold, over].map(sleeper);
         let group = |child: &Child| ProcessGroup::of(group::led_by(child));
         let [of_told, _, of_over] = [0, 1, 2].map(|place| group(&children[place]));
-        let charge =
-            |task: TaskId| Charge::new(task.get(), Ending::Signal("USR1".to_owned()), grace);
+        let charge = |task: TaskId| {
+            let end = Ending::Signal("USR1".to_owned());
+            Charge::new("a task", &task.to_string(), end, grace)
+        };
         let lines = [
             Message::Begins(1, charge(told)),
             Message::Begins(3, charge(over)),
@@ -307,7 +310,8 @@ mod tests {
     fn a_group_whose_number_was_reused_is_left_alone() {
         let task = TaskId::new(u32::MAX - 9).expect("one");
         let mut child = sleeper(task);
-        let mut charge = Charge::new(task.get(), Ending::Signal("INT".to_owned()), Duration::ZERO);
+        let end = Ending::Signal("INT".to_owned());
+        let mut charge = Charge::new("a task", &task.to_string(), end, Duration::ZERO);
         let stale = format!("{{\"number\":{},\"began\":1}}", child.id());
         charge.group = Some(serde_json::from_str(&stale).expect("a group"));
         end_all(BTreeMap::from([(1, charge)]), &Log::new().0);

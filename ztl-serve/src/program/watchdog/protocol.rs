@@ -3,18 +3,19 @@
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use ztl_core::TaskId;
 
-use crate::call::Call;
+use crate::program::assignment::Assignment;
 use crate::program::launch::Launch;
 use crate::program::process_group::ProcessGroup;
-use crate::program::settings::{AbortBy, Program};
+use crate::program::settings::{Abort, AbortBy};
 
 /// A program that the watchdog looks after.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Charge {
+    /// What it runs for, as `task 7`.
+    pub(crate) name: String,
     /// `ZTL_ID` in its environment, which finds it while its group is unknown.
-    pub(crate) task: u32,
+    pub(crate) id: String,
     pub(crate) group: Option<ProcessGroup>,
     pub(crate) end: Ending,
     pub(crate) grace: Duration,
@@ -32,27 +33,21 @@ pub(crate) enum Ending {
 }
 
 impl Charge {
-    /// A task's program.
-    pub(crate) fn of(program: &Program, call: &Call) -> Self {
-        let end = match &program.abort.by {
-            AbortBy::Signal(name, _) => Ending::Signal((*name).to_owned()),
-            AbortBy::Program(run) => match run.launch(call) {
-                Ok(launch) => Ending::Run(Box::new(launch)),
-                // As the server does it.
-                Err(_) => Ending::Signal("TERM".to_owned()),
-            },
+    /// The program of a task or stream.
+    pub(crate) fn of(assignment: &Assignment, abort: &Abort) -> Self {
+        let end = match (&assignment.abort, &abort.by) {
+            (Some(Ok(launch)), _) => Ending::Run(Box::new(launch.clone())),
+            (None, AbortBy::Signal(name, _)) => Ending::Signal((*name).to_owned()),
+            // As the server does it.
+            _ => Ending::Signal("TERM".to_owned()),
         };
-        Self::new(call.id.get(), end, program.abort.grace)
+        Self::new(&assignment.name, &assignment.id, end, abort.grace)
     }
 
-    /// A program that aborts a task's.
-    pub(crate) fn of_abort_program(task: TaskId, grace: Duration) -> Self {
-        Self::new(task.get(), Ending::Wait, grace)
-    }
-
-    pub(crate) fn new(task: u32, end: Ending, grace: Duration) -> Self {
+    pub(crate) fn new(name: &str, id: &str, end: Ending, grace: Duration) -> Self {
         Self {
-            task,
+            name: name.to_owned(),
+            id: id.to_owned(),
             group: None,
             end,
             grace,

@@ -1,0 +1,662 @@
+//! Programs whose output is published as streams.
+
+use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use ztl_pickle::{Kind, Pickle};
+use ztl_std::Subscriber;
+use ztl_tests::lab::{Ended, Keys, PATIENCE, Process, Scratch, Server, busy, python, until, ztl};
+
+use crate::rig::{Rig, dies, is_starved, lives, project};
+
+const WAIT: Duration = Duration::from_millis(20);
+
+/// A server with these streams of `/robot`, one a line.
+struct Robot {
+    rig: Rig,
+    port: u16,
+}
+
+impl Robot {
+    #[track_caller]
+    fn new(streams: &str) -> Self {
+        Self::with(streams, &[])
+    }
+
+    #[track_caller]
+    fn with(streams: &str, options: &[&str]) -> Self {
+        Self::of_file(&file(streams), options)
+    }
+
+    #[track_caller]
+    fn of_file(text: &str, options: &[&str]) -> Self {
+        let options = [&["--publish", "0"], options].concat();
+        let rig = Rig::of_file(text, &options);
+        let said = "Publishing streams and events of tasks at ";
+        let port = rig.server.process.wait_for_port(said);
+        Self { rig, port }
+    }
+
+    #[track_caller]
+    fn subscribe(&self, topic: &str) -> Subscriber {
+        Subscriber::connect(&self.endpoint(), topic).expect("a file")
+    }
+
+    fn endpoint(&self) -> String {
+        format!("tcp://127.0.0.1:{}", self.port)
+    }
+
+    /// A subscriber in Python with pyzmq alone. It prints a line for each message: the topic, and the value as Python
+    /// shows it, or bytes in hexadecimal.
+    #[track_caller]
+    fn python(&self, topic: &str) -> Process {
+        self.run_python(PLAIN, topic)
+    }
+
+    #[track_caller]
+    fn run_python(&self, script: &str, topic: &str) -> Process {
+        let port = self.port.to_string();
+        Process::start(Command::new(python()).args(["-c", script, &port, topic]))
+    }
+
+    fn touch(&self, name: &str) {
+        std::fs::write(self.rig.scratch.path(name), "").expect("to write");
+    }
+
+    /// The lines of a file in the directory of the programs.
+    fn lines(&self, name: &str) -> Vec<String> {
+        let text = std::fs::read_to_string(self.rig.scratch.path(name)).unwrap_or_default();
+        text.lines().map(str::to_owned).collect()
+    }
+}
+
+fn file(streams: &str) -> String {
+    let lines = streams.trim().lines();
+    let lines: Vec<String> = lines.map(|line| format!("    {}", line.trim())).collect();
+    format!("streams:\n  /robot:\n{}\n", lines.join("\n"))
+}
+
+const PLAIN: &str = "
+import pickle, sys, zmq
+sensor = zmq.Context().socket(zmq.SUB)
+sensor.connect('tcp://localhost:' + sys.argv[1])
+sensor.subscribe(sys.argv[2])
+while True:
+    topic, value = sensor.recv_multipart()
+    value = pickle.loads(value)
+    print(topic.decode(), value.hex() if isinstance(value, bytes) else repr(value), flush=True)
+";
+
+const ORIGINALS: &str = "
+import sys
+from ztl.core.subscriber import ObjectSubscriber
+class Shown(ObjectSubscriber):
+    def callback(self, obj):
+        print(obj.hex() if isinstance(obj, bytes) else repr(obj), flush=True)
+Shown('localhost', int(sys.argv[1]), sys.argv[2]).start()
+";
+
+/// The next value of a subscriber.
+#[track_caller]
+fn next(subscriber: &mut Subscriber) -> Pickle {
+    let heard = subscriber.next_within(PATIENCE).expect("it can wait");
+    heard.expect("a message").value().expect("plain data")
+}
+
+#[track_caller]
+fn shown(subscriber: &mut Subscriber) -> String {
+    next(subscriber).value().repr().to_string()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[test]
+fn a_tone_is_heard_byte_for_byte_in_python_and_by_the_original() {
+    // Without dither, so that it is the same each time.
+    let tone = "sox -D -n -r 16000 -b 16 -c 1 -e signed -t raw - synth 2 sine 440";
+    let made = Command::new("sh").args(["-c", tone]).output();
+    let made = made.expect("`sox`").stdout;
+    assert_eq!(made.len(), 2 * 2 * 16_000);
+    let robot = Robot::new(&format!(
+        "tick: {{shell: 'while sleep 0.02; do echo tick; done', frame: line}}
+        microphone: {{shell: 'until [ -e go ]; do sleep 0.01; done; rm go; exec {tone}', frame: 3200 bytes}}"
+    ));
+    let subscribers = [
+        robot.python("/robot"),
+        robot.run_python(ORIGINALS, "/robot"),
+    ];
+    for subscriber in &subscribers {
+        subscriber.wait_for("'tick'");
+    }
+    robot.touch("go");
+    for subscriber in subscribers {
+        until("the tone", PATIENCE, || {
+            let text = subscriber.stdout();
+            let blocks = text
+                .lines()
+                .map(|line| line.strip_prefix("/robot/microphone ").unwrap_or(line))
+                .filter(|line| !line.ends_with("'tick'"));
+            let blocks: Vec<&str> = blocks.collect();
+            // The last line may be incomplete.
+            (blocks.len() >= 20 && text.ends_with('\n')).then(|| {
+                assert!(blocks.iter().all(|block| block.len() == 6400));
+                assert!(blocks.concat() == hex(&made), "it sounds different");
+            })
+        });
+    }
+}
+
+#[test]
+fn each_kind_of_frame_is_a_value_in_python() {
+    let images = ["thumbnail", "progressive"].map(|name| {
+        let path = project(&format!("tests/serve/images/{name}.jpg"));
+        std::fs::read(path).expect("an image")
+    });
+    let streams = r#"
+        line: {run: [sh, -c, 'until [ -e go ]; do sleep 0.01; done; printf "one\r\n\n\377 2\nrest"; sleep 60'], frame: line}
+        json: {shell: 'until [ -e go ]; do sleep 0.01; done; cat json; sleep 60', frame: json}
+        blocks: {shell: 'until [ -e go ]; do sleep 0.01; done; printf "\0\1\2\3\4"; sleep 60', frame: 2 bytes}
+        length: {shell: 'until [ -e go ]; do sleep 0.01; done; printf "\0\0\0\3abc\0\0\0\0\0\0\0\1d"; sleep 60', frame: length}
+        jpeg: {run: [PYTHON, cut.py], frame: jpeg}
+        who: {shell: 'until [ -e go ]; do sleep 0.01; done; echo "$ZTL_SCOPE $LANG ${ZTL_GOAL-none}"; sleep 60', environment: {LANG: de}, frame: line}
+        tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}
+        "#;
+    let python = python().display().to_string();
+    let robot = Robot::new(&streams.replace("PYTHON", &python));
+    let json = r#"{"x": [1, -2.5, 0.1, 12345678901234567890, true, null], "a": "\u00e4"}
+
+nonsense
+"text"
+"#;
+    std::fs::write(robot.rig.scratch.path("json"), json).expect("to write");
+    std::fs::write(
+        robot.rig.scratch.path("images"),
+        [&images[0][..], b"\r\n--next\r\n", &images[1], &images[0]].concat(),
+    )
+    .expect("to write");
+    // Pieces of many lengths.
+    let cut = "
+import os, time
+while not os.path.exists('go'): time.sleep(0.01)
+data, at, size = open('images', 'rb').read(), 0, 1
+while at < len(data):
+    os.write(1, data[at:at + size])
+    at, size = at + size, size % 97 + 1
+time.sleep(60)
+";
+    std::fs::write(robot.rig.scratch.path("cut.py"), cut).expect("to write");
+    let subscriber = robot.python("/robot/");
+    subscriber.wait_for("'tick'");
+    robot.touch("go");
+    let [first, second] = images.each_ref().map(|image| hex(image));
+    for (name, values) in [
+        ("line", &["'one'", "''", "'\u{fffd} 2'"][..]),
+        (
+            "json",
+            &[
+                "{'x': [1, -2.5, 0.1, 12345678901234567890, True, None], 'a': 'ä'}",
+                "'text'",
+            ],
+        ),
+        ("blocks", &["0001", "0203"]),
+        ("length", &["616263", "", "64"]),
+        ("jpeg", &[&first, &second, &first]),
+        ("who", &["'/robot de none'"]),
+    ] {
+        let topic = format!("/robot/{name} ");
+        let found = until(name, PATIENCE, || {
+            let text = subscriber.stdout();
+            let lines = text.lines().filter_map(|line| line.strip_prefix(&topic));
+            let lines: Vec<String> = lines.map(str::to_owned).collect();
+            (lines.len() >= values.len()).then_some(lines)
+        });
+        assert_eq!(found, values, "{name}");
+    }
+    let said = "Stream /robot/json: a frame was dropped: it is not JSON: expected ident at line 1";
+    robot.rig.server.process.wait_for(said);
+}
+
+/// The readers get each block before the next ones are written, while others read nothing at all.
+#[test]
+fn of_twenty_subscribers_five_that_never_read_cost_the_others_nothing() {
+    const BATCH: usize = 100;
+    const BATCHES: usize = 20;
+    const READERS: usize = 15;
+    let _busy = busy();
+    let python = python().display().to_string();
+    let robot = Robot::new(&format!(
+        "blocks: {{run: [{python}, blocks.py], frame: 20000 bytes}}"
+    ));
+    let script = format!(
+        "
+import os, time
+def put(number):
+    block = b'%08d' % number + b'x' * 19992
+    while block:
+        block = block[os.write(1, block):]
+while not os.path.exists('go'):
+    put(99999999)
+    time.sleep(0.02)
+for batch in range({BATCHES}):
+    for number in range({BATCH}):
+        put(batch * {BATCH} + number)
+    while not os.path.exists('got%d' % batch):
+        time.sleep(0.01)
+time.sleep(600)
+"
+    );
+    std::fs::write(robot.rig.scratch.path("blocks.py"), script).expect("to write");
+    let context = zmq::Context::new();
+    let subscribe = |most| {
+        let socket = context.socket(zmq::SUB).expect("a socket");
+        socket.set_rcvhwm(most).expect("a limit");
+        socket.set_rcvtimeo(20_000).expect("a limit");
+        socket.set_subscribe(b"/robot/blocks").expect("a topic");
+        socket.connect(&robot.endpoint()).expect("an address");
+        socket
+    };
+    let _slow: Vec<_> = (0..5).map(|_| subscribe(1)).collect();
+    let readers: Vec<_> = (0..READERS).map(|_| subscribe(0)).collect();
+    let process = &robot.rig.server.process;
+    let [ready, got] = [0, 0].map(AtomicUsize::new);
+    let before = std::thread::scope(|scope| {
+        for reader in readers {
+            let next = move || {
+                let frames = reader.recv_multipart(0).expect("a message");
+                let [topic, body] = frames.as_slice() else {
+                    panic!("{} frames", frames.len());
+                };
+                assert_eq!(topic, b"/robot/blocks");
+                let value = Pickle::read(body).expect("a pickle");
+                let Kind::Bytes(block) = value.value().kind() else {
+                    panic!("{value:?}");
+                };
+                assert!(block.len() == 20_000 && block.ends_with(b"xxx"));
+                let digits = std::str::from_utf8(&block[..8]).expect("digits");
+                digits.parse::<usize>().expect("a number")
+            };
+            let (ready, got) = (&ready, &got);
+            scope.spawn(move || {
+                let mut number = next();
+                ready.fetch_add(1, Ordering::SeqCst);
+                while number == 99_999_999 {
+                    number = next();
+                }
+                for expected in 0..BATCH * BATCHES {
+                    assert_eq!(number, expected);
+                    got.fetch_add(1, Ordering::SeqCst);
+                    if expected + 1 < BATCH * BATCHES {
+                        number = next();
+                    }
+                }
+            });
+        }
+        let reach = |count: &AtomicUsize, most| {
+            until("all readers", 2 * PATIENCE, || {
+                (count.load(Ordering::SeqCst) >= most).then_some(())
+            });
+        };
+        reach(&ready, READERS);
+        let before = process.resident_kib();
+        robot.touch("go");
+        for batch in 0..BATCHES {
+            reach(&got, (batch + 1) * BATCH * READERS);
+            robot.touch(&format!("got{batch}"));
+        }
+        before
+    });
+    let grown = process.resident_kib().saturating_sub(before);
+    println!("40 MB for 20 subscribers: the server has grown by {grown} KiB");
+    assert!(grown < 24 << 10, "{grown} KiB");
+}
+
+#[test]
+fn a_program_that_ends_is_started_again_after_longer_and_longer_pauses() {
+    let robot = Robot::new(
+        "fails: {shell: 'echo \"$ZTL_ID\" >> ids; echo oops >&2; exit 3', frame: line}
+        missing: {run: [no-such-program], frame: line}
+        ends: {shell: 'echo value', frame: line}
+        tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}",
+    );
+    let process = &robot.rig.server.process;
+    for (name, why) in [
+        ("fails", "exit code 3: oops"),
+        ("ends", "exit code 0"),
+        ("missing", "no-such-program: not found; install it"),
+    ] {
+        let again = format!("Stream /robot/{name} has ended, and begins again in ");
+        for pause in ["500 ms", "1 s", "2 s"] {
+            process.wait_for(&format!("{again}{pause}: "));
+        }
+        process.wait_for(&format!(": {why}"));
+        let log = process.stderr();
+        for line in log.lines().filter(|line| line.contains(&again)) {
+            assert!(line.contains(why) || is_starved(line), "{line}");
+        }
+    }
+    let line = process.wait_for("no-such-program: not found; ");
+    assert!(line.ends_with("robot.yaml:4"), "{line}");
+    until("a third start", PATIENCE, || {
+        (robot.lines("ids").len() >= 3).then_some(())
+    });
+    let ids = robot.lines("ids");
+    assert!(ids.iter().all(|id| id.starts_with("stream-")), "{ids:?}");
+    assert_ne!(ids[0], ids[1]);
+    let mut ends = robot.subscribe("/robot/ends");
+    assert_eq!(shown(&mut ends), "'value'");
+    assert_eq!(shown(&mut robot.subscribe("/robot/tick")), "'tick'");
+}
+
+#[test]
+fn a_program_runs_only_while_someone_subscribes() {
+    let robot = Robot::new(
+        "sound: {shell: 'echo $$ >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 400 ms}
+        other: {shell: 'while sleep 0.02; do echo other; done', frame: line}",
+    );
+    // Who hears another stream does not start it.
+    let mut other = robot.subscribe("/robot/other");
+    for _ in 0..10 {
+        assert_eq!(shown(&mut other), "'other'");
+    }
+    assert!(robot.lines("starts").is_empty());
+    let mut first = robot.subscribe("/robot/sound");
+    assert_eq!(shown(&mut first), "'on'");
+    // A topic that begins so, and another kind of subscriber.
+    let second = robot.python("/rob");
+    second.wait_for("/robot/sound 'on'");
+    drop(first);
+    let mut third = robot.subscribe("/robot/sound");
+    assert_eq!(shown(&mut third), "'on'");
+    drop(second);
+    // Longer than it waits for others.
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_millis(800) {
+        assert_eq!(shown(&mut third), "'on'");
+    }
+    let starts = robot.lines("starts");
+    assert_eq!(starts.len(), 1, "{starts:?}");
+    let process: u32 = starts[0].parse().expect("a number");
+    assert!(lives(process));
+    let left = Instant::now();
+    drop(third);
+    dies(process);
+    assert!(left.elapsed() >= Duration::from_millis(400));
+    assert_eq!(shown(&mut other), "'other'");
+    assert_eq!(robot.lines("starts").len(), 1);
+    let mut again = robot.subscribe("/robot/sound");
+    assert_eq!(shown(&mut again), "'on'");
+    assert_eq!(robot.lines("starts").len(), 2);
+}
+
+#[test]
+fn a_rate_leaves_out_what_is_between_and_keeps_the_last() {
+    let robot = Robot::new(
+        "fast: {shell: 'for n in $(seq 300); do echo $n; sleep 0.005; done; sleep 60', frame: line, rate: 5 Hz, when-watched: 60 s}",
+    );
+    let start = Instant::now();
+    let mut fast = robot.subscribe("/robot/fast");
+    let mut heard = vec![];
+    while heard.last().map(String::as_str) != Some("'300'") {
+        heard.push(shown(&mut fast));
+    }
+    let most = 2 + (start.elapsed().as_secs_f64() * 5.0) as usize;
+    assert_eq!(heard[0], "'1'");
+    assert!((3..=most).contains(&heard.len()), "{most}: {heard:?}");
+}
+
+#[test]
+fn a_late_subscriber_gets_the_newest_value_of_a_stream_that_has_one() {
+    let robot = Robot::new(
+        "level: {shell: 'echo 41; echo 42; sleep 60', frame: json, latest: true, when-watched: 60 s}
+        word: {shell: 'echo early; sleep 60', frame: line, when-watched: 60 s}",
+    );
+    let mut early = robot.subscribe("/robot");
+    let mut heard = [shown(&mut early), shown(&mut early)];
+    if heard.contains(&"41".to_owned()) {
+        heard = heard.map(|one| if one == "41" { shown(&mut early) } else { one });
+    }
+    heard.sort();
+    assert_eq!(heard, ["'early'", "42"]);
+    let mut late = robot.subscribe("/robot");
+    assert_eq!(shown(&mut late), "42");
+    let more = late.next_within(Duration::from_millis(100));
+    assert_eq!(more.expect("it can wait"), None);
+    let python = robot.python("/robot/level");
+    python.wait_for("/robot/level 42");
+}
+
+#[test]
+fn hostile_output_takes_bounded_memory_and_delays_no_other_stream() {
+    let _busy = busy();
+    let robot = Robot::new(
+        r#"
+        endless: {shell: 'yes | tr -d "\n"', frame: line, when-watched: 60 s}
+        image: {shell: 'printf "\377\330\377\332\0\2"; cat /dev/zero', frame: jpeg, when-watched: 60 s}
+        noise: {shell: 'cat /dev/zero', frame: jpeg, when-watched: 60 s}
+        length: {shell: 'printf "\377\377\377\377"; cat /dev/zero', frame: length, when-watched: 60 s}
+        json: {shell: 'while :; do echo "{\"x\": "; printf "\377\n"; done', frame: json, when-watched: 60 s}
+        tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}
+        "#,
+    );
+    let mut tick = robot.subscribe("/robot/tick");
+    assert_eq!(shown(&mut tick), "'tick'");
+    let process = &robot.rig.server.process;
+    let before = process.resident_kib();
+    // It never reads.
+    let context = zmq::Context::new();
+    let all = context.socket(zmq::SUB).expect("a socket");
+    all.set_rcvhwm(1).expect("a limit");
+    all.set_subscribe(b"").expect("a topic");
+    all.connect(&robot.endpoint()).expect("an address");
+    let long = "a frame was dropped: it is longer than 4096 KiB (longest)";
+    process.wait_for(&format!("Stream /robot/endless: {long}"));
+    process.wait_for(&format!("Stream /robot/image: {long}"));
+    process.wait_for(&format!("Stream /robot/length: {long}"));
+    process.wait_for("Stream /robot/noise: a frame was dropped: it is not a JPEG image");
+    process.wait_for("Stream /robot/json: a frame was dropped: it is not JSON: ");
+    for _ in 0..100 {
+        assert_eq!(shown(&mut tick), "'tick'");
+    }
+    assert_eq!(tick.missed(), 0);
+    let grown = process.peak_kib().saturating_sub(before);
+    println!("hostile output: the server had grown by {grown} KiB");
+    assert!(grown < 96 << 10, "{grown} KiB");
+    // One line in ten seconds.
+    let lines = process.stderr().matches("Stream /robot/json: ").count();
+    assert!(lines <= 4, "{}", process.stderr());
+}
+
+#[test]
+fn a_flood_of_frames_leaves_room_for_other_streams_and_for_tasks() {
+    let _busy = busy();
+    let text = "scopes: {/robot: {h: {echo: echo}}}\n".to_owned()
+        + &file(
+            r#"
+            flood: {shell: 'yes ""', frame: line, when-watched: 60 s}
+            tick: {shell: 'while sleep 0.02; do echo tick; done', frame: line}
+            "#,
+        );
+    let robot = Robot::of_file(&text, &[]);
+    // So many that sending takes longer than writing.
+    let _floods: Vec<_> = (0..4)
+        .map(|_| {
+            let mut flood = robot.subscribe("/robot/flood");
+            assert_eq!(shown(&mut flood), "''");
+            flood
+        })
+        .collect();
+    let process = &robot.rig.server.process;
+    let mut tick = robot.subscribe("/robot/tick");
+    let mut events = robot.subscribe("/robot/$tasks");
+    let endpoint = robot.rig.server.endpoint();
+    let mut remote = ztl_std::RemoteTask::connect(&endpoint, "/robot").expect("an address");
+    // Until its subscription has arrived.
+    until("an event", PATIENCE, || {
+        let ended = remote.run("h", "echo", "first", Some(PATIENCE));
+        assert_eq!(ended.expect("its end").text, "first");
+        events.next_within(WAIT).expect("it can wait")
+    });
+    for number in 0..20 {
+        assert_eq!(shown(&mut tick), "'tick'");
+        let goal = number.to_string();
+        let ended = remote.run("h", "echo", &goal, Some(PATIENCE));
+        assert_eq!(ended.expect("its end").text, goal);
+    }
+    let last = "'text': '19'";
+    until(last, PATIENCE, || {
+        shown(&mut events).contains(last).then_some(())
+    });
+    assert_eq!((tick.missed(), events.missed()), (0, 0));
+    assert!(!process.stderr().contains("were not published"));
+    let held = process.peak_kib();
+    println!("a flood: the server had {held} KiB");
+    assert!(held < 96 << 10, "{held} KiB");
+}
+
+#[test]
+fn a_killed_server_leaves_no_program_behind() {
+    let text = file(
+        "one: {shell: 'while sleep 0.02; do echo 1; done', frame: line}
+        two: {run: [sh, -c, 'trap \"\" TERM; sleep 60 & wait; sleep 60'], frame: line, abort: {grace: 100 ms}}",
+    );
+    for delay in 0..12 {
+        let scratch = Scratch::new();
+        let path = scratch.path("robot.yaml");
+        std::fs::write(&path, &text).expect("to write");
+        let mut command = ztl();
+        command
+            .arg("serve")
+            .arg(path)
+            .args(["-p", "0", "--publish", "0"]);
+        let process = Process::start(&mut command);
+        process.wait_for("Task Server listening at");
+        // At a different moment of their starts each time; the last ones run.
+        std::thread::sleep(Duration::from_micros(delay * delay * delay * 100));
+        let server = Server { process, port: 0 };
+        let mut rig = Rig { server, scratch };
+        rig.server.process.kill();
+        // That of the watchdog, too.
+        rig.server.process.wait_for_end_of_output();
+        assert!(rig.at_home().is_empty(), "{delay}: {:?}", rig.at_home());
+    }
+}
+
+#[test]
+fn a_signal_stops_streams_and_tasks_together() {
+    let text = "
+scopes: {/robot: {h: {c: {run: [sh, -c, 'echo > task; trap \"\" TERM; sleep 60; sleep 60'], abort: {grace: 2 s}}}}}
+streams:
+  /robot:
+    careful: {run: [sh, -c, 'trap \"echo parked > parked; exit\" INT; echo > careful; while :; do sleep 0.02; done'], frame: line, abort: INT}
+    stubborn: {run: [sh, -c, 'echo > stubborn; trap \"\" TERM; sleep 60; sleep 60'], frame: line, abort: {grace: 2 s}}
+    driven: {run: [sh, -c, 'echo > driven; until [ -e halt ]; do sleep 0.02; done'], frame: line, abort: {run: [sh, -c, 'echo \"$ZTL_SCOPE\" > halt'], grace: 20 s}}
+";
+    let rig = Rig::of_file(text, &["--publish", "0"]);
+    let served = "Serving 1 component at /robot, 3 streams at /robot at ";
+    rig.server.process.wait_for(served);
+    let mut remote =
+        ztl_std::RemoteTask::connect(&rig.server.endpoint(), "/robot").expect("an address");
+    remote.trigger("h", "c", "").expect("taken");
+    for name in ["task", "careful", "stubborn", "driven"] {
+        until(name, PATIENCE, || {
+            rig.scratch.path(name).exists().then_some(())
+        });
+    }
+    let start = Instant::now();
+    rig.server.process.signal("TERM");
+    assert_eq!(rig.written("parked"), "parked");
+    assert_eq!(rig.written("halt"), "/robot");
+    let Rig { server, scratch } = rig;
+    let ended = server.process.end(PATIENCE);
+    let took = start.elapsed();
+    assert_eq!(ended.code, Some(143), "{ended:?}");
+    assert!(ended.stdout.ends_with("Stopped.\n"), "{ended:?}");
+    // Not one after the other.
+    assert!(took >= Duration::from_secs(2), "{took:?}");
+    println!("stopped within {took:?}");
+    assert!(
+        !ended.stderr.contains("has ended, and begins again"),
+        "{ended:?}"
+    );
+    drop(scratch);
+}
+
+#[test]
+fn a_key_of_another_scope_neither_hears_a_stream_nor_starts_it() {
+    let keys = Keys::make(&["server", "anna", "berta"]);
+    let own = keys.path("server.key_secret");
+    let [anna, berta] = [("/robot", "anna.key"), ("/other", "berta.key")]
+        .map(|(scope, key)| format!("{scope}={}", keys.path(key)));
+    let robot = Robot::with(
+        "sound: {shell: 'echo >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 60 s}",
+        &["--key", &own, "--client-key", &anna, "--client-key", &berta],
+    );
+    let warned =
+        "client keys are allowed at scope '/other', which is not served; there are: /robot";
+    robot.rig.server.process.wait_for(warned);
+    let subscribe = |name: &str| {
+        let subscriber = Subscriber::builder().keys(keys.pair(name), keys.pair("server").public());
+        let subscriber = subscriber.scope("/robot").connect(&robot.endpoint());
+        subscriber.expect("a file")
+    };
+    let mut berta = subscribe("berta");
+    until("her connection", PATIENCE, || {
+        assert_eq!(berta.next_within(WAIT).expect("it can wait"), None);
+        berta.is_connected().then_some(())
+    });
+    let silence = berta.next_within(Duration::from_millis(300));
+    assert_eq!(silence.expect("it can wait"), None);
+    assert!(!robot.rig.scratch.path("starts").exists());
+    assert_eq!(shown(&mut subscribe("anna")), "'on'");
+    assert_eq!(berta.next_within(WAIT).expect("it can wait"), None);
+}
+
+#[test]
+fn streams_need_a_port_to_publish_at() {
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.yaml");
+    let check = |text: &str, options: &[&str]| -> Ended {
+        std::fs::write(&path, text).expect("to write");
+        Process::run(
+            ztl()
+                .arg("serve")
+                .arg(&path)
+                .args(["--check", "-p", "0"])
+                .args(options),
+        )
+    };
+    let text = "streams:\n  /a: {b: {run: [sh], frame: line}, c: {run: [sh], frame: json}}\n";
+    let ended = check(text, &[]);
+    let said = format!(
+        "{}:2:3: streams need a port where they are published; write publish: 12346, or give --publish\n",
+        path.display()
+    );
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.stderr.starts_with(&said), "{ended:?}");
+    let ended = check(text, &["--publish", "0", "-s", "/x"]);
+    let said = "Nothing is wrong: 2 streams at /x, at 127.0.0.1:0.\n";
+    assert_eq!(
+        (ended.code, ended.stdout.as_str()),
+        (Some(0), said),
+        "{ended:?}"
+    );
+    let text = format!("publish: 0\nscopes: {{/b: {{h: {{c: echo}}}}}}\n{text}");
+    let ended = check(&text, &[]);
+    let said = "Nothing is wrong: 1 component at /b, 2 streams at /a, at 127.0.0.1:0.\n";
+    assert_eq!(
+        (ended.code, ended.stdout.as_str()),
+        (Some(0), said),
+        "{ended:?}"
+    );
+    let ended = check(&text, &["-s", "/x"]);
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(
+        ended
+            .stderr
+            .contains("--scope names the only scope of a file"),
+        "{ended:?}"
+    );
+}

@@ -1,0 +1,39 @@
+//! Streams: programs whose output is published, frame by frame.
+
+mod outlet;
+pub(crate) mod read;
+mod source;
+pub(crate) mod splitter;
+mod worker;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+pub use worker::Streams;
+
+use crate::program::settings::Program;
+use splitter::Framing;
+
+/// A stream as the file describes it.
+#[derive(Debug, Clone)]
+pub(crate) struct StreamConfig {
+    pub(crate) scope: String,
+    /// What follows the scope in the topic, as `/microphone`.
+    pub(crate) path: String,
+    pub(crate) program: Arc<Program>,
+    pub(crate) framing: Framing,
+    /// Most bytes of a frame.
+    pub(crate) longest: usize,
+    /// Whether only the newest frame counts.
+    pub(crate) latest: bool,
+    /// The shortest time between two frames.
+    pub(crate) interval: Option<Duration>,
+    /// The program runs only while anyone subscribes, and for this time after that.
+    pub(crate) when_watched: Option<Duration>,
+}
+
+impl StreamConfig {
+    pub(crate) fn topic(&self) -> String {
+        format!("{}{}", self.scope, self.path)
+    }
+}

@@ -1,0 +1,128 @@
+//! Reads the streams of a file.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use ztl_std::scope;
+use ztl_std::server::bytes;
+use ztl_yaml::Node;
+
+use super::StreamConfig;
+use super::splitter::Framing;
+use crate::program;
+use crate::reader::ConfigReader;
+
+/// The longest frame, where the file does not say it.
+const LONGEST: usize = 4 << 20;
+/// The most that it may say: as text, this is what the publisher's queue takes.
+const MOST: usize = 16 << 20;
+
+const FRAMINGS: [(&str, Framing); 4] = [
+    ("line", Framing::Line),
+    ("json", Framing::Json),
+    ("jpeg", Framing::Jpeg),
+    ("length", Framing::Length),
+];
+
+impl<'d> ConfigReader<'d> {
+    /// Reads all streams, by their scopes.
+    pub(crate) fn streams(&mut self, node: &'d Node) -> Vec<Arc<StreamConfig>> {
+        let mut streams = Vec::new();
+        for (scope, node) in self.non_empty(node, "scopes, as /robot") {
+            let scope = self.scope_name(scope);
+            for (name, node) in self.non_empty(node, "its streams") {
+                let path = self.stream_name(name);
+                if let Some(stream) = self.stream(node, scope.as_deref(), path) {
+                    streams.push(Arc::new(stream));
+                }
+            }
+        }
+        streams
+    }
+
+    /// The name of a scope.
+    pub(crate) fn scope_name(&mut self, node: &'d Node) -> Option<String> {
+        self.yaml.parsed(node, "a scope, as /robot", |text| {
+            scope::cannot_be_served(text).map_or_else(|| Ok(text.to_owned()), Err)
+        })
+    }
+
+    /// The name of a stream, as it follows the scope in the topic.
+    fn stream_name(&mut self, node: &'d Node) -> Option<String> {
+        self.yaml.parsed(node, "a stream, as microphone", |text| {
+            let is_odd = text.is_empty() || text.starts_with(['/', '$']);
+            match is_odd || text.contains(char::is_control) {
+                true => Err(format!(
+                    "invalid name '{text}' for a stream; write it as microphone or arm/left"
+                )),
+                false => Ok(format!("/{text}")),
+            }
+        })
+    }
+
+    fn stream(
+        &mut self,
+        node: &'d Node,
+        scope: Option<&str>,
+        path: Option<String>,
+    ) -> Option<StreamConfig> {
+        let mut fields = self
+            .yaml
+            .fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
+        let framing = fields.required("frame", "frame: line");
+        let framing = framing.and_then(|node| self.framing(node));
+        let longest_node = fields.optional("longest");
+        let longest = longest_node.and_then(|node| self.frame_size(node));
+        if let (Some(node), Some(Framing::Fixed(_))) = (longest_node, framing) {
+            let message = "each frame has the same length; leave this out";
+            self.yaml.wrong(node, message);
+        }
+        let latest = fields.optional("latest");
+        let latest = latest.and_then(|node| self.yaml.truth(node));
+        let rate = fields.optional("rate");
+        let interval = rate.and_then(|node| self.rate(node));
+        let when_watched = fields.optional("when-watched");
+        let when_watched = when_watched.and_then(|node| self.time(node, Duration::MAX));
+        let program = program::read::read_stream(self, node, &mut fields);
+        fields.finish(&mut self.yaml);
+        Some(StreamConfig {
+            scope: scope?.to_owned(),
+            path: path?,
+            program: Arc::new(program?),
+            framing: framing?,
+            longest: longest.unwrap_or(LONGEST),
+            latest: latest.unwrap_or_default(),
+            interval,
+            when_watched,
+        })
+    }
+
+    fn framing(&mut self, node: &'d Node) -> Option<Framing> {
+        let what = "line, json, jpeg, length, or a size, as 3200 bytes";
+        let text = self.yaml.text(node, what)?;
+        match text.starts_with(|c: char| c.is_ascii_digit()) {
+            true => self.frame_size(node).map(Framing::Fixed),
+            false => self.yaml.one_of(node, &FRAMINGS),
+        }
+    }
+
+    fn frame_size(&mut self, node: &'d Node) -> Option<usize> {
+        let what = "a size from 1 byte to 16 MiB, as 3200 bytes";
+        self.yaml.parsed(node, what, |text| {
+            let size = bytes(text).filter(|size| (1..=MOST).contains(size));
+            size.ok_or_else(|| format!("'{text}' is not {what}"))
+        })
+    }
+
+    /// The shortest time between two frames.
+    fn rate(&mut self, node: &'d Node) -> Option<Duration> {
+        let what = "a rate from 0.001 Hz to 1000 Hz, as 10 Hz";
+        self.yaml.parsed(node, what, |text| {
+            let number = text.strip_suffix("Hz").map(str::trim_end);
+            let rate = number.and_then(|number| number.parse::<f64>().ok());
+            let rate = rate.filter(|rate| (0.001..=1000.0).contains(rate));
+            let interval = rate.map(|rate| Duration::from_secs_f64(1.0 / rate));
+            interval.ok_or_else(|| format!("'{text}' is not {what}"))
+        })
+    }
+}
