@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::FileFailurePersistence;
-use ztl_core::tasks::{NoRoom, Task, TaskRules, TaskTable, Tasks, Text};
+use ztl_core::tasks::{NoRoom, StoredText, Task, TaskRules, TaskTable, Tasks};
 use ztl_core::{Event, Instant, State};
 
 /// Capacity of the table in tasks, and of each text in bytes.

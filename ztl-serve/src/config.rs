@@ -306,7 +306,7 @@ impl<'d> ConfigReader<'d> {
             None => kind.goal_rule(),
         };
         let examples = examples.map(|node| self.examples(node, &goal));
-        let streams = streams.map(|node| self.streams(node));
+        let streams = streams.map(|node| self.topics(node));
         Some(ComponentConfig {
             description: ComponentDescription {
                 about,
@@ -341,7 +341,7 @@ impl<'d> ConfigReader<'d> {
     }
 
     /// Topics that the component's program publishes.
-    fn streams(&mut self, node: &'d Node) -> Arc<[Arc<str>]> {
+    fn topics(&mut self, node: &'d Node) -> Arc<[Arc<str>]> {
         let nodes = self.yaml.list(node, "topics, as [/robot/pose]");
         let nodes = nodes.unwrap_or_default().iter();
         nodes

@@ -16,7 +16,7 @@ use ztl_std::{Offers, RemoteTask};
 
 use crate::terminal::line;
 use crate::tools::Tool;
-use crate::{Cli, Command};
+use crate::{Cli, ZtlCommand};
 
 /// How long a shell waits.
 const LIMIT: Duration = Duration::from_millis(300);
@@ -100,7 +100,7 @@ fn candidates(words: &Words) -> Vec<String> {
 
 /// Asks the server of a command line whose task is at the cursor.
 fn ask(line: Vec<String>) -> Option<Scope> {
-    let Command::Tool(tool) = Cli::try_parse_from(line).ok()?.command else {
+    let ZtlCommand::Tool(tool) = Cli::try_parse_from(line).ok()?.command else {
         return None;
     };
     let mut remote: RemoteTask = match tool {

@@ -10,9 +10,9 @@ use std::time::Duration;
 use ztl_std::ListedTask;
 #[cfg(feature = "defmt")]
 use ztl_std::defmt::{Decoder, Level, Message};
+use ztl_std::describe::{GoalRule, component as description};
 #[cfg(feature = "defmt")]
 use ztl_std::gateway::LogPiece;
-use ztl_std::describe::{GoalRule, component as description};
 use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 
 use crate::columns::spoken;
