@@ -657,7 +657,7 @@ fn tasks_from_before_a_restart_are_known_and_their_ids_are_not_reused() {
     let restore = |desk: &mut Desk, id, state, ended| {
         let mut task = Task::<_, heapless::String<16>>::new(Scope(1));
         task.state = state;
-        crate::tasks::Text::set(&mut task.text, "before");
+        crate::tasks::StoredText::set(&mut task.text, "before");
         task.ended = ended;
         desk.dispatcher.restore(TaskId::new(id).unwrap(), task)
     };

@@ -9,7 +9,7 @@ use ztl_core::dispatcher::{Action, Body, Config, Dispatcher, TaskEvent};
 use ztl_core::envelope::Envelope;
 use ztl_core::memory::{Fixed, Scope};
 use ztl_core::reply::Reply;
-use ztl_core::tasks::{Task, Text};
+use ztl_core::tasks::{StoredText, Task};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
 use ztl_link::{LinkEvent, Session};
@@ -111,7 +111,7 @@ impl Gateway {
     fn restore(&mut self, now: Instant, id: TaskId, state: State, text: &str) {
         let mut task = Task::new(Scope(0));
         task.state = state;
-        Text::set(&mut task.text, text);
+        StoredText::set(&mut task.text, text);
         if state.is_final() {
             task.ended = now;
         }
