@@ -257,13 +257,13 @@ fn a_mistyped_key_is_one_finding_with_a_suggestion() {
             "test: echo:1",
             format!(
                 "mistake: show.yaml:3:11: handler 'test' is a mapping of components with their goals; \
-                 here is a single value; {colon}"
+                 found a single value; {colon}"
             ),
         ),
         (
             "test:{echo: 1}",
             "mistake: show.yaml:3:17: handler 'test:{echo' is a mapping of components with their goals; \
-             here is a single value; write a space after the colon: test: {echo"
+             found a single value; write a space after the colon: test: {echo"
                 .to_owned(),
         ),
         (

@@ -125,7 +125,7 @@ fn a_duplicate_scene_or_step_name_is_doubtful_and_selects_nothing() {
         ),
     ] {
         let ended = directory.run(&format!("{play} {words}"));
-        assert_eq!(ended.code, Some(1), "{words}: {ended:?}");
+        assert_eq!(ended.code, Some(2), "{words}: {ended:?}");
         assert_eq!(ended.stdout, "", "{words}");
         assert!(ended.stderr.contains(said), "{words}: {ended:?}");
     }

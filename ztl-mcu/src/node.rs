@@ -202,6 +202,8 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     }
 
     /// Handles received bytes, in pieces of any length.
+    // Not inlined in firmware: that saves 224 bytes in `mps2-an386`.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub fn handle_bytes(&mut self, now: Instant, mut bytes: &[u8]) {
         if bytes.is_empty() {
             return;

@@ -381,7 +381,7 @@ publishers:
         for (text, message) in [
             ("remotes: {a: {host: h", "remotes.yaml:1:"),
             ("- a", "remotes.yaml:1:1: found a list; expected a mapping"),
-            ("remotes: 7", "remotes.yaml:1:10: here is a single value"),
+            ("remotes: 7", "remotes.yaml:1:10: found a single value"),
         ] {
             let error = read(text).unwrap_err();
             assert!(error.starts_with(message), "{text}: {error}");
@@ -402,7 +402,7 @@ publishers:
             ),
             (
                 "{host: [], port: 1, scope: s}",
-                "remotes.yaml:2:13: here is a list",
+                "remotes.yaml:2:13: found a list",
             ),
             (
                 "{host: 'tcp://lamp:7', port: 1, scope: s}",

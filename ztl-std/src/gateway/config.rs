@@ -327,7 +327,7 @@ devices:
             ),
             ("port: [1]", "lab.yaml:1:7: found a list; expected a port"),
             ("port: -1", "'-1' is not a port"),
-            ("devices: gripper", "lab.yaml:1:10: here is a single value"),
+            ("devices: gripper", "lab.yaml:1:10: found a single value"),
             (
                 "devices: {a: [x]}",
                 "lab.yaml:1:14: found a list; expected where the device is",
