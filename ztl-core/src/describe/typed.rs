@@ -98,6 +98,14 @@ pub const fn field<T: GoalType>(name: &'static str, rule: Goal) -> Field {
 ///     r#"{"name":"fast","type":"truth","optional":true}]}}"#,
 /// ));
 /// ```
+///
+/// A field is missing:
+///
+/// ```compile_fail,E0027
+/// struct Drive { metres: f32, fast: bool }
+///
+/// ztl_core::goal_fields!(Drive { metres: f32 });
+/// ```
 #[macro_export]
 macro_rules! goal_fields {
     ($goal:ident { $($name:ident: $type:ty $(= $rule:expr)?),+ $(,)? }) => {
