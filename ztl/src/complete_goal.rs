@@ -213,12 +213,13 @@ impl Words {
         let mut written = String::new();
         for c in text.chars() {
             match (c, self.quote) {
-                // Ends the quote, and begins another.
-                ('\'', Some('\'')) => written.push_str("'\\'"),
-                (c, _) if special(c) => written.push('\\'),
-                _ => {}
+                // Ends the quote, and begins another. bash would read `!` as a part of its history.
+                ('\'', Some(quote @ '\'')) | ('!', Some(quote @ '"')) => {
+                    written.extend([quote, '\\', c, quote]);
+                }
+                (c, _) if special(c) => written.extend(['\\', c]),
+                (c, _) => written.push(c),
             }
-            written.push(c);
         }
         written
     }
@@ -263,7 +264,7 @@ mod tests {
             "{x: 1, 'y': [\"a b\"]}",
             "$HOME",
             "it's",
-            "a;b|c",
+            "a;b|c!",
             "`ls`",
             "ü*?",
             "\\",
