@@ -4,6 +4,7 @@
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 
+use ztl_std::describe::ScopeDescriptions;
 use ztl_std::{Offers, Remotes, SavedDescription};
 use ztl_yaml::{Span, closest};
 
@@ -72,7 +73,7 @@ impl Script {
         remotes: &Remotes,
         saved: &[(PathBuf, SavedDescription)],
     ) -> ServerCheck {
-        let mut check = ServerCheck::default();
+        let (mut check, nothing) = (ServerCheck::default(), ScopeDescriptions::new());
         for name in self.remotes() {
             let Ok(remote) = remotes.task(name) else {
                 continue;
@@ -100,9 +101,9 @@ impl Script {
             check
                 .servers
                 .push(format!("{name}: as {path} describes {scope}"));
-            let components = told.components.get(scope).cloned().unwrap_or_default();
+            let components = told.components.get(scope).unwrap_or(&nothing);
             let accepts = &mut |handler: &str, task: &Task| {
-                Acceptance::described(&components, handler, &task.component, &task.goal)
+                Acceptance::described(components, handler, &task.component, &task.goal)
             };
             self.check_tasks(name, told.scopes.get(scope), accepts, &mut check);
         }

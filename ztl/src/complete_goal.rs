@@ -7,8 +7,8 @@ use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::iter::once;
 use std::process::ExitCode;
-use std::sync::mpsc::channel;
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use clap::Parser as _;
 use ztl_std::describe::{GoalRule, ScopeDescriptions, find};
@@ -82,24 +82,30 @@ fn candidates(words: &Words) -> Vec<String> {
         return Vec::new();
     }
     let before = words.all.iter().rev().skip(1).rev().cloned();
-    let line: Vec<String> = once("ztl".to_owned())
-        .chain(before)
+    let line = once("ztl".to_owned()).chain(before);
+    let line = line
         .chain([CURSOR.to_owned()])
+        .map(OsString::from)
         .collect();
-    let (tell, told) = channel();
+    let begin = Instant::now();
     // The thread ends with the process.
-    let asks = std::thread::Builder::new().spawn(move || tell.send(ask(line)));
-    if asks.is_err() {
+    let Ok(asking) = thread::Builder::new().spawn(move || ask(line)) else {
         return Vec::new();
+    };
+    while !asking.is_finished() {
+        if begin.elapsed() > LIMIT {
+            return Vec::new();
+        }
+        thread::sleep(Duration::from_millis(2));
     }
-    let scope = told.recv_timeout(LIMIT).ok().flatten();
+    let scope = asking.join().ok().flatten();
     let mut found = scope.map_or_else(Vec::new, |scope| scope.completed(&word));
     found.retain(|text| text.starts_with(&word) && !text.contains(char::is_control));
     found
 }
 
 /// Asks the server of a command line whose task is at the cursor.
-fn ask(line: Vec<String>) -> Option<Scope> {
+fn ask(line: Vec<OsString>) -> Option<Scope> {
     let Command::Tool(tool) = Cli::try_parse_from(line).ok()?.command else {
         return None;
     };
