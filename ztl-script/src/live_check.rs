@@ -4,7 +4,6 @@
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 
-use ztl_std::describe::ScopeDescriptions;
 use ztl_std::{Offers, Remotes, SavedDescription};
 use ztl_yaml::{Span, closest};
 
@@ -73,7 +72,7 @@ impl Script {
         remotes: &Remotes,
         saved: &[(PathBuf, SavedDescription)],
     ) -> ServerCheck {
-        let (mut check, nothing) = (ServerCheck::default(), ScopeDescriptions::new());
+        let mut check = ServerCheck::default();
         for name in self.remotes() {
             let Ok(remote) = remotes.task(name) else {
                 continue;
@@ -101,9 +100,9 @@ impl Script {
             check
                 .servers
                 .push(format!("{name}: as {path} describes {scope}"));
-            let components = told.components.get(scope).unwrap_or(&nothing);
+            let components = told.scope(scope);
             let accepts = &mut |handler: &str, task: &Task| {
-                Acceptance::described(components, handler, &task.component, &task.goal)
+                Acceptance::described(&components, handler, &task.component, &task.goal)
             };
             self.check_tasks(name, told.scopes.get(scope), accepts, &mut check);
         }

@@ -104,16 +104,17 @@ fn all(components: &Components, far: &[FarScope<'_>]) -> ScopeDescriptions {
         add(handler, component, own.clone());
     }
     // The handlers of another server also have what `*` has here.
-    if let Some(others) = all.remove(WILDCARD) {
-        for (handler, there) in &mut all {
-            if !components.has_handler(handler) {
-                for (component, is) in &others {
-                    let is = || is.clone();
-                    there.entry(component.clone()).or_insert_with(is);
-                }
+    let others = all.get(WILDCARD).into_iter().flatten();
+    let others: Vec<_> = others
+        .map(|(name, is)| (name.clone(), is.clone()))
+        .collect();
+    for (handler, there) in &mut all {
+        if !components.has_handler(handler) {
+            for (component, is) in &others {
+                let is = || is.clone();
+                there.entry(component.clone()).or_insert_with(is);
             }
         }
-        all.insert(WILDCARD.to_owned(), others);
     }
     all
 }

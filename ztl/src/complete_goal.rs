@@ -3,7 +3,6 @@
 //! The scripts of `ztl completions` call it. clap's own dynamic completion cannot do it: bash splits words at `:`,
 //! which it takes for separate arguments, and its interface is unstable.
 
-use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::iter::once;
 use std::process::ExitCode;
@@ -129,7 +128,7 @@ impl Scope {
             (parts.next().unwrap_or_default(), parts.next(), parts.next());
         let Some(component) = component else {
             let names = self.offers.keys().chain(self.said.keys());
-            return named(names, String::new());
+            return named(names, "");
         };
         let Some(_) = goal else {
             let offered = self.offers.get(handler).or_else(|| self.offers.get("*"));
@@ -137,7 +136,7 @@ impl Scope {
             let said = said.into_iter().flat_map(|components| components.keys());
             return named(
                 offered.into_iter().flatten().chain(said),
-                format!("{handler}:"),
+                &format!("{handler}:"),
             );
         };
         let Some(is) = find(&self.said, handler, component) else {
@@ -150,26 +149,25 @@ impl Scope {
             _ => Vec::new(),
         };
         let examples = is.examples.iter().map(|goal| goal.to_string());
-        let mut goals: Vec<String> = Vec::new();
-        for goal in words.into_iter().chain(examples) {
-            if !goals.contains(&goal) {
-                goals.push(goal);
-            }
-        }
-        goals
-            .into_iter()
-            .map(|goal| format!("{handler}:{component}:{goal}"))
-            .collect()
+        let goals = words.into_iter().chain(examples);
+        once_each(goals.map(|goal| format!("{handler}:{component}:{goal}")))
     }
 }
 
 /// Each name once, between what stands before it and a `:`.
-fn named<'a>(names: impl Iterator<Item = &'a String>, before: String) -> Vec<String> {
-    let names: BTreeSet<&String> = names.filter(|name| *name != "*").collect();
-    names
-        .into_iter()
-        .map(|name| format!("{before}{name}:"))
-        .collect()
+fn named<'a>(names: impl Iterator<Item = &'a String>, before: &str) -> Vec<String> {
+    let names = names.filter(|name| *name != "*");
+    once_each(names.map(|name| format!("{before}{name}:")))
+}
+
+fn once_each(texts: impl Iterator<Item = String>) -> Vec<String> {
+    let mut all = Vec::new();
+    for text in texts {
+        if !all.contains(&text) {
+            all.push(text);
+        }
+    }
+    all
 }
 
 /// A command line as a shell splits it.
@@ -210,7 +208,8 @@ impl Words {
 
     /// A text as it is written at the cursor.
     fn written(&self, text: &str) -> String {
-        let plain = |c: char| c.is_alphanumeric() || "/_-.,:=+@%".contains(c);
+        let plain =
+            |c: char| !c.is_ascii() || c.is_ascii_alphanumeric() || "/_-.,:=+@%".contains(c);
         let special = |c: char| match self.quote {
             Some('\'') => false,
             Some(_) => "\"\\$`".contains(c),

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 use ztl_yaml::{Diagnostic, Diagnostics};
 
-use super::components::{DescribedComponent, by_scope};
+use super::components::{DescribedComponent, of_scope};
 use super::description::Description;
 use crate::describe::ScopeDescriptions;
 use crate::files::read_yaml;
@@ -20,8 +20,8 @@ pub struct SavedDescription {
     pub endpoint: String,
     /// What each scope offers.
     pub scopes: BTreeMap<String, Offers>,
-    /// What the components of each scope say of themselves.
-    pub components: BTreeMap<String, ScopeDescriptions>,
+    /// What its components say of themselves.
+    pub components: Vec<DescribedComponent>,
 }
 
 impl SavedDescription {
@@ -40,6 +40,12 @@ impl SavedDescription {
         })
     }
 
+    /// What the components of a scope say of themselves.
+    #[must_use]
+    pub fn scope(&self, scope: &str) -> ScopeDescriptions {
+        of_scope(self.components.clone(), scope)
+    }
+
     fn read(bytes: &[u8]) -> Result<Self, String> {
         let text = str::from_utf8(bytes).map_err(|error| error.to_string())?;
         let value: Value = serde_json::from_str(text).map_err(|error| error.to_string())?;
@@ -50,7 +56,10 @@ impl SavedDescription {
         Ok(Self {
             endpoint: endpoint.unwrap_or_default().to_owned(),
             scopes: told.scopes,
-            components: by_scope(components.iter().filter_map(DescribedComponent::read)),
+            components: components
+                .iter()
+                .filter_map(DescribedComponent::read)
+                .collect(),
         })
     }
 }
