@@ -100,7 +100,7 @@ impl Script {
             check
                 .servers
                 .push(format!("{name}: as {path} describes {scope}"));
-            let components = told.components.get(scope).cloned().unwrap_or_default();
+            let components = told.scope(scope);
             let accepts = &mut |handler: &str, task: &Task| {
                 Acceptance::described(&components, handler, &task.component, &task.goal)
             };

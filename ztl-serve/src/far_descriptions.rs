@@ -5,8 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use ztl_std::RemoteTask;
@@ -29,21 +28,21 @@ struct FarScope<'c> {
 /// What the components of a scope say of themselves at this moment.
 #[derive(Debug)]
 pub(crate) struct ScopeDescription {
-    current: Arc<Mutex<Arc<ScopeDescriptions>>>,
-    /// Dropping it ends the thread that asks other servers.
-    _asking: Option<Sender<()>>,
+    current: Current,
 }
+
+type Current = Arc<Mutex<Arc<ScopeDescriptions>>>;
 
 impl ScopeDescription {
     pub(crate) fn new(components: &Arc<Components>) -> io::Result<Self> {
         let first = Arc::new(all(components, &[]));
         let current = Arc::new(Mutex::new(first));
-        let forwards = components.iter().any(|(.., it)| it.forward().is_some());
-        let asking = forwards.then(|| ask(Arc::clone(components), Arc::clone(&current)));
-        Ok(Self {
-            current,
-            _asking: asking.transpose()?,
-        })
+        if components.iter().any(|(.., it)| it.forward().is_some()) {
+            let (components, current) = (Arc::clone(components), Arc::downgrade(&current));
+            let thread = std::thread::Builder::new().name("ztl-far".to_owned());
+            thread.spawn(move || ask(&components, &current))?;
+        }
+        Ok(Self { current })
     }
 
     /// What tells it.
@@ -53,36 +52,31 @@ impl ScopeDescription {
     }
 }
 
-/// Asks the servers behind `forward` until the sender is dropped.
-fn ask(
-    components: Arc<Components>,
-    current: Arc<Mutex<Arc<ScopeDescriptions>>>,
-) -> io::Result<Sender<()>> {
-    let (running, stopped) = channel();
-    let thread = std::thread::Builder::new().name("ztl-far".to_owned());
-    thread.spawn(move || {
-        let mut scopes: Vec<FarScope<'_>> = Vec::new();
-        for place in components.iter().filter_map(|(.., it)| it.forward()) {
-            if !scopes.iter().any(|known| known.place.is_same_scope(place)) {
-                scopes.push(FarScope {
-                    place,
-                    remote: place.connect().ok(),
-                    said: ScopeDescriptions::new(),
-                });
-            }
+/// Asks the servers behind `forward` for as long as anybody wants to know.
+fn ask(components: &Components, current: &Weak<Mutex<Arc<ScopeDescriptions>>>) {
+    let mut scopes: Vec<FarScope<'_>> = Vec::new();
+    for place in components.iter().filter_map(|(.., it)| it.forward()) {
+        if !scopes.iter().any(|known| known.place.is_same_scope(place)) {
+            scopes.push(FarScope {
+                place,
+                remote: place.connect().ok(),
+                said: ScopeDescriptions::new(),
+            });
         }
-        let mut pause = Duration::ZERO;
-        while stopped.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
-            for scope in &mut scopes {
-                let said = scope.remote.as_mut().map(RemoteTask::describe_scope);
-                scope.said = said.and_then(Result::ok).unwrap_or_default();
-            }
-            let all = Arc::new(all(&components, &scopes));
-            *current.lock().unwrap_or_else(PoisonError::into_inner) = all;
-            pause = AGAIN;
+    }
+    loop {
+        for scope in &mut scopes {
+            let said = scope.remote.as_mut().map(RemoteTask::describe_scope);
+            scope.said = said.and_then(Result::ok).unwrap_or_default();
         }
-    })?;
-    Ok(running)
+        let all = Arc::new(all(components, &scopes));
+        let Some(current) = current.upgrade() else {
+            return;
+        };
+        *current.lock().unwrap_or_else(PoisonError::into_inner) = all;
+        drop(current);
+        std::thread::sleep(AGAIN);
+    }
 }
 
 /// The descriptions of all components, by the names that clients of this server use.
@@ -110,13 +104,15 @@ fn all(components: &Components, far: &[FarScope<'_>]) -> ScopeDescriptions {
         add(handler, component, own.clone());
     }
     // The handlers of another server also have what `*` has here.
-    if let Some(others) = all.get(WILDCARD).cloned() {
-        for (handler, there) in &mut all {
-            if !components.has_handler(handler) {
-                for (component, is) in &others {
-                    let is = || is.clone();
-                    there.entry(component.clone()).or_insert_with(is);
-                }
+    let others = all.get(WILDCARD).into_iter().flatten();
+    let others: Vec<_> = others
+        .map(|(name, is)| (name.clone(), is.clone()))
+        .collect();
+    for (handler, there) in &mut all {
+        if !components.has_handler(handler) {
+            for (component, is) in &others {
+                let is = || is.clone();
+                there.entry(component.clone()).or_insert_with(is);
             }
         }
     }

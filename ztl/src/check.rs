@@ -32,7 +32,7 @@ pub(crate) struct Check {
     #[arg(long)]
     live: bool,
 
-    /// Check the tasks against what servers said of themselves: files that `ztl describe --yaml` wrote (repeatable)
+    /// Check the tasks against what servers said of themselves: files that `ztl describe --json` wrote (repeatable)
     #[arg(long, value_name = "FILE", conflicts_with = "live")]
     descriptions: Vec<PathBuf>,
 

@@ -3,12 +3,11 @@
 //! The scripts of `ztl completions` call it. clap's own dynamic completion cannot do it: bash splits words at `:`,
 //! which it takes for separate arguments, and its interface is unstable.
 
-use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::iter::once;
 use std::process::ExitCode;
-use std::sync::mpsc::channel;
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use clap::Parser as _;
 use ztl_std::describe::{GoalRule, ScopeDescriptions, find};
@@ -82,24 +81,30 @@ fn candidates(words: &Words) -> Vec<String> {
         return Vec::new();
     }
     let before = words.all.iter().rev().skip(1).rev().cloned();
-    let line: Vec<String> = once("ztl".to_owned())
-        .chain(before)
+    let line = once("ztl".to_owned()).chain(before);
+    let line = line
         .chain([CURSOR.to_owned()])
+        .map(OsString::from)
         .collect();
-    let (tell, told) = channel();
+    let begin = Instant::now();
     // The thread ends with the process.
-    let asks = std::thread::Builder::new().spawn(move || tell.send(ask(line)));
-    if asks.is_err() {
+    let Ok(asking) = thread::Builder::new().spawn(move || ask(line)) else {
         return Vec::new();
+    };
+    while !asking.is_finished() {
+        if begin.elapsed() > LIMIT {
+            return Vec::new();
+        }
+        thread::sleep(Duration::from_millis(2));
     }
-    let scope = told.recv_timeout(LIMIT).ok().flatten();
+    let scope = asking.join().ok().flatten();
     let mut found = scope.map_or_else(Vec::new, |scope| scope.completed(&word));
     found.retain(|text| text.starts_with(&word) && !text.contains(char::is_control));
     found
 }
 
 /// Asks the server of a command line whose task is at the cursor.
-fn ask(line: Vec<String>) -> Option<Scope> {
+fn ask(line: Vec<OsString>) -> Option<Scope> {
     let ZtlCommand::Tool(tool) = Cli::try_parse_from(line).ok()?.command else {
         return None;
     };
@@ -123,7 +128,7 @@ impl Scope {
             (parts.next().unwrap_or_default(), parts.next(), parts.next());
         let Some(component) = component else {
             let names = self.offers.keys().chain(self.said.keys());
-            return named(names, String::new());
+            return named(names, "");
         };
         let Some(_) = goal else {
             let offered = self.offers.get(handler).or_else(|| self.offers.get("*"));
@@ -131,7 +136,7 @@ impl Scope {
             let said = said.into_iter().flat_map(|components| components.keys());
             return named(
                 offered.into_iter().flatten().chain(said),
-                format!("{handler}:"),
+                &format!("{handler}:"),
             );
         };
         let Some(is) = find(&self.said, handler, component) else {
@@ -144,26 +149,25 @@ impl Scope {
             _ => Vec::new(),
         };
         let examples = is.examples.iter().map(|goal| goal.to_string());
-        let mut goals: Vec<String> = Vec::new();
-        for goal in words.into_iter().chain(examples) {
-            if !goals.contains(&goal) {
-                goals.push(goal);
-            }
-        }
-        goals
-            .into_iter()
-            .map(|goal| format!("{handler}:{component}:{goal}"))
-            .collect()
+        let goals = words.into_iter().chain(examples);
+        once_each(goals.map(|goal| format!("{handler}:{component}:{goal}")))
     }
 }
 
 /// Each name once, between what stands before it and a `:`.
-fn named<'a>(names: impl Iterator<Item = &'a String>, before: String) -> Vec<String> {
-    let names: BTreeSet<&String> = names.filter(|name| *name != "*").collect();
-    names
-        .into_iter()
-        .map(|name| format!("{before}{name}:"))
-        .collect()
+fn named<'a>(names: impl Iterator<Item = &'a String>, before: &str) -> Vec<String> {
+    let names = names.filter(|name| *name != "*");
+    once_each(names.map(|name| format!("{before}{name}:")))
+}
+
+fn once_each(texts: impl Iterator<Item = String>) -> Vec<String> {
+    let mut all = Vec::new();
+    for text in texts {
+        if !all.contains(&text) {
+            all.push(text);
+        }
+    }
+    all
 }
 
 /// A command line as a shell splits it.
@@ -204,7 +208,8 @@ impl Words {
 
     /// A text as it is written at the cursor.
     fn written(&self, text: &str) -> String {
-        let plain = |c: char| c.is_alphanumeric() || "/_-.,:=+@%".contains(c);
+        let plain =
+            |c: char| !c.is_ascii() || c.is_ascii_alphanumeric() || "/_-.,:=+@%".contains(c);
         let special = |c: char| match self.quote {
             Some('\'') => false,
             Some(_) => "\"\\$`".contains(c),
@@ -213,12 +218,13 @@ impl Words {
         let mut written = String::new();
         for c in text.chars() {
             match (c, self.quote) {
-                // Ends the quote, and begins another.
-                ('\'', Some('\'')) => written.push_str("'\\'"),
-                (c, _) if special(c) => written.push('\\'),
-                _ => {}
+                // Ends the quote, and begins another. bash would read `!` as a part of its history.
+                ('\'', Some(quote @ '\'')) | ('!', Some(quote @ '"')) => {
+                    written.extend([quote, '\\', c, quote]);
+                }
+                (c, _) if special(c) => written.extend(['\\', c]),
+                (c, _) => written.push(c),
             }
-            written.push(c);
         }
         written
     }
@@ -263,7 +269,7 @@ mod tests {
             "{x: 1, 'y': [\"a b\"]}",
             "$HOME",
             "it's",
-            "a;b|c",
+            "a;b|c!",
             "`ls`",
             "ü*?",
             "\\",

@@ -1,7 +1,5 @@
 //! What a server's components say of themselves: its answers to `describe`.
 
-use std::collections::BTreeMap;
-
 use serde_json::Value;
 
 use super::error::RequestError;
@@ -58,7 +56,7 @@ impl RemoteTask {
     pub fn describe_scope(&mut self) -> Result<ScopeDescriptions, RequestError> {
         let scope = self.scope().to_owned();
         let all = self.ask_described(&scope, &OF_SCOPE)?;
-        Ok(by_scope(all).remove(&scope).unwrap_or_default())
+        Ok(of_scope(all, &scope))
     }
 
     fn ask_described(
@@ -98,17 +96,14 @@ fn read(answer: &str, all: &mut Vec<DescribedComponent>) -> Option<usize> {
     usize::try_from(answer.get("next")?.as_u64()?).ok()
 }
 
-/// Components by scope, handler and name.
-pub(super) fn by_scope(
-    all: impl IntoIterator<Item = DescribedComponent>,
-) -> BTreeMap<String, ScopeDescriptions> {
-    let mut scopes: BTreeMap<String, ScopeDescriptions> = BTreeMap::new();
-    for it in all {
-        let handlers = scopes.entry(it.scope).or_default();
+/// The components of a scope by handler and name.
+pub(super) fn of_scope(all: Vec<DescribedComponent>, scope: &str) -> ScopeDescriptions {
+    let mut handlers = ScopeDescriptions::new();
+    for it in all.into_iter().filter(|it| it.scope == scope) {
         let components = handlers.entry(it.handler).or_default();
         components.insert(it.component, it.is);
     }
-    scopes
+    handlers
 }
 
 impl DescribedComponent {

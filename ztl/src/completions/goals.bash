@@ -3,7 +3,8 @@
 _ztl_goals() {
     case "${COMP_WORDS[1]}" in
     task-client | remote-task)
-        mapfile -t COMPREPLY < <("$1" complete-goal --line "${COMP_LINE:0:COMP_POINT}" "$2" 2>/dev/null)
+        COMPREPLY=()
+        mapfile -t COMPREPLY < <("$1" complete-goal --line "${COMP_LINE:0:COMP_POINT}" "$2" 2>/dev/null) 2>/dev/null
         if ((${#COMPREPLY[@]})); then
             [[ ${COMPREPLY[0]} != *: ]] || compopt -o nospace
             return 0
