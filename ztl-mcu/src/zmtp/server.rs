@@ -328,7 +328,9 @@ fn answer<const PEERS: usize, const BUFFER: usize>(
 
 /// Starts a task, or writes the reason into `said`. No mark of a cut is needed there: a reply has less room
 /// and is marked when it is cut.
-// Not inlined in firmware, so that its stack is free when the reply is written.
+// Not inlined in firmware, so that its stack is free when the reply is written: with `remember` of the dispatcher, that saves 264
+// bytes of stack in `microbit-zmtp`.
+#[cfg_attr(target_os = "none", inline(never))]
 fn start<'t, C: Components, const TASKS: usize, const BUFFER: usize>(
     now: Instant,
     name: &str,
