@@ -80,11 +80,12 @@ impl Check {
                 // The script is unreadable, so all servers are asked.
                 (true, None) => check_servers(remotes, &connect).iter().for_each(line),
                 (false, Some(script)) if !self.descriptions.is_empty() => {
-                    let read = |path: &PathBuf| {
-                        let saved = taken(SavedDescription::load(path), &mut findings)?;
-                        Some((path.clone(), saved))
-                    };
-                    let saved: Vec<_> = self.descriptions.iter().filter_map(read).collect();
+                    let mut saved = Vec::new();
+                    for path in &self.descriptions {
+                        if let Some(told) = taken(SavedDescription::load(path), &mut findings) {
+                            saved.push((path.clone(), told));
+                        }
+                    }
                     let described = script.check_described(remotes, &saved);
                     described.servers.iter().for_each(line);
                     findings.extend(described.findings);

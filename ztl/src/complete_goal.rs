@@ -4,7 +4,6 @@
 //! which it takes for separate arguments, and its interface is unstable.
 
 use std::ffi::OsString;
-use std::iter::once;
 use std::process::ExitCode;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -80,12 +79,11 @@ fn candidates(words: &Words) -> Vec<String> {
     if word.starts_with('-') {
         return Vec::new();
     }
-    let before = words.all.iter().rev().skip(1).rev().cloned();
-    let line = once("ztl".to_owned()).chain(before);
-    let line = line
-        .chain([CURSOR.to_owned()])
-        .map(OsString::from)
-        .collect();
+    let mut line: Vec<OsString> = vec!["ztl".into()];
+    for before in words.all.split_last().map_or(&[][..], |(_, before)| before) {
+        line.push(before.into());
+    }
+    line.push(CURSOR.into());
     let begin = Instant::now();
     // The thread ends with the process.
     let Ok(asking) = thread::Builder::new().spawn(move || ask(line)) else {
@@ -126,48 +124,52 @@ impl Scope {
         let mut parts = word.splitn(3, ':');
         let (handler, component, goal) =
             (parts.next().unwrap_or_default(), parts.next(), parts.next());
+        let mut all = Vec::new();
         let Some(component) = component else {
-            let names = self.offers.keys().chain(self.said.keys());
-            return named(names, "");
+            add(&mut all, "", &mut self.offers.keys());
+            add(&mut all, "", &mut self.said.keys());
+            return all;
         };
-        let Some(_) = goal else {
-            let offered = self.offers.get(handler).or_else(|| self.offers.get("*"));
-            let said = self.said.get(handler).or_else(|| self.said.get("*"));
-            let said = said.into_iter().flat_map(|components| components.keys());
-            return named(
-                offered.into_iter().flatten().chain(said),
-                &format!("{handler}:"),
-            );
-        };
+        if goal.is_none() {
+            let before = format!("{handler}:");
+            let of = self.offers.get(handler).or_else(|| self.offers.get("*"));
+            if let Some(components) = of {
+                add(&mut all, &before, &mut components.iter());
+            }
+            let of = self.said.get(handler).or_else(|| self.said.get("*"));
+            if let Some(components) = of {
+                add(&mut all, &before, &mut components.keys());
+            }
+            return all;
+        }
         let Some(is) = find(&self.said, handler, component) else {
             return Vec::new();
         };
-        let words = match &is.goal {
-            GoalRule::OneOf(words) => words.iter().map(|word| word.to_string()).collect(),
-            GoalRule::Bool => vec!["True".to_owned(), "False".to_owned()],
-            GoalRule::Nothing => vec![String::new()],
+        let goal_of = |goal: &str| format!("{handler}:{component}:{goal}");
+        let mut goals = match &is.goal {
+            GoalRule::OneOf(words) => words.iter().map(|word| goal_of(word)).collect(),
+            GoalRule::Bool => vec![goal_of("True"), goal_of("False")],
+            GoalRule::Nothing => vec![goal_of("")],
             _ => Vec::new(),
         };
-        let examples = is.examples.iter().map(|goal| goal.to_string());
-        let goals = words.into_iter().chain(examples);
-        once_each(goals.map(|goal| format!("{handler}:{component}:{goal}")))
+        for example in is.examples.iter() {
+            let goal = goal_of(example);
+            if !goals.contains(&goal) {
+                goals.push(goal);
+            }
+        }
+        goals
     }
 }
 
-/// Each name once, between what stands before it and a `:`.
-fn named<'a>(names: impl Iterator<Item = &'a String>, before: &str) -> Vec<String> {
-    let names = names.filter(|name| *name != "*");
-    once_each(names.map(|name| format!("{before}{name}:")))
-}
-
-fn once_each(texts: impl Iterator<Item = String>) -> Vec<String> {
-    let mut all = Vec::new();
-    for text in texts {
-        if !all.contains(&text) {
+/// Adds each new name, between what stands before it and a `:`.
+fn add(all: &mut Vec<String>, before: &str, names: &mut dyn Iterator<Item = &String>) {
+    for name in names {
+        let text = format!("{before}{name}:");
+        if name != "*" && !all.contains(&text) {
             all.push(text);
         }
     }
-    all
 }
 
 /// A command line as a shell splits it.
