@@ -24,7 +24,7 @@ const PROGRAMS: &[[&str; 2]] = &[
     // For the client in JavaScript.
     ["nodejs", "node --eval 'console.log(\"Node\", process.version)'"],
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
-    // Shows the page of `ztl report`.
+    // Shows the pages of `ztl report` and `ztl web`.
     ["chromium", "chromium --version"],
     // `setsid` gives a program a terminal of its own.
     ["util-linux", "setsid --version"],
@@ -206,7 +206,7 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     let works = || {
         succeeds(cmd!(
             sh,
-            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, mcap.reader, jsonschema'"
+            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, roslibpy, mcap.reader, jsonschema'"
         ))
     };
     let stamp = venv.join("requirements.stamp");
@@ -226,10 +226,14 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     Ok(python)
 }
 
-/// Installs npm packages: of `examples/clients/client.mjs`, and of Foxglove's reader of recordings.
+/// Installs npm packages: of `examples/clients/client.mjs`, of Foxglove's reader of recordings, what drives and examines the
+/// page of `ztl web`, and a rosbridge client.
 pub(crate) fn javascript(project: &Project) -> Result<()> {
-    const PACKAGES: [&str; 4] = [
+    const PACKAGES: [&str; 7] = [
         "zeromq@6.8.0",
+        "roslib@2.1.0",
+        "axe-core@4.14.1",
+        "playwright-core@1.65.1",
         "@mcap/core@2.2.2",
         "@foxglove/schemas@2.1.0",
         "ajv@8.20.0",

@@ -68,6 +68,8 @@ mod terminal;
 mod terminal_mode;
 mod tools;
 mod version;
+#[cfg(feature = "web")]
+mod web;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -121,6 +123,9 @@ enum Command {
     Subscribe(subscribe::Subscribe),
     /// Publish values
     Publish(publish::Publish),
+    /// Serve a page on which people watch, start and stop the tasks of all robots
+    #[cfg(feature = "web")]
+    Web(web::Web),
     /// Record streams and tasks into an MCAP file
     #[cfg(feature = "record")]
     Record(record::Record),
@@ -180,6 +185,8 @@ fn main() -> ExitCode {
         Command::Abort(abort) => abort.run(),
         Command::Subscribe(subscribe) => subscribe.run(),
         Command::Publish(publish) => publish.run(),
+        #[cfg(feature = "web")]
+        Command::Web(web) => web.run(),
         #[cfg(feature = "record")]
         Command::Record(record) => record.run(),
         #[cfg(feature = "record")]

@@ -1,0 +1,258 @@
+//! What is known of all robots: the watchers and goals write it, every socket shows it.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
+use serde_json::{Value, json};
+use tokio::sync::watch;
+use ztl_std::{Offers, RemoteId, State};
+
+use crate::goal::Goal;
+use crate::robots::{ConfiguredScope, Server};
+
+/// Most tasks of one server that are shown.
+const SHOWN: usize = 200;
+
+/// A message that many sockets share: the value of a topic, as JSON.
+pub(crate) type Shared = Arc<str>;
+
+/// The topics, each with its newest value.
+pub(crate) struct Topics {
+    pub(crate) robots: watch::Sender<Shared>,
+    pub(crate) tasks: watch::Sender<Shared>,
+    pub(crate) stop: watch::Sender<Shared>,
+}
+
+pub(crate) struct Board {
+    pub(crate) servers: Vec<Server>,
+    pub(crate) topics: Topics,
+    seen: Mutex<Vec<Seen>>,
+    goals: Mutex<Goals>,
+    /// How many sockets are open.
+    pub(crate) sockets: AtomicUsize,
+    /// How many Stops are under way.
+    pub(crate) stops: AtomicUsize,
+}
+
+/// The goals of this console that have not ended.
+#[derive(Default)]
+struct Goals {
+    next: u64,
+    open: BTreeMap<u64, Arc<Goal>>,
+}
+
+/// What a watcher knows of its server.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Seen {
+    pub(crate) health: Health,
+    /// Wall clock in ms: since when the health is so.
+    pub(crate) since_ms: u64,
+    /// The version, or why the server is missing.
+    pub(crate) text: String,
+    pub(crate) scopes: BTreeMap<String, Offers>,
+    /// Whether the server lists its tasks.
+    pub(crate) lists: bool,
+    pub(crate) tasks: Vec<Task>,
+    /// Why more tasks than these may run.
+    pub(crate) gaps: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Health {
+    /// Not asked yet.
+    #[default]
+    Unknown,
+    There,
+    Missing,
+}
+
+/// A task as it is shown.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct Task {
+    pub(crate) robot: String,
+    pub(crate) scope: String,
+    pub(crate) id: RemoteId,
+    /// `handler:component:goal`.
+    pub(crate) task: String,
+    pub(crate) state: String,
+    pub(crate) text: String,
+    pub(crate) runs: bool,
+    /// Wall clock in ms; `null` if the server does not tell it.
+    pub(crate) started_ms: Option<u64>,
+    /// Who started it, if this console did.
+    pub(crate) by: Option<String>,
+}
+
+impl Board {
+    pub(crate) fn new(servers: Vec<Server>) -> Self {
+        let topic = || watch::Sender::new(Shared::from("{}"));
+        let board = Self {
+            seen: Mutex::new(vec![Seen::default(); servers.len()]),
+            servers,
+            topics: Topics {
+                robots: topic(),
+                tasks: topic(),
+                stop: topic(),
+            },
+            goals: Mutex::default(),
+            sockets: AtomicUsize::new(0),
+            stops: AtomicUsize::new(0),
+        };
+        board.publish();
+        board
+    }
+
+    /// Whether somebody looks.
+    pub(crate) fn is_watched(&self) -> bool {
+        self.sockets.load(Ordering::Relaxed) > 0
+    }
+
+    /// Whether a Stop is under way.
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stops.load(Ordering::SeqCst) > 0
+    }
+
+    /// What is known of a server.
+    pub(crate) fn seen(&self, server: usize) -> Seen {
+        locked(&self.seen).get(server).cloned().unwrap_or_default()
+    }
+
+    /// Replaces what is known of a server.
+    pub(crate) fn set_seen(&self, server: usize, now: Seen) {
+        if let Some(known) = locked(&self.seen).get_mut(server) {
+            *known = now;
+        }
+        self.publish();
+    }
+
+    /// Adds a goal; `None` if `most` are open.
+    pub(crate) fn add_goal(&self, goal: &Arc<Goal>, most: usize) -> Option<u64> {
+        let mut goals = locked(&self.goals);
+        if goals.open.len() >= most {
+            return None;
+        }
+        goals.next += 1;
+        let number = goals.next;
+        goals.open.insert(number, Arc::clone(goal));
+        Some(number)
+    }
+
+    pub(crate) fn remove_goal(&self, number: u64) {
+        locked(&self.goals).open.remove(&number);
+        self.publish();
+    }
+
+    pub(crate) fn goals(&self) -> Vec<Arc<Goal>> {
+        locked(&self.goals).open.values().cloned().collect()
+    }
+
+    /// Writes the topics anew; a topic that has not changed wakes nobody.
+    pub(crate) fn publish(&self) {
+        let seen = locked(&self.seen).clone();
+        let goals = self.goals();
+        set(&self.topics.robots, &self.robots(&seen));
+        set(&self.topics.tasks, &self.tasks(&seen, &goals));
+    }
+
+    fn robots(&self, seen: &[Seen]) -> Value {
+        let robot = |(server, seen): (&Server, &Seen)| {
+            let scope = |configured: &ConfiguredScope| {
+                json!({
+                    "scope": configured.scope,
+                    "action": configured.prefix,
+                    "handlers": seen.scopes.get(&configured.scope),
+                })
+            };
+            json!({
+                "name": server.name,
+                "endpoint": server.endpoint,
+                "health": seen.health,
+                "since_ms": seen.since_ms,
+                "text": seen.text,
+                "lists_tasks": seen.lists,
+                "scopes": server.scopes.iter().map(scope).collect::<Vec<_>>(),
+            })
+        };
+        let robots: Vec<Value> = self.servers.iter().zip(seen).map(robot).collect();
+        json!({ "robots": robots })
+    }
+
+    fn tasks(&self, seen: &[Seen], goals: &[Arc<Goal>]) -> Value {
+        let mut tasks = Vec::new();
+        let mut gaps = Vec::new();
+        for (index, (server, seen)) in self.servers.iter().zip(seen).enumerate() {
+            let mut own: Vec<&Arc<Goal>> = goals
+                .iter()
+                .filter(|goal| goal.target.server == index && goal.id().is_some())
+                .collect();
+            for task in seen.tasks.iter().take(SHOWN) {
+                let mut task = task.clone();
+                let of_it = |goal: &&Arc<Goal>| {
+                    goal.target.scope == task.scope && goal.id() == Some(&task.id)
+                };
+                if let Some(at) = own.iter().position(of_it) {
+                    let goal = own.swap_remove(at);
+                    task.by = task.runs.then(|| goal.by.clone());
+                }
+                tasks.push(task);
+            }
+            // A server of the original lists nothing: there, the goals of this console are all that is known.
+            let unlisted = own.into_iter().filter(|_| !seen.lists);
+            tasks.extend(unlisted.filter_map(|goal| unlisted_task(goal, &server.name)));
+            let more = seen.tasks.len().saturating_sub(SHOWN);
+            let mut why = seen.gaps.clone();
+            if more > 0 {
+                why.push(format!("{more} more tasks are not shown"));
+            }
+            gaps.extend(
+                why.into_iter()
+                    .map(|text| json!({ "robot": server.name, "text": text })),
+            );
+        }
+        json!({ "tasks": tasks, "gaps": gaps })
+    }
+}
+
+/// A goal of this console as a task, for a server that lists none.
+fn unlisted_task(goal: &Goal, robot: &str) -> Option<Task> {
+    let target = &goal.target;
+    Some(Task {
+        robot: robot.to_owned(),
+        scope: target.scope.clone(),
+        id: goal.id()?.clone(),
+        task: format!("{}:{}:{}", target.handler, target.component, goal.goal),
+        state: State::Accepted.name().to_owned(),
+        text: String::new(),
+        runs: true,
+        started_ms: None,
+        by: Some(goal.by.clone()),
+    })
+}
+
+/// Sets a topic if its value changes.
+pub(crate) fn set(topic: &watch::Sender<Shared>, value: &Value) {
+    let text = value.to_string();
+    topic.send_if_modified(|known| {
+        let changed = **known != *text;
+        if changed {
+            *known = text.into();
+        }
+        changed
+    });
+}
+
+/// Milliseconds since 1970.
+pub(crate) fn wall_clock_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| {
+        u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+    })
+}
+
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,439 @@
+//! One client's socket: reads its messages, and writes answers and what it subscribed to.
+
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use axum::extract::ws::{Message, WebSocket};
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt as _, StreamExt as _};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::mpsc;
+use tokio::time::{interval, timeout};
+use ztl_std::RemoteId;
+
+use crate::board::{Board, Shared, locked, wall_clock_ms};
+use crate::gate::Role;
+use crate::goal::Goal;
+use crate::goals::{self, News};
+use crate::rosbridge::{self, GoalArgs, Incoming};
+use crate::{robots, stop};
+
+/// Answers that wait to be written.
+const QUEUE: usize = 256;
+/// How long a client may take to receive a message.
+const WRITE: Duration = Duration::from_secs(10);
+/// How long a client may be silent, although it is pinged.
+const SILENCE: Duration = Duration::from_secs(60);
+/// How often a client is pinged, and told the state of the robots even if nothing changed.
+const BEAT: Duration = Duration::from_secs(2);
+/// Most goals of one client at a time.
+const GOALS: usize = 32;
+/// Most single aborts at a time; each has a thread.
+const ABORTS: usize = 64;
+/// Messages and goals in a second, and how many at once.
+const MESSAGES: (f64, f64) = (50.0, 100.0);
+const GOAL_RATE: (f64, f64) = (10.0, 20.0);
+/// Longest id of a client's goal.
+const ID: usize = 256;
+
+/// The refusal of what only operators may do.
+const WATCHERS_LOOK: &str = "a watcher may only look: open the operators' link";
+
+enum Out {
+    Text(String),
+    Subscribe(Topic, bool),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Topic {
+    Robots,
+    Tasks,
+    Stop,
+}
+
+impl Topic {
+    fn of(name: &str) -> Result<Self, String> {
+        match name {
+            "/ztl/robots" => Ok(Self::Robots),
+            "/ztl/tasks" => Ok(Self::Tasks),
+            "/ztl/stop" => Ok(Self::Stop),
+            _ => Err(format!(
+                "no topic '{name}': there are /ztl/robots, /ztl/tasks and /ztl/stop"
+            )),
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Robots => "/ztl/robots",
+            Self::Tasks => "/ztl/tasks",
+            Self::Stop => "/ztl/stop",
+        }
+    }
+}
+
+/// Serves a socket until it closes.
+pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr, role: Role) {
+    let (write, read) = socket.split();
+    let (out, queue) = mpsc::channel(QUEUE);
+    board.sockets.fetch_add(1, Ordering::Relaxed);
+    let mut client = Client {
+        board: Arc::clone(&board),
+        by: format!("operator at {address}"),
+        role,
+        out,
+        goals: Arc::default(),
+        aborts_when_gone: false,
+        messages: Rate::new(MESSAGES),
+        goal_rate: Rate::new(GOAL_RATE),
+    };
+    tokio::select! {
+        () = client.read(read) => {}
+        () = written(write, queue, &board) => {}
+    }
+    board.sockets.fetch_sub(1, Ordering::Relaxed);
+    client.leave();
+}
+
+/// Writes until the client is gone.
+async fn written(
+    mut to: SplitSink<WebSocket, Message>,
+    mut queue: mpsc::Receiver<Out>,
+    board: &Board,
+) {
+    let mut robots = board.topics.robots.subscribe();
+    let mut tasks = board.topics.tasks.subscribe();
+    let mut stop = board.topics.stop.subscribe();
+    let (mut on_robots, mut on_tasks, mut on_stop) = (false, false, false);
+    let mut beat = interval(BEAT);
+    let told = |topic: Topic, value: &Shared| {
+        let text = rosbridge::publish(topic.name(), value);
+        vec![Message::from(text)]
+    };
+    loop {
+        let messages = tokio::select! {
+            biased;
+            Ok(()) = stop.changed(), if on_stop => told(Topic::Stop, &stop.borrow_and_update()),
+            out = queue.recv() => match out {
+                None => return,
+                Some(Out::Text(text)) => vec![Message::from(text)],
+                Some(Out::Subscribe(topic, on)) => {
+                    let (flag, topic_of) = match topic {
+                        Topic::Robots => (&mut on_robots, &mut robots),
+                        Topic::Tasks => (&mut on_tasks, &mut tasks),
+                        Topic::Stop => (&mut on_stop, &mut stop),
+                    };
+                    *flag = on;
+                    let value = topic_of.borrow_and_update();
+                    // Nobody has pressed Stop yet: there is nothing to tell.
+                    match on && **value != *"{}" {
+                        true => told(topic, &value),
+                        false => Vec::new(),
+                    }
+                }
+            },
+            Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
+            Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
+            _ = beat.tick() => {
+                let mut messages = vec![Message::Ping(Vec::new().into())];
+                if on_robots {
+                    messages.extend(told(Topic::Robots, &robots.borrow_and_update()));
+                }
+                messages
+            }
+        };
+        for message in messages {
+            match timeout(WRITE, to.send(message)).await {
+                Ok(Ok(())) => {}
+                _ => return,
+            }
+        }
+    }
+}
+
+type Goals = Arc<Mutex<HashMap<String, Arc<Goal>>>>;
+
+struct Client {
+    board: Arc<Board>,
+    by: String,
+    role: Role,
+    out: mpsc::Sender<Out>,
+    /// Open goals by the client's ids.
+    goals: Goals,
+    /// Whether its goals are aborted when it is gone.
+    aborts_when_gone: bool,
+    messages: Rate,
+    goal_rate: Rate,
+}
+
+impl Client {
+    async fn read(&mut self, mut from: SplitStream<WebSocket>) {
+        while let Ok(Some(Ok(message))) = timeout(SILENCE, from.next()).await {
+            let answer = match &message {
+                Message::Text(text) => self.on_message(text.as_str()),
+                // Some clients send their text as bytes.
+                Message::Binary(bytes) => match std::str::from_utf8(bytes) {
+                    Ok(text) => self.on_message(text),
+                    Err(_) => Some(Out::Text(rosbridge::error("expected JSON in UTF-8"))),
+                },
+                Message::Close(_) => return,
+                Message::Ping(_) | Message::Pong(_) => None,
+            };
+            if let Some(answer) = answer
+                && self.out.send(answer).await.is_err()
+            {
+                return;
+            }
+        }
+    }
+
+    fn on_message(&mut self, text: &str) -> Option<Out> {
+        let error = |text: &str| Some(Out::Text(rosbridge::error(text)));
+        let message = match serde_json::from_str(text) {
+            Ok(message) => message,
+            Err(wrong) => return error(&format!("cannot read the message: {wrong}")),
+        };
+        // What stops something is never limited.
+        let stops = match &message {
+            Incoming::CancelActionGoal { .. } => true,
+            Incoming::CallService { service, .. } => service == "/ztl/stop",
+            _ => false,
+        };
+        if !self.messages.allows() && !stops {
+            return match message {
+                Incoming::SendActionGoal { id, action, .. } => {
+                    let why = "too many messages: send fewer";
+                    Some(Out::Text(rosbridge::goal_refused(&id, &action, why)))
+                }
+                _ => error("too many messages: send fewer"),
+            };
+        }
+        match message {
+            Incoming::SendActionGoal {
+                id,
+                action,
+                args,
+                feedback,
+            } => {
+                let started = self.start(&id, &action, args, feedback);
+                let why = started.err()?;
+                Some(Out::Text(rosbridge::goal_refused(&id, &action, &why)))
+            }
+            Incoming::CancelActionGoal { id, action } => {
+                let why = self.cancel(&id, &action).err()?;
+                error(&why)
+            }
+            Incoming::CallService { id, service, args } => self.call(id, service, args),
+            Incoming::Subscribe { topic } => match Topic::of(&topic) {
+                Ok(topic) => Some(Out::Subscribe(topic, true)),
+                Err(why) => error(&why),
+            },
+            Incoming::Unsubscribe { topic } => match Topic::of(&topic) {
+                Ok(topic) => Some(Out::Subscribe(topic, false)),
+                Err(why) => error(&why),
+            },
+        }
+    }
+
+    fn start(
+        &mut self,
+        id: &str,
+        action: &str,
+        args: GoalArgs,
+        feedback: bool,
+    ) -> Result<(), String> {
+        if self.role != Role::Operator {
+            return Err(WATCHERS_LOOK.to_owned());
+        }
+        if id.len() > ID {
+            return Err(format!("the id is longer than {ID} bytes"));
+        }
+        let target = robots::find(&self.board.servers, action)?;
+        if !self.goal_rate.allows() {
+            return Err("too many goals: send fewer".to_owned());
+        }
+        let goal = Arc::new(Goal::new(target, args.goal, self.by.clone()));
+        let mut open = locked(&self.goals);
+        if open.len() >= GOALS {
+            return Err(format!(
+                "{GOALS} goals of this client are open: wait for one to end"
+            ));
+        }
+        if open.contains_key(id) {
+            return Err(format!(
+                "a goal with the id '{id}' is open: it was not sent again"
+            ));
+        }
+        open.insert(id.to_owned(), Arc::clone(&goal));
+        drop(open);
+        let (open, out) = (Arc::clone(&self.goals), self.out.clone());
+        let (key, action) = (id.to_owned(), action.to_owned());
+        let tell = move |news| match news {
+            News::Progress(text) if feedback => {
+                // A client that does not keep up misses progress, never the outcome.
+                let _ = out.try_send(Out::Text(rosbridge::action_feedback(&key, &action, &text)));
+            }
+            News::Progress(_) => {}
+            News::Ended(outcome) => {
+                locked(&open).remove(&key);
+                // Fails if the client is gone.
+                let text = rosbridge::action_result(&key, &action, &outcome);
+                let _ = out.blocking_send(Out::Text(text));
+            }
+        };
+        goals::start(&goal, &self.board, Box::new(tell)).inspect_err(|_| {
+            locked(&self.goals).remove(id);
+        })
+    }
+
+    fn cancel(&self, id: &str, action: &str) -> Result<(), String> {
+        let goal = locked(&self.goals).get(id).cloned();
+        // It may have ended while the cancel was on its way.
+        let Some(goal) = goal else {
+            return Err(format!("no open goal '{id}' of {action} on this socket"));
+        };
+        let cancelled = goals::cancel(&goal, &self.board);
+        cancelled.map_err(|error| format!("no thread for the cancel: {error}"))
+    }
+
+    fn call(&mut self, id: Option<Value>, service: String, args: Value) -> Option<Out> {
+        let told = match service.as_str() {
+            "/ztl/robots" => self.newest(Topic::Robots),
+            "/ztl/tasks" => self.newest(Topic::Tasks),
+            "/ztl/when_gone" => self.when_gone(&args),
+            "/ztl/abort" | "/ztl/stop" if self.role != Role::Operator => {
+                Err(WATCHERS_LOOK.to_owned())
+            }
+            "/ztl/abort" | "/ztl/stop" => {
+                // The answer comes from a thread.
+                let why = self.stop(id.clone(), &service, args).err()?;
+                Err(why)
+            }
+            _ => Err(format!(
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/abort, /ztl/stop and /ztl/when_gone"
+            )),
+        };
+        Some(Out::Text(rosbridge::service_response(
+            id.as_ref(),
+            &service,
+            told,
+        )))
+    }
+
+    /// The value of a topic, and what this client may do.
+    fn newest(&self, topic: Topic) -> Result<Value, String> {
+        let topic = match topic {
+            Topic::Robots => &self.board.topics.robots,
+            Topic::Tasks => &self.board.topics.tasks,
+            Topic::Stop => &self.board.topics.stop,
+        };
+        let value = topic.borrow().clone();
+        let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
+        if let Some(members) = value.as_object_mut() {
+            let operates = self.role == Role::Operator;
+            members.insert("may_operate".to_owned(), json!(operates));
+            members.insert("now_ms".to_owned(), json!(wall_clock_ms()));
+        }
+        Ok(value)
+    }
+
+    fn when_gone(&mut self, args: &Value) -> Result<Value, String> {
+        let abort = args.get("abort").and_then(Value::as_bool);
+        self.aborts_when_gone = abort.ok_or("expected {\"abort\": true} or {\"abort\": false}")?;
+        Ok(json!({ "abort": self.aborts_when_gone }))
+    }
+
+    /// Aborts one task or everything, on a thread that sends the answer.
+    fn stop(&self, id: Option<Value>, service: &str, args: Value) -> Result<(), String> {
+        static BUSY: AtomicUsize = AtomicUsize::new(0);
+        #[derive(Deserialize)]
+        struct Named {
+            robot: String,
+            scope: String,
+            id: RemoteId,
+        }
+        let named = match service {
+            "/ztl/abort" => {
+                let named: Named = serde_json::from_value(args)
+                    .map_err(|error| format!("expected robot, scope and id of a task: {error}"))?;
+                if BUSY.load(Ordering::Relaxed) >= ABORTS {
+                    return Err(format!("{ABORTS} aborts are under way: try again"));
+                }
+                BUSY.fetch_add(1, Ordering::Relaxed);
+                Some(named)
+            }
+            _ => None,
+        };
+        let is_abort = named.is_some();
+        let (board, by, out) = (Arc::clone(&self.board), self.by.clone(), self.out.clone());
+        let service = service.to_owned();
+        let spawned = thread::Builder::new()
+            .name("ztl-web-stop".to_owned())
+            .spawn(move || {
+                let told = match named {
+                    Some(Named { robot, scope, id }) => {
+                        let told = stop::one(&board, &robot, &scope, &id);
+                        BUSY.fetch_sub(1, Ordering::Relaxed);
+                        told
+                    }
+                    None => stop::all(&board, &by),
+                };
+                let answer = rosbridge::service_response(id.as_ref(), &service, told);
+                let _ = out.blocking_send(Out::Text(answer));
+            });
+        spawned.map(drop).map_err(|error| {
+            if is_abort {
+                BUSY.fetch_sub(1, Ordering::Relaxed);
+            }
+            format!("no thread: {error}")
+        })
+    }
+
+    /// The client is gone: leaves or aborts what it started, as it has chosen.
+    fn leave(&self) {
+        for goal in locked(&self.goals).values() {
+            goal.leave();
+            if self.aborts_when_gone
+                && let Err(error) = goals::cancel(goal, &self.board)
+            {
+                tracing::error!("a goal of a client that is gone was not aborted: {error}");
+            }
+        }
+    }
+}
+
+/// A limit on how often.
+struct Rate {
+    a_second: f64,
+    at_once: f64,
+    left: f64,
+    at: Instant,
+}
+
+impl Rate {
+    fn new((a_second, at_once): (f64, f64)) -> Self {
+        Self {
+            a_second,
+            at_once,
+            left: at_once,
+            at: Instant::now(),
+        }
+    }
+
+    fn allows(&mut self) -> bool {
+        let now = Instant::now();
+        let earned = now.duration_since(self.at).as_secs_f64() * self.a_second;
+        self.left = (self.left + earned).min(self.at_once);
+        self.at = now;
+        let allowed = self.left >= 1.0;
+        if allowed {
+            self.left -= 1.0;
+        }
+        allowed
+    }
+}
