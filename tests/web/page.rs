@@ -1,8 +1,10 @@
 //! The page in Chromium, driven by `driver.mjs`.
 
-use ztl_tests::lab::{PATIENCE, Process, busy};
+use std::process::Command;
 
-use crate::console::{Console, node, web};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, busy, reserve_port};
+
+use crate::console::{Console, ROBOT, from_port, marks, node, robot, web};
 
 /// Starts a scenario of the driver.
 fn drive(scenario: &str, url: &str, console: &Console) -> Process {
@@ -40,11 +42,50 @@ fn two_pages_see_and_stop_the_same_tasks() {
 }
 
 #[test]
-fn a_double_click_and_a_held_enter_start_one_task_each() {
+fn one_press_starts_one_task() {
     let _busy = busy();
     let console = Console::of_one();
     passes("presses", &console.url, &console);
-    assert_eq!(console.marks(), 2);
+    assert_eq!(console.marks(), 6);
+}
+
+#[test]
+fn a_component_that_vanishes_stays_chosen_and_nothing_else_is_started() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let files = Scratch::new();
+    let mut second = robot(&files, ROBOT, reserve_port());
+    let robots = [("ours", console.robot.port), ("second", second.port)];
+    let (_process, url) = web(0, &robots, &[]);
+    let mut driver = drive("gone", &url, &console);
+    driver.wait_for("do: kill the second");
+    second.process.kill();
+    driver.write_line("done");
+    driver.wait_for("do: start the second without mark");
+    let without = ROBOT.replace("mark:", "other:");
+    let mut changed = robot(&files, &without, second.port);
+    driver.write_line("done");
+    driver.wait_for("do: start the second with mark");
+    changed.process.kill();
+    let _back = robot(&files, ROBOT, second.port);
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+    assert_eq!((console.marks(), marks(&files)), (0, 1));
+}
+
+#[test]
+fn each_goal_says_until_when_it_may_start_by_the_clock_of_the_console() {
+    let _busy = busy();
+    let console = Console::of_one();
+    passes("deadline", &console.url, &console);
+}
+
+#[test]
+fn goals_that_were_kept_fill_in_the_form() {
+    let _busy = busy();
+    let console = Console::of_one();
+    passes("ready", &console.url, &console);
 }
 
 #[test]
@@ -78,14 +119,52 @@ fn a_page_of_another_origin_gets_nothing() {
 }
 
 #[test]
-fn a_watchers_link_becomes_a_cookie_and_its_page_only_looks() {
+fn a_watchers_link_becomes_a_cookie_and_its_page_looks_and_stops() {
     let _busy = busy();
     let console = Console::of_one();
     let robots = [("ours", console.robot.port)];
-    let (process, _) = web(0, &robots, &["--bind", "0.0.0.0"]);
-    let line = process.wait_for("watchers:");
-    let (_, link) = line
-        .split_once("http://ADDRESS-OF-THIS-MACHINE")
-        .expect("a link");
-    passes("watcher", &format!("http://127.0.0.1{link}"), &console);
+    let (process, link) = web(0, &robots, &["--bind", "0.0.0.0"]);
+    let url = format!("http://127.0.0.1{}", from_port(&link));
+    let mut driver = drive("watcher", &url, &console);
+    driver.wait_for("do: start a task");
+    let mut task = console.robot.client("test:sleep:60");
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+    drop((process, task.end(PATIENCE)));
+}
+
+#[test]
+fn a_page_without_its_link_says_how_to_come_in() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let port = reserve_port();
+    let robots = [("ours", console.robot.port)];
+    let options = ["--bind", "0.0.0.0", "--host", "localhost"];
+    let (mut process, url) = web(port, &robots, &options);
+    let mut driver = drive("locked", &url, &console);
+    driver.wait_for("do: start the console again");
+    process.kill();
+    let _again = web(port, &robots, &options);
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+#[test]
+fn the_page_comes_over_tls() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let [certificate, key] = ["cert.pem", "key.pem"].map(|name| console.files.path(name));
+    let mut openssl = Command::new("openssl");
+    let words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=localhost";
+    openssl.args(words.split(' ')).arg("-keyout").arg(&key).arg("-out").arg(&certificate);
+    let made = openssl.output().expect("openssl, of the Debian package of that name");
+    assert!(made.status.success(), "{made:?}");
+    let [certificate, key] = [certificate, key].map(|path| path.display().to_string());
+    let options = ["--bind", "0.0.0.0", "--host", "localhost", "--tls", &certificate, &key];
+    let (_process, _) = web(0, &[("ours", console.robot.port)], &options);
+    let link = _process.wait_for("operators:");
+    let url = format!("https://localhost{}", from_port(&link));
+    passes("encrypted", &url, &console);
 }

@@ -11,6 +11,7 @@ use tokio::sync::watch;
 use ztl_std::{Offers, RemoteId, State};
 
 use crate::goal::Goal;
+use crate::operator::{Client, Operator};
 use crate::robots::{ConfiguredScope, Server};
 
 /// Most tasks of one server that are shown.
@@ -29,6 +30,7 @@ pub(crate) struct Topics {
 pub(crate) struct Board {
     pub(crate) servers: Vec<Server>,
     pub(crate) topics: Topics,
+    pub(crate) operator: Operator,
     seen: Mutex<Vec<Seen>>,
     goals: Mutex<Goals>,
     /// How many sockets are open.
@@ -98,6 +100,7 @@ impl Board {
                 tasks: topic(),
                 stop: topic(),
             },
+            operator: Operator::new(),
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
             stops: AtomicUsize::new(0),
@@ -127,6 +130,38 @@ impl Board {
             *known = now;
         }
         self.publish();
+    }
+
+    /// Lets a client operate if nobody does.
+    ///
+    /// # Errors
+    /// Why it may not start tasks.
+    pub(crate) fn begins_to_operate(&self, client: &Client) -> Result<(), String> {
+        if self.operator.begin(client)? {
+            self.publish();
+        }
+        Ok(())
+    }
+
+    /// Lets a client operate instead of another, which `args` may name.
+    ///
+    /// # Errors
+    /// Why it does not.
+    pub(crate) fn take_over(&self, client: &Client, args: &Value) -> Result<Value, String> {
+        let from = match args.get("from") {
+            None => None,
+            Some(from) => Some(from.as_u64().ok_or("expected {\"from\": NUMBER} or {}")?),
+        };
+        self.operator.take_over(client, from)?;
+        self.publish();
+        Ok(json!({ "operator": self.operator.now() }))
+    }
+
+    /// A client is gone: nobody operates if it did.
+    pub(crate) fn client_left(&self, client: &Client) {
+        if self.operator.leave(client) {
+            self.publish();
+        }
     }
 
     /// Adds a goal; `None` if `most` are open.
@@ -178,7 +213,7 @@ impl Board {
             })
         };
         let robots: Vec<Value> = self.servers.iter().zip(seen).map(robot).collect();
-        json!({ "robots": robots })
+        json!({ "robots": robots, "operator": self.operator.now() })
     }
 
     fn tasks(&self, seen: &[Seen], goals: &[Arc<Goal>]) -> Value {

@@ -8,25 +8,28 @@ use std::time::Duration;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{Request, State};
 use axum::http::header::{self, HeaderName, HeaderValue};
-use axum::http::{StatusCode, Uri};
+use axum::http::StatusCode;
 use axum::middleware::{Next, from_fn_with_state};
-use axum::response::{IntoResponse, Response};
+use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::time::timeout;
 
 use crate::board::Board;
-use crate::gate::{Gate, Role, TOKEN_COOKIE, token_in};
+use crate::gate::{Gate, Role, token_in};
 use crate::places::Places;
 use crate::socket;
+use crate::tls::Tls;
 
 /// Most connections, and most of one address.
 const CONNECTIONS: (usize, usize) = (256, 64);
 /// Most sockets, and most of one address.
 const SOCKETS: (usize, usize) = (128, 32);
-/// How long a browser may take for the head of a request.
+/// How long a browser may take for the head of a request, and to agree on encryption.
 const HEAD: Duration = Duration::from_secs(10);
 /// Longest message of a client, in bytes.
 const MESSAGE: usize = 64 * 1024;
@@ -55,10 +58,17 @@ const HEADERS: [(&str, &str); 6] = [
     ("cache-control", "no-store"),
 ];
 
+/// What a browser shows that comes without a token.
+const LOCKED: &str = "<!DOCTYPE html><html lang=\"en\"><title>ZTL console: no access</title>\
+    <meta name=\"viewport\" content=\"width=device-width\"><meta name=\"color-scheme\" content=\"light dark\">\
+    <main><h1>This page needs its link</h1><p>Open the link again that <code>ztl web</code> printed. \
+    Each start of the console makes new links.</p></main></html>";
+
 #[derive(Clone)]
 struct Console {
     board: Arc<Board>,
     gate: Arc<Gate>,
+    is_encrypted: bool,
     sockets: Places,
 }
 
@@ -66,11 +76,17 @@ struct Console {
 ///
 /// # Errors
 /// If the listener cannot be used.
-pub(crate) async fn accept(listener: TcpListener, board: Arc<Board>, gate: Gate) -> io::Result<()> {
+pub(crate) async fn accept(
+    listener: TcpListener,
+    board: Arc<Board>,
+    gate: Gate,
+    tls: Option<Tls>,
+) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let app = router(Console {
         board,
         gate: Arc::new(gate),
+        is_encrypted: tls.is_some(),
         sockets: Places::new(SOCKETS.0, SOCKETS.1),
     });
     let places = Places::new(CONNECTIONS.0, CONNECTIONS.1);
@@ -88,18 +104,32 @@ pub(crate) async fn accept(listener: TcpListener, board: Arc<Board>, gate: Gate)
         };
         // A short message must not wait for a longer one.
         let _ = stream.set_nodelay(true);
-        let service = TowerToHyperService::new(app.clone().layer(Extension(peer.ip())));
+        let app = app.clone().layer(Extension(peer.ip()));
+        let tls = tls.clone();
         tokio::spawn(async move {
-            let connection = http1::Builder::new()
-                .timer(TokioTimer::new())
-                .header_read_timeout(HEAD)
-                .serve_connection(TokioIo::new(stream), service)
-                .with_upgrades();
-            // A browser may break its connection at any time.
-            let _ = connection.await;
+            match tls {
+                None => answer(stream, app).await,
+                Some(Tls(acceptor)) => {
+                    // A browser that does not trust the certificate breaks off.
+                    if let Ok(Ok(stream)) = timeout(HEAD, acceptor.accept(stream)).await {
+                        answer(stream, app).await;
+                    }
+                }
+            }
             drop(place);
         });
     }
+}
+
+/// Answers the requests of a connection.
+async fn answer(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, app: Router) {
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
+        .with_upgrades();
+    // A browser may break its connection at any time.
+    let _ = connection.await;
 }
 
 fn router(console: Console) -> Router {
@@ -113,12 +143,23 @@ fn router(console: Console) -> Router {
 }
 
 /// Checks who may; a link with a token becomes a cookie.
-async fn check(State(console): State<Console>, mut request: Request, next: Next) -> Response {
+async fn check(
+    State(console): State<Console>,
+    Extension(peer): Extension<IpAddr>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let is_page = request.uri().path() == "/";
     let query = request.uri().query();
-    let mut response = match console.gate.check(request.headers(), query) {
-        Err((status, why)) => (status, why).into_response(),
-        Ok(_) if request.uri().path() == "/" && token_in(query).is_some() => link(request.uri()),
-        Ok(role) => {
+    let token = token_in(query).filter(|token| console.gate.role_of(token).is_some());
+    let checked = console.gate.check(peer, request.headers(), query);
+    let mut response = match (checked, token) {
+        (Err((StatusCode::UNAUTHORIZED, _)), _) if is_page => {
+            (StatusCode::UNAUTHORIZED, Html(LOCKED)).into_response()
+        }
+        (Err((status, why)), _) => (status, why).into_response(),
+        (Ok(_), Some(token)) if is_page => link(&console, token),
+        (Ok(role), _) => {
             request.extensions_mut().insert(role);
             next.run(request).await
         }
@@ -134,16 +175,15 @@ async fn check(State(console): State<Console>, mut request: Request, next: Next)
 
 /// Keeps the token of a link as a cookie, and leads to the page without it. By a page, not by a redirect: a browser
 /// that comes from elsewhere would not send the cookie along.
-fn link(uri: &Uri) -> Response {
+fn link(console: &Console, token: &str) -> Response {
     const PAGE: &str =
         "<!DOCTYPE html><title>ZTL</title><meta http-equiv=\"refresh\" content=\"0;url=/\">";
-    let token = token_in(uri.query()).unwrap_or_default();
-    let cookie = format!("{TOKEN_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
-    let headers = [
-        (header::CONTENT_TYPE, "text/html; charset=utf-8".to_owned()),
-        (header::SET_COOKIE, cookie),
-    ];
-    (headers, PAGE).into_response()
+    let secure = if console.is_encrypted { "; Secure" } else { "" };
+    let cookie = format!(
+        "{}={token}; HttpOnly; SameSite=Strict; Path=/{secure}",
+        console.gate.cookie()
+    );
+    ([(header::SET_COOKIE, cookie)], Html(PAGE)).into_response()
 }
 
 async fn upgrade(

@@ -9,11 +9,13 @@ mod gate;
 mod goal;
 mod goals;
 mod http;
+mod operator;
 mod places;
 mod robots;
 mod rosbridge;
 mod socket;
 mod stop;
+mod tls;
 mod watcher;
 
 use std::io;
@@ -22,6 +24,7 @@ use std::sync::Arc;
 
 pub use gate::Tokens;
 pub use robots::{Connect, Robot};
+pub use tls::Tls;
 
 /// What [`serve`] needs.
 pub struct Options {
@@ -29,10 +32,12 @@ pub struct Options {
     pub listener: TcpListener,
     /// The robots, as the configuration names them.
     pub robots: Vec<Robot>,
-    /// What browsers must show; without it whoever reaches the listener is an operator.
-    pub tokens: Option<Tokens>,
+    /// What browsers must show. Without `hosts`, a request of this machine to one of its loopback names needs none.
+    pub tokens: Tokens,
     /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
+    /// The certificate and key of `https`; without it, connections are not encrypted.
+    pub tls: Option<Tls>,
 }
 
 /// Serves the console until the process ends.
@@ -45,6 +50,7 @@ pub fn serve(options: Options) -> io::Result<()> {
         robots,
         tokens,
         hosts,
+        tls,
     } = options;
     let console = Arc::new(board::Board::new(robots::group(robots)));
     for server in 0..console.servers.len() {
@@ -54,6 +60,6 @@ pub fn serve(options: Options) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
-    let gate = gate::Gate::new(tokens, hosts);
-    runtime.block_on(http::accept(listener, console, gate))
+    let gate = gate::Gate::new(tokens, hosts, listener.local_addr()?.port());
+    runtime.block_on(http::accept(listener, console, gate, tls))
 }

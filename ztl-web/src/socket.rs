@@ -20,6 +20,7 @@ use crate::board::{Board, Shared, locked, wall_clock_ms};
 use crate::gate::Role;
 use crate::goal::Goal;
 use crate::goals::{self, News};
+use crate::operator;
 use crate::rosbridge::{self, GoalArgs, Incoming};
 use crate::{robots, stop};
 
@@ -40,9 +41,6 @@ const MESSAGES: (f64, f64) = (50.0, 100.0);
 const GOAL_RATE: (f64, f64) = (10.0, 20.0);
 /// Longest id of a client's goal.
 const ID: usize = 256;
-
-/// The refusal of what only operators may do.
-const WATCHERS_LOOK: &str = "a watcher may only look: open the operators' link";
 
 enum Out {
     Text(String),
@@ -84,8 +82,7 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
     board.sockets.fetch_add(1, Ordering::Relaxed);
     let mut client = Client {
         board: Arc::clone(&board),
-        by: format!("operator at {address}"),
-        role,
+        who: board.operator.client(role, address),
         out,
         goals: Arc::default(),
         aborts_when_gone: false,
@@ -160,8 +157,7 @@ type Goals = Arc<Mutex<HashMap<String, Arc<Goal>>>>;
 
 struct Client {
     board: Arc<Board>,
-    by: String,
-    role: Role,
+    who: operator::Client,
     out: mpsc::Sender<Out>,
     /// Open goals by the client's ids.
     goals: Goals,
@@ -247,9 +243,7 @@ impl Client {
         args: GoalArgs,
         feedback: bool,
     ) -> Result<(), String> {
-        if self.role != Role::Operator {
-            return Err(WATCHERS_LOOK.to_owned());
-        }
+        self.board.begins_to_operate(&self.who)?;
         if id.len() > ID {
             return Err(format!("the id is longer than {ID} bytes"));
         }
@@ -257,7 +251,7 @@ impl Client {
         if !self.goal_rate.allows() {
             return Err("too many goals: send fewer".to_owned());
         }
-        let goal = Arc::new(Goal::new(target, args.goal, self.by.clone()));
+        let goal = Arc::new(Goal::new(target, args.goal, self.who.by.clone()));
         let mut open = locked(&self.goals);
         if open.len() >= GOALS {
             return Err(format!(
@@ -306,16 +300,14 @@ impl Client {
             "/ztl/robots" => self.newest(Topic::Robots),
             "/ztl/tasks" => self.newest(Topic::Tasks),
             "/ztl/when_gone" => self.when_gone(&args),
-            "/ztl/abort" | "/ztl/stop" if self.role != Role::Operator => {
-                Err(WATCHERS_LOOK.to_owned())
-            }
+            "/ztl/operate" => self.board.take_over(&self.who, &args),
             "/ztl/abort" | "/ztl/stop" => {
                 // The answer comes from a thread.
                 let why = self.stop(id.clone(), &service, args).err()?;
                 Err(why)
             }
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/abort, /ztl/stop and /ztl/when_gone"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/abort, /ztl/stop, /ztl/operate and /ztl/when_gone"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
@@ -335,8 +327,9 @@ impl Client {
         let value = topic.borrow().clone();
         let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
         if let Some(members) = value.as_object_mut() {
-            let operates = self.role == Role::Operator;
+            let operates = self.who.role == Role::Operator;
             members.insert("may_operate".to_owned(), json!(operates));
+            members.insert("client".to_owned(), json!(self.who.number));
             members.insert("now_ms".to_owned(), json!(wall_clock_ms()));
         }
         Ok(value)
@@ -370,7 +363,7 @@ impl Client {
             _ => None,
         };
         let is_abort = named.is_some();
-        let (board, by, out) = (Arc::clone(&self.board), self.by.clone(), self.out.clone());
+        let (board, by, out) = (Arc::clone(&self.board), self.who.by.clone(), self.out.clone());
         let service = service.to_owned();
         let spawned = thread::Builder::new()
             .name("ztl-web-stop".to_owned())
@@ -396,6 +389,7 @@ impl Client {
 
     /// The client is gone: leaves or aborts what it started, as it has chosen.
     fn leave(&self) {
+        self.board.client_left(&self.who);
         for goal in locked(&self.goals).values() {
             goal.leave();
             if self.aborts_when_gone
