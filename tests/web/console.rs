@@ -12,7 +12,7 @@ scopes:
     test:
       echo: echo
       sleep: sleep
-      mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: ''}
+      mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: '', at-once: 20}
       slow: {shell: 'trap \"date +%s.%N >> terms; sleep 1.2; exit 1\" TERM; echo begun; while :; do sleep 0.02; done', progress: ''}
 ";
 

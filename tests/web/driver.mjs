@@ -30,6 +30,9 @@ async function outside(what) {
   await lines.next();
 }
 
+// An error in the page ends the scenario.
+browser.on('weberror', (error) => { throw error.error(); });
+
 async function open([width, height] = SIZES.desk) {
   const page = await browser.newPage();
   await page.setViewportSize({ width, height });
@@ -140,7 +143,7 @@ const scenarios = {
     await check(other, 'not-operating');
     await saying(other, '#running', 'test:sleep:60').getByText('Abort').click();
     await saying(one, '#goals', 'ABORTED').waitFor();
-    await other.getByText('Take over').click();
+    await other.locator('#take-over').click();
     await other.getByText('You operate.').waitFor();
     await one.getByText('operator at 127.0.0.1 has taken over').waitFor();
     assert.ok(await isOff(one));
@@ -168,7 +171,7 @@ const scenarios = {
     const goal = (text) => page.locator('#goal').fill(text);
     await goal('click');
     await page.locator('#start').dblclick();
-    await page.getByText('presses that follow at once do not count').waitFor();
+    await page.getByText('Presses that follow at once do not count').waitFor();
     await goals(1);
     await goal('tap');
     const box = await page.locator('#start').boundingBox();

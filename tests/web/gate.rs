@@ -1,11 +1,12 @@
 //! What strangers get from the console, byte by byte.
 
+use std::fs;
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 
-use ztl_tests::lab::{PATIENCE, Process, reserve_port, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, reserve_port, until, ztl};
 
-use crate::console::{Console, web};
+use crate::console::{Console, from_port, node, web};
 
 /// The status and the whole answer to a request with these headers.
 fn ask(port: &str, path: &str, headers: &str) -> (u16, String) {
@@ -43,10 +44,8 @@ fn upgrade(port: &str, headers: &str) -> u16 {
 }
 
 fn port(url: &str) -> String {
-    url.rsplit(':')
-        .next()
-        .unwrap()
-        .trim_end_matches(|c: char| !c.is_ascii_digit())
+    from_port(url)
+        .trim_matches(|c: char| !c.is_ascii_digit())
         .to_owned()
 }
 
@@ -79,34 +78,84 @@ fn other_hosts_and_origins_are_refused_on_pages_and_on_the_socket() {
 }
 
 #[test]
+fn only_programs_of_this_machine_need_no_token() {
+    let console = Console::of_one();
+    let port = port(&console.url);
+    for host in ["127.0.0.1", "localhost", "[::1]"] {
+        let here = format!("Host: {host}:{port}\r\n");
+        assert_eq!((ask(&port, "/", &here).0, upgrade(&port, &here)), (200, 101));
+    }
+    // What comes through a proxy or a forwarded port of this machine has another name, or says so.
+    for headers in [
+        format!("Host: 10.0.0.7:{port}\r\n"),
+        format!("Host: 127.0.0.1:{port}\r\nX-Forwarded-For: 10.0.0.9\r\n"),
+        format!("Host: localhost:{port}\r\nForwarded: for=10.0.0.9\r\n"),
+        format!("Host: localhost:{port}\r\nX-Real-IP: 10.0.0.9\r\n"),
+        format!("Host: localhost:{port}\r\nVia: 1.1 proxy\r\n"),
+    ] {
+        let (status, page) = ask(&port, "/", &headers);
+        assert_eq!((status, upgrade(&port, &headers)), (401, 401), "{headers}");
+        assert!(page.contains("Open the link again"), "{page}");
+        assert_eq!(ask(&port, "/console.js", &headers).0, 401, "{headers}");
+    }
+}
+
+#[test]
 fn other_addresses_need_a_token() {
     let robot = reserve_port();
-    let (process, _) = web(
-        0,
-        &[("ours", robot)],
-        &["--bind", "0.0.0.0", "--host", "robot.local"],
-    );
-    let link = process.wait_for("watchers:");
-    let (_, link) = link.split_once("robot.local:").expect("the name");
-    let (port, token) = link.trim().split_once("/?token=").expect("a token");
+    let options = ["--bind", "0.0.0.0", "--host", "robot.local"];
+    let (_process, link) = web(0, &[("ours", robot)], &options);
+    assert!(link.contains("http://robot.local:"), "{link}");
+    let link = from_port(&link);
+    let (port, token) = link.split_once("/?token=").expect("a token");
+    let port = port.trim_start_matches(':');
     let here = "Host: robot.local\r\n";
-    assert_eq!((ask(port, "/", here).0, upgrade(port, here)), (401, 401));
+    // Also on this machine: a proxy here looks the same.
+    let local = "Host: localhost\r\n";
+    for none in [here, local] {
+        assert_eq!((ask(port, "/", none).0, upgrade(port, none)), (401, 401));
+    }
     let (status, page) = ask(port, &format!("/?token={token}"), here);
-    assert!(
-        status == 200 && page.contains("HttpOnly; SameSite=Strict"),
-        "{page}"
-    );
-    let cookie = format!("{here}Cookie: ztl-console={token}\r\n");
+    let set = format!("ztl-console-{port}={token}; HttpOnly; SameSite=Strict");
+    assert!(status == 200 && page.contains(&set), "{page}");
+    let cookie = format!("{here}Cookie: ztl-console-{port}={token}\r\n");
     assert_eq!(
         (ask(port, "/", &cookie).0, upgrade(port, &cookie)),
         (200, 101)
     );
-    let wrong = format!("{here}Cookie: ztl-console={}\r\n", "0".repeat(32));
-    assert_eq!(
-        (ask(port, "/", &wrong).0, upgrade(port, &wrong)),
-        (401, 401)
-    );
-    assert_eq!(ask(port, "/?token=", &wrong).0, 401);
+    for wrong in [
+        format!("ztl-console-{port}={}", "0".repeat(32)),
+        // The cookie of another console of the same machine.
+        format!("ztl-console-1={token}"),
+    ] {
+        let wrong = format!("{here}Cookie: {wrong}\r\n");
+        assert_eq!(
+            (ask(port, "/", &wrong).0, upgrade(port, &wrong)),
+            (401, 401)
+        );
+        assert_eq!(ask(port, "/?token=", &wrong).0, 401);
+    }
+}
+
+#[test]
+fn on_a_terminal_a_phone_can_read_the_links() {
+    let scratch = Scratch::new();
+    let mut command = ztl();
+    command.args(["web", "-c", "/dev/null", "-p", "0", "--host", "robot.local"]);
+    command.args(["--task", "ours", "127.0.0.1", "1", "/test"]);
+    let terminal = Terminal::start(&command, (100, 90));
+    let screen = terminal.shows_that("two codes", |screen| {
+        let after = screen.split_once("operators:");
+        after.is_some_and(|(_, after)| after.lines().filter(|line| line.contains('█')).count() > 15)
+    });
+    for who in ["watchers", "operators"] {
+        let (_, after) = screen.split_once(&format!("{who}: ")).expect("a link");
+        let (link, code) = after.split_once('\n').expect("a code");
+        let code: Vec<&str> = code.lines().take_while(|line| !line.contains("://")).collect();
+        fs::write(scratch.path("code"), code.join("\n")).expect("a file");
+        let read = Process::run(node("qr.mjs").arg(scratch.path("code")));
+        assert_eq!(read.stdout.trim(), link.trim(), "{read:?}\n{screen}");
+    }
 }
 
 #[test]

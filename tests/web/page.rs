@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use ztl_tests::lab::{PATIENCE, Process, Scratch, busy, reserve_port};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, ztl};
 
 use crate::console::{Console, ROBOT, from_port, marks, node, robot, web};
 
@@ -123,15 +123,17 @@ fn a_watchers_link_becomes_a_cookie_and_its_page_looks_and_stops() {
     let _busy = busy();
     let console = Console::of_one();
     let robots = [("ours", console.robot.port)];
-    let (process, link) = web(0, &robots, &["--bind", "0.0.0.0"]);
+    let (_process, link) = web(0, &robots, &["--bind", "0.0.0.0"]);
     let url = format!("http://127.0.0.1{}", from_port(&link));
     let mut driver = drive("watcher", &url, &console);
     driver.wait_for("do: start a task");
-    let mut task = console.robot.client("test:sleep:60");
+    let port = console.robot.port.to_string();
+    let mut client = ztl();
+    client.args(["task-client", "-r", "127.0.0.1", "-p", &port, "-s", SCOPE, "test:sleep:60"]);
+    let _task = Process::start(&mut client);
     driver.write_line("done");
     let ended = driver.end(PATIENCE * 3);
     assert!(ended.stdout.contains("passed"), "{ended:?}");
-    drop((process, task.end(PATIENCE)));
 }
 
 #[test]
@@ -163,8 +165,9 @@ fn the_page_comes_over_tls() {
     assert!(made.status.success(), "{made:?}");
     let [certificate, key] = [certificate, key].map(|path| path.display().to_string());
     let options = ["--bind", "0.0.0.0", "--host", "localhost", "--tls", &certificate, &key];
-    let (_process, _) = web(0, &[("ours", console.robot.port)], &options);
-    let link = _process.wait_for("operators:");
+    let (process, _) = web(0, &[("ours", console.robot.port)], &options);
+    let link = process.wait_for("operators:");
+    assert!(link.contains("https://localhost:"), "{link}");
     let url = format!("https://localhost{}", from_port(&link));
     passes("encrypted", &url, &console);
 }

@@ -43,8 +43,10 @@ export class Form {
       if (event.key === 'Enter' && event.repeat) event.preventDefault();
     });
     at('start').addEventListener('click', (event) => {
-      // A slow double click, by the browser's own measure.
-      if (event.detail > 1) event.preventDefault();
+      // A double click, by the browser's own measure.
+      if (event.detail < 2) return;
+      event.preventDefault();
+      this.#ignore();
     });
   }
 
@@ -124,9 +126,7 @@ export class Form {
   #press() {
     const now = performance.now();
     if (this.#isLocked()) {
-      this.#quiet = now + SAME_PRESS;
-      setText(at('form-said'), 'One task was started: presses that follow at once do not count.');
-      this.#showSoon();
+      this.#ignore();
       return;
     }
     const why = this.#whyNot();
@@ -164,6 +164,13 @@ export class Form {
     setText(at('form-said'), '');
     this.#console.started();
     this.show();
+    this.#showSoon();
+  }
+
+  // As long as presses follow each other, none of them counts.
+  #ignore() {
+    this.#quiet = performance.now() + SAME_PRESS;
+    setText(at('form-said'), 'Presses that follow at once do not count.');
     this.#showSoon();
   }
 

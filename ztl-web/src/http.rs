@@ -38,10 +38,13 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 5] = [
+const FILES: [(&str, &str, &str); 8] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
+    ("/form.js", "text/javascript; charset=utf-8", include_str!("../assets/form.js")),
+    ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
+    ("/operator.js", "text/javascript; charset=utf-8", include_str!("../assets/operator.js")),
     ("/elements.js", "text/javascript; charset=utf-8", include_str!("../assets/elements.js")),
     ("/rosbridge.js", "text/javascript; charset=utf-8", include_str!("../assets/rosbridge.js")),
 ];

@@ -243,7 +243,6 @@ impl Client {
         args: GoalArgs,
         feedback: bool,
     ) -> Result<(), String> {
-        self.board.begins_to_operate(&self.who)?;
         if id.len() > ID {
             return Err(format!("the id is longer than {ID} bytes"));
         }
@@ -251,6 +250,7 @@ impl Client {
         if !self.goal_rate.allows() {
             return Err("too many goals: send fewer".to_owned());
         }
+        self.board.begins_to_operate(&self.who)?;
         let goal = Arc::new(Goal::new(target, args.goal, self.who.by.clone()));
         let mut open = locked(&self.goals);
         if open.len() >= GOALS {
