@@ -35,6 +35,7 @@ export class Form {
     at('component').addEventListener('change', () => {
       const value = at('component').value;
       this.#chosen = value ? JSON.parse(value) : null;
+      setText(at('form-said'), '');
       this.show();
     });
     at('other').addEventListener('input', () => this.show());
@@ -60,7 +61,8 @@ export class Form {
     this.#showChoices();
     const why = this.#whyNot();
     at('start').setAttribute('aria-disabled', String(why !== '' || this.#isLocked()));
-    setText(at('why-not'), why);
+    const said = at('form-said').textContent;
+    setText(at('why-not'), said === `NOT SENT: ${why}` ? '' : why);
     this.#showGoals();
     this.#ready.show();
   }
@@ -132,6 +134,7 @@ export class Form {
     const why = this.#whyNot();
     if (why) {
       setText(at('form-said'), `NOT SENT: ${why}`);
+      this.show();
       return;
     }
     const { action, handler, component } = this.#chosen;
