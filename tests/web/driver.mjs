@@ -271,6 +271,29 @@ const scenarios = {
     await saying(page, '#goals', 'COMPLETED: kept').waitFor();
   },
 
+  // Streams are heard while their part is open.
+  async streams() {
+    const page = await open();
+    assert.equal(await page.locator('#publishers .streams li').count(), 0);
+    await outside('nobody listens');
+    await page.locator('#publishers summary').click();
+    const stream = (topic) => page.locator('#publishers .streams li', { hasText: topic });
+    await stream('/lab/pose').getByText("{'x': ").waitFor();
+    await stream('/lab/pose').locator('svg').waitFor();
+    const points = () => stream('/lab/pose').locator('.line1').getAttribute('points');
+    while ((await points()).split(' ').length < 5) await page.waitForTimeout(50);
+    await stream('/lab/word').getByText('<b>hostile</b>').waitFor();
+    const width = () => stream('/lab/camera').locator('img').evaluate((picture) => picture.naturalWidth);
+    while (await width() !== 64) await page.waitForTimeout(50);
+    await check(page, 'streams');
+    await page.setViewportSize({ width: SIZES.phone[0], height: SIZES.phone[1] });
+    await page.emulateMedia({ colorScheme: 'dark' });
+    await stream('/lab/camera').scrollIntoViewIfNeeded();
+    await check(page, 'streams-phone');
+    await page.locator('#publishers summary').click();
+    await outside('nobody listens');
+  },
+
   // Whoever opens the page without its link is told what to do; so is a page whose console was started again.
   async locked() {
     const page = await open();

@@ -2,7 +2,9 @@
 
 use std::process::Command;
 
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, ztl};
+use ztl_pickle::{DType, Pickle};
+use ztl_std::Publisher;
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
 
 use crate::console::{Console, ROBOT, from_port, marks, node, robot, web};
 
@@ -79,6 +81,40 @@ fn each_goal_says_until_when_it_may_start_by_the_clock_of_the_console() {
     let _busy = busy();
     let console = Console::of_one();
     passes("deadline", &console.url, &console);
+}
+
+#[test]
+fn streams_are_subscribed_to_while_a_page_shows_them() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let publisher = Publisher::bind("tcp://127.0.0.1:0", "/lab").expect("a publisher");
+    let port = publisher.endpoint().rsplit(':').next().expect("a port");
+    let options = ["--publisher", "lab", "127.0.0.1", port, "/lab"];
+    let (_process, url) = web(0, &[("ours", console.robot.port)], &options);
+    let mut driver = drive("streams", &url, &console);
+    driver.wait_for("do: nobody listens");
+    assert_eq!(publisher.subscribers(), 0);
+    driver.write_line("done");
+    let picture: Vec<u8> = (0..64 * 48 * 3).map(|at| (at % 251) as u8).collect();
+    let picture = Pickle::array(DType::UINT8, &[48, 64, 3], &picture).expect("an array");
+    let word = Pickle::text("<b>hostile</b>").expect("a text");
+    let mut time = 0.0_f64;
+    until("the page to close the streams", PATIENCE * 3, || {
+        assert!(driver.stderr().is_empty(), "{}", driver.stderr());
+        time += 0.1;
+        let pose = [("x", time.sin()), ("y", time.cos())];
+        let pose = pose.map(|(name, value)| (Pickle::text(name).expect("a name"), value));
+        publisher.publish("/pose", &Pickle::dict(pose).expect("a dict"));
+        publisher.publish("/word", &word);
+        publisher.publish("/camera", &picture);
+        (driver.stdout().matches("do: nobody listens").count() == 2).then_some(())
+    });
+    until("nobody to subscribe", PATIENCE, || {
+        (publisher.subscribers() == 0).then_some(())
+    });
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ import { at, card, element, setText, showAll, span } from './elements.js';
 import { Form, NOTHING } from './form.js';
 import { Operator } from './operator.js';
 import { Bridge } from './rosbridge.js';
+import { Streams } from './streams.js';
 
 // How long ago a Stop may have ended that a page shows which was not there.
 const RECENT = 10_000;
@@ -20,6 +21,7 @@ let clock = null;
 const bridge = new Bridge(`${location.protocol.replace('http', 'ws')}//${location.host}/rosbridge`, onState);
 const operator = new Operator(bridge);
 const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
+const streams = new Streams(bridge, now);
 
 // The console's wall clock. Behind by what the answer took to come, never ahead.
 function now() {
@@ -60,6 +62,7 @@ bridge.subscribe('/ztl/robots', (told) => {
   robots = told.robots;
   operator.see(told.operator);
   form.offer(robots);
+  streams.offer(told.publishers);
   show();
 });
 bridge.subscribe('/ztl/tasks', (told) => { tasks = told; show(); });
@@ -71,6 +74,7 @@ function show() {
   showRobots();
   showTasks();
   form.show();
+  streams.show();
 }
 
 function showConnection() {

@@ -89,6 +89,11 @@ export class Bridge {
     this.#send({ op: 'subscribe', topic });
   }
 
+  unsubscribe(topic) {
+    this.#topics.delete(topic);
+    this.#send({ op: 'unsubscribe', topic });
+  }
+
   call(service, args) {
     const id = `${this.#prefix}:${++this.#next}`;
     return new Promise((resolve, reject) => {

@@ -13,6 +13,7 @@ use ztl_std::{Offers, RemoteId, State};
 use crate::goal::Goal;
 use crate::operator::{Client, Operator};
 use crate::robots::{ConfiguredScope, Server};
+use crate::streams::{Publisher, Streams};
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
@@ -31,6 +32,7 @@ pub(crate) struct Board {
     pub(crate) servers: Vec<Server>,
     pub(crate) topics: Topics,
     pub(crate) operator: Operator,
+    pub(crate) streams: Arc<Streams>,
     seen: Mutex<Vec<Seen>>,
     goals: Mutex<Goals>,
     /// How many sockets are open.
@@ -90,7 +92,7 @@ pub(crate) struct Task {
 }
 
 impl Board {
-    pub(crate) fn new(servers: Vec<Server>) -> Self {
+    pub(crate) fn new(servers: Vec<Server>, publishers: Vec<Publisher>) -> Self {
         let topic = || watch::Sender::new(Shared::from("{}"));
         let board = Self {
             seen: Mutex::new(vec![Seen::default(); servers.len()]),
@@ -101,6 +103,7 @@ impl Board {
                 stop: topic(),
             },
             operator: Operator::new(),
+            streams: Arc::new(Streams::new(publishers)),
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
             stops: AtomicUsize::new(0),
@@ -213,7 +216,11 @@ impl Board {
             })
         };
         let robots: Vec<Value> = self.servers.iter().zip(seen).map(robot).collect();
-        json!({ "robots": robots, "operator": self.operator.now() })
+        json!({
+            "robots": robots,
+            "operator": self.operator.now(),
+            "publishers": self.streams.names(),
+        })
     }
 
     fn tasks(&self, seen: &[Seen], goals: &[Arc<Goal>]) -> Value {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{Request, State};
 use axum::http::header::{self, HeaderName, HeaderValue};
-use axum::http::StatusCode;
+use axum::http::{StatusCode, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
@@ -38,12 +38,13 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 8] = [
+const FILES: [(&str, &str, &str); 9] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
     ("/form.js", "text/javascript; charset=utf-8", include_str!("../assets/form.js")),
     ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
+    ("/streams.js", "text/javascript; charset=utf-8", include_str!("../assets/streams.js")),
     ("/operator.js", "text/javascript; charset=utf-8", include_str!("../assets/operator.js")),
     ("/elements.js", "text/javascript; charset=utf-8", include_str!("../assets/elements.js")),
     ("/rosbridge.js", "text/javascript; charset=utf-8", include_str!("../assets/rosbridge.js")),
@@ -53,7 +54,7 @@ const FILES: [(&str, &str, &str); 8] = [
 #[rustfmt::skip]
 const HEADERS: [(&str, &str); 6] = [
     ("content-security-policy", "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
-        img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"),
+        img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"),
     ("x-content-type-options", "nosniff"),
     ("referrer-policy", "no-referrer"),
     ("cross-origin-opener-policy", "same-origin"),
@@ -136,7 +137,9 @@ async fn answer(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, ap
 }
 
 fn router(console: Console) -> Router {
-    let mut router = Router::new().route("/rosbridge", get(upgrade));
+    let mut router = Router::new()
+        .route("/rosbridge", get(upgrade))
+        .route("/picture/{number}", get(picture));
     for (path, kind, content) in FILES {
         let file = move || async move { ([(header::CONTENT_TYPE, kind)], content) };
         router = router.route(path, get(file));
@@ -187,6 +190,16 @@ fn link(console: &Console, token: &str) -> Response {
         console.gate.cookie()
     );
     ([(header::SET_COOKIE, cookie)], Html(PAGE)).into_response()
+}
+
+/// The newest picture of a stream. Not over the socket, where it would delay what is urgent.
+async fn picture(State(console): State<Console>, uri: Uri) -> Response {
+    let number = uri.path().rsplit('/').next();
+    let number = number.and_then(|number| number.parse().ok());
+    match number.and_then(|number| console.board.streams.picture(number)) {
+        Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
+        None => StatusCode::NOT_FOUND.into_response(),
+    }
 }
 
 async fn upgrade(

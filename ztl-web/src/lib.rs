@@ -10,11 +10,13 @@ mod goal;
 mod goals;
 mod http;
 mod operator;
+mod picture;
 mod places;
 mod robots;
 mod rosbridge;
 mod socket;
 mod stop;
+mod streams;
 mod tls;
 mod watcher;
 
@@ -24,6 +26,7 @@ use std::sync::Arc;
 
 pub use gate::Tokens;
 pub use robots::{Connect, Robot};
+pub use streams::{Connect as ConnectPublisher, Publisher};
 pub use tls::Tls;
 
 /// What [`serve`] needs.
@@ -32,6 +35,8 @@ pub struct Options {
     pub listener: TcpListener,
     /// The robots, as the configuration names them.
     pub robots: Vec<Robot>,
+    /// Publishers whose streams the page can show.
+    pub publishers: Vec<Publisher>,
     /// What browsers must show. Without `hosts`, a request of this machine to one of its loopback names needs none.
     pub tokens: Tokens,
     /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
@@ -48,14 +53,16 @@ pub fn serve(options: Options) -> io::Result<()> {
     let Options {
         listener,
         robots,
+        publishers,
         tokens,
         hosts,
         tls,
     } = options;
-    let console = Arc::new(board::Board::new(robots::group(robots)));
+    let console = Arc::new(board::Board::new(robots::group(robots), publishers));
     for server in 0..console.servers.len() {
         watcher::spawn(&console, server)?;
     }
+    streams::spawn(&console.streams)?;
     listener.set_nonblocking(true)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -22,6 +22,7 @@ use crate::goal::Goal;
 use crate::goals::{self, News};
 use crate::operator;
 use crate::rosbridge::{self, GoalArgs, Incoming};
+use crate::streams::Listener;
 use crate::{robots, stop};
 
 /// Answers that wait to be written.
@@ -45,6 +46,8 @@ const ID: usize = 256;
 enum Out {
     Text(String),
     Subscribe(Topic, bool),
+    /// A publisher's streams.
+    Listen(usize, bool),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +64,7 @@ impl Topic {
             "/ztl/tasks" => Ok(Self::Tasks),
             "/ztl/stop" => Ok(Self::Stop),
             _ => Err(format!(
-                "no topic '{name}': there are /ztl/robots, /ztl/tasks and /ztl/stop"
+                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop and /ztl/streams/PUBLISHER"
             )),
         }
     }
@@ -107,6 +110,7 @@ async fn written(
     let mut tasks = board.topics.tasks.subscribe();
     let mut stop = board.topics.stop.subscribe();
     let (mut on_robots, mut on_tasks, mut on_stop) = (false, false, false);
+    let mut listener = Listener::new(&board.streams);
     let mut beat = interval(BEAT);
     let told = |topic: Topic, value: &Shared| {
         let text = rosbridge::publish(topic.name(), value);
@@ -119,6 +123,7 @@ async fn written(
             out = queue.recv() => match out {
                 None => return,
                 Some(Out::Text(text)) => vec![Message::from(text)],
+                Some(Out::Listen(publisher, on)) => listener.listen(publisher, on),
                 Some(Out::Subscribe(topic, on)) => {
                     let (flag, topic_of) = match topic {
                         Topic::Robots => (&mut on_robots, &mut robots),
@@ -136,6 +141,7 @@ async fn written(
             },
             Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
             Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
+            messages = listener.changed() => messages,
             _ = beat.tick() => {
                 let mut messages = vec![Message::Ping(Vec::new().into())];
                 if on_robots {
@@ -225,14 +231,16 @@ impl Client {
                 error(&why)
             }
             Incoming::CallService { id, service, args } => self.call(id, service, args),
-            Incoming::Subscribe { topic } => match Topic::of(&topic) {
-                Ok(topic) => Some(Out::Subscribe(topic, true)),
-                Err(why) => error(&why),
-            },
-            Incoming::Unsubscribe { topic } => match Topic::of(&topic) {
-                Ok(topic) => Some(Out::Subscribe(topic, false)),
-                Err(why) => error(&why),
-            },
+            Incoming::Subscribe { topic } => Some(self.subscribe(&topic, true)),
+            Incoming::Unsubscribe { topic } => Some(self.subscribe(&topic, false)),
+        }
+    }
+
+    fn subscribe(&self, topic: &str, on: bool) -> Out {
+        match (self.board.streams.find(topic), Topic::of(topic)) {
+            (Some(publisher), _) => Out::Listen(publisher, on),
+            (None, Ok(topic)) => Out::Subscribe(topic, on),
+            (None, Err(why)) => Out::Text(rosbridge::error(&why)),
         }
     }
 

@@ -11,8 +11,9 @@ use qrcode::render::unicode::Dense1x2;
 use qrcode::{EcLevel, QrCode};
 use tracing::Level;
 use ztl_std::RemoteTask;
-use ztl_web::{Options, Robot, Tls, Tokens, serve};
+use ztl_web::{Options, Publisher, Robot, Tls, Tokens, serve};
 
+use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
 use crate::option_values::port;
@@ -91,6 +92,27 @@ impl Web {
             Some([certificate, key]) => Some(Tls::read(certificate, key).map_err(Misuse)?),
             _ => None,
         };
+        let mut publishers = Vec::new();
+        for name in remotes.publisher_names() {
+            let publisher = remotes
+                .publisher(name)
+                .map_err(|wrong| Misuse(wrong.to_string()))?;
+            let (named, publisher, options) =
+                (name.to_owned(), publisher.clone(), self.connecting.clone());
+            let connect = move || {
+                let publisher = ChosenPublisher::named(&named, publisher.clone());
+                let connected = publisher.connect(&[], options.keys());
+                connected
+                    .map(|connected| connected.subscriber)
+                    .map_err(|error| error.to_string())
+            };
+            // As above.
+            connect().map_err(Misuse)?;
+            publishers.push(Publisher {
+                name: name.to_owned(),
+                connect: Arc::new(connect),
+            });
+        }
         let place = (self.bind, self.port);
         let listener = TcpListener::bind(place).map_err(|error| {
             format!("cannot serve at {} port {}: {error}", self.bind, self.port)
@@ -114,6 +136,7 @@ impl Web {
                 let options = Options {
                     listener,
                     robots,
+                    publishers,
                     tokens,
                     hosts: self.host,
                     tls,
