@@ -294,6 +294,28 @@ const scenarios = {
     await outside('nobody listens');
   },
 
+  // The console keeps the tasks that have ended, for every page.
+  async past() {
+    const page = await open();
+    for (const [component, goal, end] of [['test/echo', 'one', 'COMPLETED'], ['test/sleep', 'x', 'REJECTED'], ['test/sleep', '60', 'ABORTED']]) {
+      await start(page, component, goal);
+      if (end === 'ABORTED') await saying(page, '#running', 'test:sleep:60').getByText('Abort').click();
+      await saying(page, '#goals', end).waitFor();
+    }
+    await outside('start a task');
+    const other = await open(SIZES.tablet);
+    await other.getByText('Tasks of the last hours').click();
+    await saying(other, '#past', 'test:echo:other').waitFor();
+    await saying(other, '#past', 'COMPLETED: one').getByText('by operator at 127.0.0.1').waitFor();
+    await other.locator('#past-filter').fill('abort');
+    await saying(other, '#past', 'COMPLETED: one').waitFor({ state: 'detached' });
+    await saying(other, '#past', 'ABORTED').waitFor();
+    assert.equal(await other.locator('#past .card').count(), 1);
+    await check(other, 'past');
+    await other.locator('#past-filter').fill('nothing like this');
+    await other.getByText('No task contains this.').waitFor();
+  },
+
   // Whoever opens the page without its link is told what to do; so is a page whose console was started again.
   async locked() {
     const page = await open();

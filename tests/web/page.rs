@@ -22,6 +22,14 @@ fn passes(scenario: &str, url: &str, console: &Console) {
     assert!(ended.stdout.contains("passed"), "{ended:?}");
 }
 
+/// A client of the robot that is not the console.
+fn client(console: &Console, task: &str) -> Process {
+    let port = console.robot.port.to_string();
+    let mut client = ztl();
+    client.args(["task-client", "-r", "127.0.0.1", "-p", &port, "-s", SCOPE, task]);
+    Process::start(&mut client)
+}
+
 #[test]
 fn each_part_works_on_a_phone_a_tablet_and_a_desk() {
     let _busy = busy();
@@ -118,6 +126,18 @@ fn streams_are_subscribed_to_while_a_page_shows_them() {
 }
 
 #[test]
+fn tasks_that_have_ended_are_kept_for_every_page() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let mut driver = drive("past", &console.url, &console);
+    driver.wait_for("do: start a task");
+    client(&console, "test:echo:other").end(PATIENCE);
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+#[test]
 fn goals_that_were_kept_fill_in_the_form() {
     let _busy = busy();
     let console = Console::of_one();
@@ -163,10 +183,7 @@ fn a_watchers_link_becomes_a_cookie_and_its_page_looks_and_stops() {
     let url = format!("http://127.0.0.1{}", from_port(&link));
     let mut driver = drive("watcher", &url, &console);
     driver.wait_for("do: start a task");
-    let port = console.robot.port.to_string();
-    let mut client = ztl();
-    client.args(["task-client", "-r", "127.0.0.1", "-p", &port, "-s", SCOPE, "test:sleep:60"]);
-    let _task = Process::start(&mut client);
+    let _task = client(&console, "test:sleep:60");
     driver.write_line("done");
     let ended = driver.end(PATIENCE * 3);
     assert!(ended.stdout.contains("passed"), "{ended:?}");

@@ -3,6 +3,7 @@
 import { at, card, element, setText, showAll, span } from './elements.js';
 import { Form, NOTHING } from './form.js';
 import { Operator } from './operator.js';
+import { Past } from './past.js';
 import { Bridge } from './rosbridge.js';
 import { Streams } from './streams.js';
 
@@ -22,6 +23,7 @@ const bridge = new Bridge(`${location.protocol.replace('http', 'ws')}//${locatio
 const operator = new Operator(bridge);
 const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
 const streams = new Streams(bridge, now);
+const past = new Past(bridge);
 
 // The console's wall clock. Behind by what the answer took to come, never ahead.
 function now() {
@@ -65,7 +67,7 @@ bridge.subscribe('/ztl/robots', (told) => {
   streams.offer(told.publishers);
   show();
 });
-bridge.subscribe('/ztl/tasks', (told) => { tasks = told; show(); });
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); show(); });
 setInterval(show, 1000);
 setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
 

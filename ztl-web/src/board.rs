@@ -12,6 +12,7 @@ use ztl_std::{Offers, RemoteId, State};
 
 use crate::goal::Goal;
 use crate::operator::{Client, Operator};
+use crate::past::Past;
 use crate::robots::{ConfiguredScope, Server};
 use crate::streams::{Publisher, Streams};
 
@@ -33,6 +34,7 @@ pub(crate) struct Board {
     pub(crate) topics: Topics,
     pub(crate) operator: Operator,
     pub(crate) streams: Arc<Streams>,
+    pub(crate) past: Past,
     seen: Mutex<Vec<Seen>>,
     goals: Mutex<Goals>,
     /// How many sockets are open.
@@ -103,6 +105,7 @@ impl Board {
                 stop: topic(),
             },
             operator: Operator::new(),
+            past: Past::default(),
             streams: Arc::new(Streams::new(publishers)),
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
@@ -129,6 +132,7 @@ impl Board {
 
     /// Replaces what is known of a server.
     pub(crate) fn set_seen(&self, server: usize, now: Seen) {
+        self.past.on_listed(&now.tasks);
         if let Some(known) = locked(&self.seen).get_mut(server) {
             *known = now;
         }
@@ -180,7 +184,13 @@ impl Board {
     }
 
     pub(crate) fn remove_goal(&self, number: u64) {
-        locked(&self.goals).open.remove(&number);
+        let goal = locked(&self.goals).open.remove(&number);
+        if let Some(goal) = goal
+            && let (Some(server), Some(id)) = (self.servers.get(goal.target.server), goal.id())
+        {
+            let key = (server.name.clone(), goal.target.scope.clone(), id.clone());
+            self.past.on_goal(key, &goal.by);
+        }
         self.publish();
     }
 

@@ -38,12 +38,13 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 9] = [
+const FILES: [(&str, &str, &str); 10] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
     ("/form.js", "text/javascript; charset=utf-8", include_str!("../assets/form.js")),
     ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
+    ("/past.js", "text/javascript; charset=utf-8", include_str!("../assets/past.js")),
     ("/streams.js", "text/javascript; charset=utf-8", include_str!("../assets/streams.js")),
     ("/operator.js", "text/javascript; charset=utf-8", include_str!("../assets/operator.js")),
     ("/elements.js", "text/javascript; charset=utf-8", include_str!("../assets/elements.js")),

@@ -10,6 +10,7 @@ mod goal;
 mod goals;
 mod http;
 mod operator;
+mod past;
 mod picture;
 mod places;
 mod robots;

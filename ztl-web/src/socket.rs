@@ -308,6 +308,7 @@ impl Client {
             "/ztl/robots" => self.newest(Topic::Robots),
             "/ztl/tasks" => self.newest(Topic::Tasks),
             "/ztl/when_gone" => self.when_gone(&args),
+            "/ztl/past" => self.board.past.find(args),
             "/ztl/operate" => self.board.take_over(&self.who, &args),
             "/ztl/abort" | "/ztl/stop" => {
                 // The answer comes from a thread.
@@ -315,7 +316,7 @@ impl Client {
                 Err(why)
             }
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/abort, /ztl/stop, /ztl/operate and /ztl/when_gone"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/abort, /ztl/stop, /ztl/operate and /ztl/when_gone"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
