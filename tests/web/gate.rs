@@ -83,7 +83,10 @@ fn only_programs_of_this_machine_need_no_token() {
     let port = port(&console.url);
     for host in ["127.0.0.1", "localhost", "[::1]"] {
         let here = format!("Host: {host}:{port}\r\n");
-        assert_eq!((ask(&port, "/", &here).0, upgrade(&port, &here)), (200, 101));
+        assert_eq!(
+            (ask(&port, "/", &here).0, upgrade(&port, &here)),
+            (200, 101)
+        );
     }
     // What comes through a proxy or a forwarded port of this machine has another name, or says so.
     for headers in [
@@ -151,7 +154,10 @@ fn on_a_terminal_a_phone_can_read_the_links() {
     for who in ["watchers", "operators"] {
         let (_, after) = screen.split_once(&format!("{who}: ")).expect("a link");
         let (link, code) = after.split_once('\n').expect("a code");
-        let code: Vec<&str> = code.lines().take_while(|line| !line.contains("://")).collect();
+        let code: Vec<&str> = code
+            .lines()
+            .take_while(|line| !line.contains("://"))
+            .collect();
         fs::write(scratch.path("code"), code.join("\n")).expect("a file");
         let read = Process::run(node("qr.mjs").arg(scratch.path("code")));
         assert_eq!(read.stdout.trim(), link.trim(), "{read:?}\n{screen}");

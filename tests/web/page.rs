@@ -26,7 +26,16 @@ fn passes(scenario: &str, url: &str, console: &Console) {
 fn client(console: &Console, task: &str) -> Process {
     let port = console.robot.port.to_string();
     let mut client = ztl();
-    client.args(["task-client", "-r", "127.0.0.1", "-p", &port, "-s", SCOPE, task]);
+    client.args([
+        "task-client",
+        "-r",
+        "127.0.0.1",
+        "-p",
+        &port,
+        "-s",
+        SCOPE,
+        task,
+    ]);
     Process::start(&mut client)
 }
 
@@ -213,11 +222,26 @@ fn the_page_comes_over_tls() {
     let [certificate, key] = ["cert.pem", "key.pem"].map(|name| console.files.path(name));
     let mut openssl = Command::new("openssl");
     let words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=localhost";
-    openssl.args(words.split(' ')).arg("-keyout").arg(&key).arg("-out").arg(&certificate);
-    let made = openssl.output().expect("openssl, of the Debian package of that name");
+    openssl
+        .args(words.split(' '))
+        .arg("-keyout")
+        .arg(&key)
+        .arg("-out")
+        .arg(&certificate);
+    let made = openssl
+        .output()
+        .expect("openssl, of the Debian package of that name");
     assert!(made.status.success(), "{made:?}");
     let [certificate, key] = [certificate, key].map(|path| path.display().to_string());
-    let options = ["--bind", "0.0.0.0", "--host", "localhost", "--tls", &certificate, &key];
+    let options = [
+        "--bind",
+        "0.0.0.0",
+        "--host",
+        "localhost",
+        "--tls",
+        &certificate,
+        &key,
+    ];
     let (process, _) = web(0, &[("ours", console.robot.port)], &options);
     let link = process.wait_for("operators:");
     assert!(link.contains("https://localhost:"), "{link}");

@@ -1,7 +1,6 @@
 //! One operator at a time: the client that may start tasks. Everybody may stop them.
 
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::Serialize;
 
@@ -24,14 +23,16 @@ impl Client {
     fn may_operate(&self) -> Result<(), String> {
         match self.role {
             Role::Operator => Ok(()),
-            Role::Watcher => Err("a watcher may only look and stop: open the operators' link".to_owned()),
+            Role::Watcher => {
+                Err("a watcher may only look and stop: open the operators' link".to_owned())
+            }
         }
     }
 }
 
 /// Who operates.
 pub(crate) struct Operator {
-    next: AtomicU64,
+    next: Mutex<u64>,
     now: Mutex<Option<Operates>>,
 }
 
@@ -46,15 +47,17 @@ impl Operator {
     pub(crate) fn new() -> Self {
         Self {
             // A console that starts later counts from later, because no client takes less than a millisecond.
-            next: AtomicU64::new(wall_clock_ms()),
+            next: Mutex::new(wall_clock_ms()),
             now: Mutex::default(),
         }
     }
 
     /// A new client.
     pub(crate) fn client(&self, role: Role, address: impl std::fmt::Display) -> Client {
+        let mut next = locked(&self.next);
+        *next += 1;
         Client {
-            number: self.next.fetch_add(1, Ordering::Relaxed),
+            number: *next,
             by: format!("{} at {address}", role.name()),
             role,
         }
@@ -94,7 +97,8 @@ impl Operator {
         let mut now = locked(&self.now);
         match &*now {
             Some(Operates { client: other, .. })
-                if from.is_some_and(|from| from != other.number) && other.number != client.number =>
+                if from.is_some_and(|from| from != other.number)
+                    && other.number != client.number =>
             {
                 Err(format!("{} has taken over before", other.by))
             }
@@ -138,7 +142,10 @@ mod tests {
         assert_eq!(operator.begin(&a), Ok(true));
         assert_eq!(operator.begin(&a), Ok(false));
         let refused = operator.begin(&b).expect_err("another operates");
-        assert!(refused.starts_with("operator at 10.0.0.7 operates"), "{refused}");
+        assert!(
+            refused.starts_with("operator at 10.0.0.7 operates"),
+            "{refused}"
+        );
         assert_eq!(operator.take_over(&b, Some(a.number)), Ok(()));
         assert!(operator.begin(&a).is_err());
         assert_eq!(number(&operator), Some(b.number));

@@ -121,7 +121,13 @@ impl Past {
         let fits = |ended: &&Ended| {
             let task = &ended.task;
             let by = task.by.as_deref().unwrap_or_default();
-            let texts = [&task.robot, &task.scope, &task.task, &task.state, &task.text];
+            let texts = [
+                &task.robot,
+                &task.scope,
+                &task.task,
+                &task.state,
+                &task.text,
+            ];
             let mut texts = texts.into_iter().map(String::as_str).chain([by]);
             texts.any(|text| text.to_lowercase().contains(&filter))
         };
@@ -168,7 +174,10 @@ mod tests {
     fn ids(past: &Past, filter: &str) -> Vec<i64> {
         let found = past.find(json!({ "filter": filter })).expect("an answer");
         let tasks = found["tasks"].as_array().expect("tasks");
-        tasks.iter().filter_map(|task| task["id"].as_i64()).collect()
+        tasks
+            .iter()
+            .filter_map(|task| task["id"].as_i64())
+            .collect()
     }
 
     #[test]
@@ -199,6 +208,10 @@ mod tests {
         drop(inner);
         let found = past.find(Value::Null).expect("an answer");
         assert_eq!(found["more"], json!(KEPT - TOLD));
-        assert!(found["tasks"][0]["text"].as_str().is_some_and(|text| text.len() < 310));
+        assert!(
+            found["tasks"][0]["text"]
+                .as_str()
+                .is_some_and(|text| text.len() < 310)
+        );
     }
 }

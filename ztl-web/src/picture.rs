@@ -88,7 +88,11 @@ fn bitmap(pixels: &Pixels<'_>) -> Option<Vec<u8>> {
     out.extend((-i32::try_from(height).ok()?).to_le_bytes());
     // One plane, 24 bits a pixel; no compression, and the default of all else.
     out.extend([1, 0, 24, 0]);
-    out.extend([0, size, 0, 0, 0, 0].iter().flat_map(|word: &u32| word.to_le_bytes()));
+    out.extend(
+        [0, size, 0, 0, 0, 0]
+            .iter()
+            .flat_map(|word: &u32| word.to_le_bytes()),
+    );
     let row = pixels.width * pixels.channels;
     for line in pixels.data.chunks_exact(row).step_by(step).take(height) {
         for pixel in line.chunks_exact(pixels.channels).step_by(step).take(width) {
@@ -115,7 +119,8 @@ mod tests {
         assert_eq!((kind, bytes.len()), ("image/bmp", 54 + 2 * 8));
         assert_eq!(&bytes[54..60], [0, 0, 255, 0, 255, 0]);
         assert_eq!(&bytes[18..26], [2, 0, 0, 0, 254, 255, 255, 255]);
-        let large = Pickle::array(DType::UINT8, &[1300, 900], &vec![7; 1_170_000]).expect("an array");
+        let large =
+            Pickle::array(DType::UINT8, &[1300, 900], &vec![7; 1_170_000]).expect("an array");
         let (_, bytes) = of(&Content::Value(large)).expect("a picture");
         assert_eq!(bytes.len(), 54 + 433 * 300 * 3);
         for shape in [&[4, 2, 2][..], &[16], &[16, 1]] {
@@ -127,8 +132,14 @@ mod tests {
     #[test]
     fn files_are_known_by_how_they_begin() {
         let jpeg = Pickle::bytes(&[0xff, 0xd8, 0xff, 0xe0]).expect("bytes");
-        assert_eq!(of(&Content::Value(jpeg)).map(|(kind, _)| kind), Some("image/jpeg"));
-        assert_eq!(of(&Content::Bytes(b"\x89PNG\r\n")).map(|(kind, _)| kind), Some("image/png"));
+        assert_eq!(
+            of(&Content::Value(jpeg)).map(|(kind, _)| kind),
+            Some("image/jpeg")
+        );
+        assert_eq!(
+            of(&Content::Bytes(b"\x89PNG\r\n")).map(|(kind, _)| kind),
+            Some("image/png")
+        );
         assert!(!is_one(&Content::Bytes(b"<svg>")));
     }
 }

@@ -372,7 +372,11 @@ impl Client {
             _ => None,
         };
         let is_abort = named.is_some();
-        let (board, by, out) = (Arc::clone(&self.board), self.who.by.clone(), self.out.clone());
+        let (board, by, out) = (
+            Arc::clone(&self.board),
+            self.who.by.clone(),
+            self.out.clone(),
+        );
         let service = service.to_owned();
         let spawned = thread::Builder::new()
             .name("ztl-web-stop".to_owned())

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::thread;
 use std::time::{Duration, Instant, UNIX_EPOCH};
@@ -50,7 +50,7 @@ pub(crate) struct Streams {
     publishers: Vec<Channel>,
     /// The newest message of each publisher.
     newest: watch::Sender<Arc<[Shared]>>,
-    next: AtomicU64,
+    next: AtomicUsize,
 }
 
 struct Channel {
@@ -63,7 +63,7 @@ struct Channel {
 
 /// A topic.
 struct Stream {
-    number: u64,
+    number: usize,
     heard: Heard,
     /// The length of the value, which is dropped if it is too long.
     length: usize,
@@ -141,7 +141,7 @@ impl Streams {
         Self {
             publishers,
             newest: watch::Sender::new(none.into()),
-            next: AtomicU64::new(1),
+            next: AtomicUsize::new(1),
         }
     }
 
@@ -160,7 +160,7 @@ impl Streams {
     }
 
     /// The newest picture of a stream, with its type.
-    pub(crate) fn picture(&self, number: u64) -> Option<(&'static str, Vec<u8>)> {
+    pub(crate) fn picture(&self, number: usize) -> Option<(&'static str, Vec<u8>)> {
         self.publishers.iter().find_map(|channel| {
             let heard = locked(&channel.heard);
             let stream = heard.values().find(|stream| stream.number == number)?;
@@ -187,7 +187,7 @@ impl Streams {
 }
 
 impl Channel {
-    fn on_heard(&self, mut heard: Heard, number: impl FnOnce() -> u64) {
+    fn on_heard(&self, mut heard: Heard, number: impl FnOnce() -> usize) {
         // A new topic for each task: the tasks themselves are shown.
         if heard.topic.contains("/$tasks/") {
             return;
@@ -205,9 +205,7 @@ impl Channel {
             heard.body = Vec::new();
         }
         let stream = Stream {
-            number: known
-                .as_ref()
-                .map_or_else(number, |stream| stream.number),
+            number: known.as_ref().map_or_else(number, |stream| stream.number),
             count: known.map_or(0, |stream| stream.count) + 1,
             length,
             told: None,
@@ -270,7 +268,11 @@ fn shown(content: &Content<'_>) -> (String, Vec<(String, f64)>, bool) {
             (text, numbers(value), is_picture)
         }
         Content::Text(text) => {
-            let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite());
+            let number = text
+                .trim()
+                .parse()
+                .ok()
+                .filter(|number: &f64| number.is_finite());
             let numbers = number.map(|number| (String::new(), number));
             let most = text.floor_char_boundary(TEXT);
             let text = text.get(..most).unwrap_or_default().to_owned();
@@ -343,9 +345,10 @@ impl Listener {
         let newest = self.newest.borrow_and_update();
         let mut messages = Vec::new();
         for (publisher, told) in &mut self.looks {
-            let (Some(now), Some(channel)) =
-                (newest.get(*publisher), self.streams.publishers.get(*publisher))
-            else {
+            let (Some(now), Some(channel)) = (
+                newest.get(*publisher),
+                self.streams.publishers.get(*publisher),
+            ) else {
                 continue;
             };
             if **now != **told {

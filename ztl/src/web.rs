@@ -119,11 +119,18 @@ impl Web {
         })?;
         let address = listener.local_addr()?;
         let tokens = Tokens::random()?;
-        let at = format!("http{}://{}", if tls.is_some() { "s" } else { "" }, self.place(address));
+        let at = format!(
+            "http{}://{}",
+            if tls.is_some() { "s" } else { "" },
+            self.place(address)
+        );
         if self.bind.is_loopback() && self.host.is_empty() {
             line(format_args!("{at}/"));
         } else {
-            for (who, token) in [("watchers", &tokens.watcher), ("operators", &tokens.operator)] {
+            for (who, token) in [
+                ("watchers", &tokens.watcher),
+                ("operators", &tokens.operator),
+            ] {
                 show_link(who, &format!("{at}/?token={token}"))?;
             }
         }
