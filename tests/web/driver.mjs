@@ -326,6 +326,21 @@ const scenarios = {
     await check(page, 'locked');
   },
 
+  // The page that operated goes on when the console is back.
+  async returns() {
+    const page = await open();
+    await start(page, 'test/mark', 'x');
+    await page.getByText('You operate.').waitFor();
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    await outside('kill the console');
+    await saying(page, '#goals', 'UNKNOWN').waitFor();
+    await page.getByText('You operate.').waitFor();
+    await page.locator('#goal').fill('y');
+    await ready(page);
+    await page.locator('#start').click();
+    await page.locator('#running .card').nth(1).waitFor();
+  },
+
   async encrypted() {
     const page = await open();
     const [cookie] = await browser.cookies();

@@ -181,6 +181,25 @@ fn one_address_gets_a_limited_number_of_sockets() {
 }
 
 #[test]
+fn it_says_what_is_wrong_with_its_files() {
+    let scratch = Scratch::new();
+    let wrong = scratch.path("wrong").display().to_string();
+    fs::write(&wrong, "operator x\n").expect("a file");
+    let missing = scratch.path("missing").display().to_string();
+    for (options, says) in [
+        (vec!["--tokens", &wrong], "wrong: expected the lines `operator TOKEN`"),
+        (vec!["--tls", &missing, &wrong], "missing: "),
+        (vec!["--tls", &wrong, &wrong], "wrong: no certificate: expected PEM"),
+    ] {
+        let mut command = ztl();
+        command.args(["web", "-c", "/dev/null", "-p", "0", "--task", "ours", "localhost", "1", "/test"]);
+        let ended = Process::run(command.args(&options));
+        assert_eq!(ended.code, Some(2), "{options:?}: {ended:?}");
+        assert!(ended.stderr.contains(says), "{options:?}: {ended:?}");
+    }
+}
+
+#[test]
 fn it_says_what_is_missing() {
     let none = Process::run(ztl().args(["web", "-c", "/dev/null", "-p", "0"]));
     assert_eq!(none.code, Some(2), "{none:?}");

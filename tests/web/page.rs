@@ -216,6 +216,28 @@ fn a_page_without_its_link_says_how_to_come_in() {
 }
 
 #[test]
+fn a_page_goes_on_when_a_console_with_kept_tokens_is_killed() {
+    let _busy = busy();
+    let mut console = Console::of_one();
+    let tokens = console.files.path("tokens").display().to_string();
+    let (port, robots) = (reserve_port(), [("ours", console.robot.port)]);
+    let options = ["--host", "localhost", "--tokens", &tokens];
+    let (process, _) = web(port, &robots, &options);
+    let link = process.wait_for("operators:");
+    let url = format!("http://localhost{}", from_port(&link));
+    console.process = process;
+    let mut driver = drive("returns", &url, &console);
+    driver.wait_for("do: kill the console");
+    console.process.kill();
+    console.process = web(port, &robots, &options).0;
+    assert_eq!(console.process.wait_for("operators:"), link);
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+    assert_eq!(console.marks(), 2);
+}
+
+#[test]
 fn the_page_comes_over_tls() {
     let _busy = busy();
     let console = Console::of_one();

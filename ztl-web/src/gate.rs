@@ -5,6 +5,8 @@ use std::net::IpAddr;
 use axum::http::header::{AUTHORIZATION, COOKIE, FORWARDED, HOST, ORIGIN, VIA};
 use axum::http::{HeaderMap, HeaderName, StatusCode};
 
+use crate::tokens::Tokens;
+
 /// What somebody may do. Everybody who may look may also stop: a stop is safe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
@@ -20,32 +22,6 @@ impl Role {
             Self::Watcher => "watcher",
             Self::Operator => "operator",
         }
-    }
-}
-
-/// The secrets of a console.
-pub struct Tokens {
-    /// Whoever has it may start tasks.
-    pub operator: String,
-    /// Whoever has it may look and stop.
-    pub watcher: String,
-}
-
-impl Tokens {
-    /// New random tokens of 128 bits.
-    ///
-    /// # Errors
-    /// If the system gives no random numbers.
-    pub fn random() -> std::io::Result<Self> {
-        let token = || {
-            let mut bytes = [0; 16];
-            getrandom::fill(&mut bytes).map_err(std::io::Error::other)?;
-            Ok::<_, std::io::Error>(format!("{:032x}", u128::from_be_bytes(bytes)))
-        };
-        Ok(Self {
-            operator: token()?,
-            watcher: token()?,
-        })
     }
 }
 
@@ -363,9 +339,5 @@ mod tests {
         // Also on this machine, a watcher's link makes a watcher.
         let local = headers(&[(HOST, "127.0.0.1"), (COOKIE, "ztl-console-1060=bb")]);
         assert_eq!(gate.check(HERE, &local, None).ok(), Some(Role::Watcher));
-        let [first, second] = [(); 2].map(|()| Tokens::random().expect("random"));
-        assert_ne!(first.operator, first.watcher);
-        assert_ne!(first.operator, second.operator);
-        assert_eq!(first.operator.len(), 32);
     }
 }

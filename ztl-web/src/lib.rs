@@ -19,16 +19,17 @@ mod socket;
 mod stop;
 mod streams;
 mod tls;
+mod tokens;
 mod watcher;
 
 use std::io;
 use std::net::TcpListener;
 use std::sync::Arc;
 
-pub use gate::Tokens;
 pub use robots::{Connect, Robot};
 pub use streams::{Connect as ConnectPublisher, Publisher};
 pub use tls::Tls;
+pub use tokens::Tokens;
 
 /// What [`serve`] needs.
 pub struct Options {

@@ -11,6 +11,7 @@ use qrcode::render::unicode::Dense1x2;
 use qrcode::{EcLevel, QrCode};
 use tracing::Level;
 use ztl_std::RemoteTask;
+use ztl_std::keys::exposure;
 use ztl_web::{Options, Publisher, Robot, Tls, Tokens, serve};
 
 use crate::chosen_publisher::ChosenPublisher;
@@ -18,7 +19,7 @@ use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
 use crate::option_values::port;
 use crate::remotes_options::RemotesOptions;
-use crate::terminal::{drawn_line, is_live, line, size};
+use crate::terminal::{drawn_line, error_line, is_live, line, size};
 use crate::{log, signals};
 
 /// The original's port.
@@ -48,6 +49,10 @@ pub(crate) struct Web {
     /// printed links. Also needed behind a proxy
     #[arg(long, value_name = "NAME")]
     host: Vec<String>,
+
+    /// Keep the tokens of the links in this file, so that open pages go on when the console is started again
+    #[arg(long, value_name = "FILE")]
+    tokens: Option<PathBuf>,
 
     /// PEM files of a certificate and its key: serve https
     #[arg(long, value_names = ["CERT", "KEY"], num_args = 2)]
@@ -118,7 +123,16 @@ impl Web {
             format!("cannot serve at {} port {}: {error}", self.bind, self.port)
         })?;
         let address = listener.local_addr()?;
-        let tokens = Tokens::random()?;
+        let tokens = match &self.tokens {
+            None => Tokens::random()?,
+            Some(path) => {
+                let tokens = Tokens::kept(path);
+                if let Some(exposure) = exposure(path) {
+                    error_line(format_args!("ztl: warning: {exposure}"));
+                }
+                tokens.map_err(|error| Misuse(format!("{}: {error}", path.display())))?
+            }
+        };
         let at = format!(
             "http{}://{}",
             if tls.is_some() { "s" } else { "" },
