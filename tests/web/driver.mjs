@@ -341,6 +341,30 @@ const scenarios = {
     await page.locator('#running .card').nth(1).waitFor();
   },
 
+  // A page of one's own, with a button in a form.
+  async own() {
+    const page = await browser.newPage();
+    await page.goto(url);
+    assert.equal(await page.locator('p').evaluate((text) => getComputedStyle(text).color), 'rgb(255, 0, 0)');
+    await page.locator('button').dblclick();
+    await page.waitForLoadState();
+    const console_ = await browser.newPage();
+    await console_.goto(new URL('/console', url).href);
+    await saying(console_, '#running', 'by page at 127.0.0.1').waitFor();
+    assert.equal(await console_.locator('#running .card').count(), 1);
+    // A second press, when the first one is long over.
+    await console_.getByText(/started [1-9] s ago/).waitFor();
+    await page.locator('button').click();
+    await console_.locator('#running .card').nth(1).waitFor();
+    // Who operates by the console goes before.
+    await console_.locator('#component').selectOption({ label: 'test echo' });
+    await console_.locator('#start').click();
+    await console_.getByText('You operate.').waitFor();
+    await console_.getByText(/started [2-9] s ago/).first().waitFor();
+    await page.locator('button').click();
+    await page.getByText('NOT SENT: operator at 127.0.0.1 operates').waitFor();
+  },
+
   async encrypted() {
     const page = await open();
     const [cookie] = await browser.cookies();

@@ -10,9 +10,12 @@ use crate::console::{Console, from_port, node, web};
 
 /// The status and the whole answer to a request with these headers.
 fn ask(port: &str, path: &str, headers: &str) -> (u16, String) {
+    answer(port, &format!("GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n"))
+}
+
+fn answer(port: &str, request: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a connection");
     stream.set_read_timeout(Some(PATIENCE)).expect("a limit");
-    let request = format!("GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n");
     stream.write_all(request.as_bytes()).expect("a request");
     let mut answer = String::new();
     stream.read_to_string(&mut answer).expect("an answer");
@@ -21,6 +24,13 @@ fn ask(port: &str, path: &str, headers: &str) -> (u16, String) {
         .nth(1)
         .and_then(|status| status.parse().ok());
     (status.expect("a status"), answer)
+}
+
+/// The status and the whole answer to a form.
+fn post(port: &str, headers: &str, form: &str) -> (u16, String) {
+    let kind = "Content-Type: application/x-www-form-urlencoded";
+    let headers = format!("{headers}{kind}\r\nContent-Length: {}\r\n", form.len());
+    answer(port, &format!("POST / HTTP/1.1\r\n{headers}Connection: close\r\n\r\n{form}"))
 }
 
 /// A WebSocket's first request: its status, and the connection.
@@ -178,6 +188,50 @@ fn one_address_gets_a_limited_number_of_sockets() {
     until("a free socket", PATIENCE, || {
         (upgrade(&port, &headers) == 101).then_some(())
     });
+}
+
+#[test]
+fn a_page_of_ones_own_and_its_forms_are_answered_as_by_the_original() {
+    let console = Console::of_one();
+    let page = console.files.path("page.html");
+    fs::write(&page, "<title>first</title>").expect("a file");
+    let robots = [("test", console.robot.port)];
+    let options = ["-s", &page.display().to_string()];
+    let (_process, url) = web(0, &robots, &options);
+    let port = port(&url);
+    let here = format!("Host: 127.0.0.1:{port}\r\n");
+    let get = |path: &str| ask(&port, path, &here);
+    assert!(get("/").1.ends_with("<title>first</title>"));
+    fs::write(&page, "<title>second</title>").expect("a file");
+    for path in ["/", "/any/path/"] {
+        let (status, answer) = get(path);
+        assert!(status == 200 && answer.ends_with("<title>second</title>"), "{answer}");
+    }
+    for (path, place) in [("/logo.png", "/logo.png/"), ("//evil.example", "/evil.example/")] {
+        let (status, answer) = get(path);
+        let place = format!("location: {place}\r\n");
+        assert!(status == 303 && answer.contains(&place), "{answer}");
+    }
+    assert!(get("/console").1.contains("Stop everything"));
+    let post = |form: &str| post(&port, &here, form);
+    let (status, answer) = post("test%3Amark=a+b&test%3Amark=c");
+    assert!(status == 200 && answer.ends_with("<title>second</title>"), "{answer}");
+    until("the task to start", PATIENCE, || (console.marks() == 1).then_some(()));
+    let (status, answer) = post("port=1061");
+    assert!(status == 303 && answer.contains("location: http://127.0.0.1:1061\r\n"), "{answer}");
+    for (form, status) in [("nobody%3Amark=x", 200), ("test=x", 200), ("a:b:c=x", 200)] {
+        assert_eq!(post(form).0, status, "{form}");
+    }
+    for wrong in ["", "{}", "test:mark", "port=99999", "port=//evil.example"] {
+        assert_eq!(post(wrong).0, 400, "{wrong}");
+    }
+    let foreign = format!("{here}Origin: http://evil.example\r\n");
+    assert_eq!(self::post(&port, &foreign, "test:mark=x").0, 403);
+    let forwarded = format!("{here}X-Forwarded-For: 10.0.0.9\r\n");
+    assert_eq!(self::post(&port, &forwarded, "test:mark=x").0, 401);
+    fs::remove_file(&page).expect("no page");
+    assert_eq!(get("/").0, 500);
+    assert_eq!(console.marks(), 1);
 }
 
 #[test]

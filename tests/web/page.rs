@@ -238,6 +238,19 @@ fn a_page_goes_on_when_a_console_with_kept_tokens_is_killed() {
 }
 
 #[test]
+fn a_button_of_ones_own_page_starts_one_task_a_press() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let page = console.files.path("page.html");
+    let form = "<form method=post><button name='test:mark' value='hello'>Go</button></form>";
+    std::fs::write(&page, format!("<style>p {{ color: red }}</style><p>mine</p>{form}")).expect("a file");
+    let robots = [("test", console.robot.port)];
+    let (_process, url) = web(0, &robots, &["-s", &page.display().to_string()]);
+    passes("own", &url, &console);
+    assert_eq!(console.marks(), 2);
+}
+
+#[test]
 fn the_page_comes_over_tls() {
     let _busy = busy();
     let console = Console::of_one();

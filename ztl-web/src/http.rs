@@ -6,9 +6,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{Request, State};
+use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::header::{self, HeaderName, HeaderValue};
-use axum::http::{StatusCode, Uri};
+use axum::body::Bytes;
+use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
@@ -17,10 +18,12 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
 use crate::board::Board;
-use crate::gate::{Gate, Role, token_in};
+use crate::gate::{Gate, Role, name_of, token_in};
+use crate::own_page::{OwnPage, Posted};
 use crate::places::Places;
 use crate::socket;
 use crate::tls::Tls;
@@ -63,6 +66,13 @@ const HEADERS: [(&str, &str); 6] = [
     ("cache-control", "no-store"),
 ];
 
+/// A page of one's own may contain anything, but nobody may frame it. Without a referrer, the Origin of its forms would
+/// be `null`.
+const OWN: [(&str, &str); 2] = [
+    ("content-security-policy", "frame-ancestors 'none'"),
+    ("referrer-policy", "same-origin"),
+];
+
 /// What a browser shows that comes without a token.
 const LOCKED: &str = "<!DOCTYPE html><html lang=\"en\"><title>ZTL console: no access</title>\
     <meta name=\"viewport\" content=\"width=device-width\"><meta name=\"color-scheme\" content=\"light dark\">\
@@ -73,6 +83,7 @@ const LOCKED: &str = "<!DOCTYPE html><html lang=\"en\"><title>ZTL console: no ac
 struct Console {
     board: Arc<Board>,
     gate: Arc<Gate>,
+    page: Option<Arc<OwnPage>>,
     is_encrypted: bool,
     sockets: Places,
 }
@@ -85,12 +96,14 @@ pub(crate) async fn accept(
     listener: TcpListener,
     board: Arc<Board>,
     gate: Gate,
+    page: Option<OwnPage>,
     tls: Option<Tls>,
 ) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let app = router(Console {
         board,
         gate: Arc::new(gate),
+        page: page.map(Arc::new),
         is_encrypted: tls.is_some(),
         sockets: Places::new(SOCKETS.0, SOCKETS.1),
     });
@@ -143,10 +156,20 @@ fn router(console: Console) -> Router {
         .route("/picture/{number}", get(picture));
     for (path, kind, content) in FILES {
         let file = move || async move { ([(header::CONTENT_TYPE, kind)], content) };
+        let path = match console.page.is_some() && path == "/" {
+            true => "/console",
+            false => path,
+        };
         router = router.route(path, get(file));
     }
+    if let Some(page) = &console.page {
+        let (shown, posted) = (Arc::clone(page), Arc::clone(page));
+        let own = get(async move |uri: Uri| own_page(&shown, uri.path()).await);
+        router = router.fallback_service(own.post(post).with_state((console.clone(), posted)));
+    }
     let checked = from_fn_with_state(console.clone(), check);
-    router.layer(checked).with_state(console)
+    let limit = DefaultBodyLimit::max(MESSAGE);
+    router.layer(limit).layer(checked).with_state(console)
 }
 
 /// Checks who may; a link with a token becomes a cookie.
@@ -173,9 +196,10 @@ async fn check(
     };
     for (name, value) in HEADERS {
         let name = HeaderName::from_static(name);
-        response
-            .headers_mut()
-            .insert(name, HeaderValue::from_static(value));
+        let headers = response.headers_mut();
+        headers
+            .entry(name)
+            .or_insert(HeaderValue::from_static(value));
     }
     response
 }
@@ -200,6 +224,46 @@ async fn picture(State(console): State<Console>, uri: Uri) -> Response {
     match number.and_then(|number| console.board.streams.picture(number)) {
         Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
         None => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+/// A page of one's own, read anew each time. As from the original, its path ends in `/`.
+async fn own_page(page: &OwnPage, path: &str) -> Response {
+    if !path.ends_with('/') {
+        // One slash, because two of them would name another host.
+        let place = format!("/{}/", path.trim_start_matches('/'));
+        return (StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response();
+    }
+    let path = page.path.clone();
+    // A slow disk must not delay the sockets.
+    match spawn_blocking(move || std::fs::read(path)).await {
+        Ok(Ok(content)) => (OWN, Html(content)).into_response(),
+        Ok(Err(error)) => {
+            let why = format!("cannot read {}: {error}\n", page.path.display());
+            (StatusCode::INTERNAL_SERVER_ERROR, why).into_response()
+        }
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// A form of one's own page.
+async fn post(
+    State((console, page)): State<(Console, Arc<OwnPage>)>,
+    Extension(address): Extension<IpAddr>,
+    Extension(role): Extension<Role>,
+    uri: Uri,
+    headers: HeaderMap,
+    form: Bytes,
+) -> Response {
+    match page.post(&console.board, &form, role, address) {
+        Ok(Posted::Page) => own_page(&page, &format!("{}/", uri.path())).await,
+        Ok(Posted::Port(port)) => {
+            let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+            let scheme = if console.is_encrypted { "https" } else { "http" };
+            let place = format!("{scheme}://{}:{port}", name_of(host.unwrap_or_default()));
+            (StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response()
+        }
+        Err(why) => why.into_response(),
     }
 }
 

@@ -10,6 +10,7 @@ mod goal;
 mod goals;
 mod http;
 mod operator;
+mod own_page;
 mod past;
 mod picture;
 mod places;
@@ -24,6 +25,7 @@ mod watcher;
 
 use std::io;
 use std::net::TcpListener;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 pub use robots::{Connect, Robot};
@@ -43,6 +45,8 @@ pub struct Options {
     pub tokens: Tokens,
     /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
+    /// A page of one's own instead of the console's, which is then at `/console`.
+    pub page: Option<PathBuf>,
     /// The certificate and key of `https`; without it, connections are not encrypted.
     pub tls: Option<Tls>,
 }
@@ -58,8 +62,10 @@ pub fn serve(options: Options) -> io::Result<()> {
         publishers,
         tokens,
         hosts,
+        page,
         tls,
     } = options;
+    let page = page.map(|path| own_page::OwnPage::new(path, &robots));
     let console = Arc::new(board::Board::new(robots::group(robots), publishers));
     for server in 0..console.servers.len() {
         watcher::spawn(&console, server)?;
@@ -70,5 +76,5 @@ pub fn serve(options: Options) -> io::Result<()> {
         .enable_all()
         .build()?;
     let gate = gate::Gate::new(tokens, hosts, listener.local_addr()?.port());
-    runtime.block_on(http::accept(listener, console, gate, tls))
+    runtime.block_on(http::accept(listener, console, gate, page, tls))
 }

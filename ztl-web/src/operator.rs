@@ -118,6 +118,11 @@ impl Operator {
 }
 
 impl Operates {
+    /// Who it is, for people.
+    pub(crate) fn by(&self) -> &str {
+        &self.client.by
+    }
+
     fn since_now(client: &Client) -> Self {
         Self {
             client: client.clone(),

@@ -50,6 +50,10 @@ pub(crate) struct Web {
     #[arg(long, value_name = "NAME")]
     host: Vec<String>,
 
+    /// A page of one's own, with forms as for the original's ztl_web; the console's is then at /console
+    #[arg(short, long, value_name = "PAGE.html")]
+    serve: Option<PathBuf>,
+
     /// Keep the tokens of the links in this file, so that open pages go on when the console is started again
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
@@ -160,6 +164,7 @@ impl Web {
                     publishers,
                     tokens,
                     hosts: self.host,
+                    page: self.serve,
                     tls,
                 };
                 drop(failing.send(serve(options).err()));
