@@ -243,7 +243,11 @@ fn a_button_of_ones_own_page_starts_one_task_a_press() {
     let console = Console::of_one();
     let page = console.files.path("page.html");
     let form = "<form method=post><button name='test:mark' value='hello'>Go</button></form>";
-    std::fs::write(&page, format!("<style>p {{ color: red }}</style><p>mine</p>{form}")).expect("a file");
+    std::fs::write(
+        &page,
+        format!("<style>p {{ color: red }}</style><p>mine</p>{form}"),
+    )
+    .expect("a file");
     let robots = [("test", console.robot.port)];
     let (_process, url) = web(0, &robots, &["-s", &page.display().to_string()]);
     passes("own", &url, &console);

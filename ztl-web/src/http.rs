@@ -5,10 +5,10 @@ use std::net::{IpAddr, TcpListener};
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::body::Bytes;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::header::{self, HeaderName, HeaderValue};
-use axum::body::Bytes;
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
@@ -258,8 +258,14 @@ async fn post(
     match page.post(&console.board, &form, role, address) {
         Ok(Posted::Page) => own_page(&page, &format!("{}/", uri.path())).await,
         Ok(Posted::Port(port)) => {
-            let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
-            let scheme = if console.is_encrypted { "https" } else { "http" };
+            let host = headers
+                .get(header::HOST)
+                .and_then(|host| host.to_str().ok());
+            let scheme = if console.is_encrypted {
+                "https"
+            } else {
+                "http"
+            };
             let place = format!("{scheme}://{}:{port}", name_of(host.unwrap_or_default()));
             (StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response()
         }
