@@ -255,6 +255,13 @@ fn a_button_of_ones_own_page_starts_one_task_a_press() {
 }
 
 #[test]
+fn what_a_closed_page_started_is_aborted_if_it_has_chosen_so() {
+    let _busy = busy();
+    let console = Console::of_one();
+    passes("closed", &console.url, &console);
+}
+
+#[test]
 fn the_page_comes_over_tls() {
     let _busy = busy();
     let console = Console::of_one();
