@@ -100,6 +100,13 @@ impl Console {
     }
 }
 
+/// The port in a console's link.
+#[track_caller]
+pub(crate) fn port(url: &str) -> u16 {
+    let (_, port) = url.trim().trim_end_matches('/').rsplit_once(':').expect("a port");
+    port.parse().expect("a number")
+}
+
 /// Node with the installed packages.
 pub(crate) fn node(script: &str) -> Command {
     let mut command = Command::new("node");

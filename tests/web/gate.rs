@@ -5,7 +5,7 @@ use std::net::{TcpListener, TcpStream};
 
 use ztl_tests::lab::{PATIENCE, Process, reserve_port, until, ztl};
 
-use crate::console::{Console, web};
+use crate::console::{Console, port, web};
 
 /// The status and the whole answer to a request with these headers.
 fn ask(port: &str, path: &str, headers: &str) -> (u16, String) {
@@ -42,18 +42,10 @@ fn upgrade(port: &str, headers: &str) -> u16 {
     socket(port, headers).0
 }
 
-fn port(url: &str) -> String {
-    url.rsplit(':')
-        .next()
-        .unwrap()
-        .trim_end_matches(|c: char| !c.is_ascii_digit())
-        .to_owned()
-}
-
 #[test]
 fn other_hosts_and_origins_are_refused_on_pages_and_on_the_socket() {
     let console = Console::of_one();
-    let port = port(&console.url);
+    let port = port(&console.url).to_string();
     let here = format!("Host: 127.0.0.1:{port}\r\n");
     let (status, page) = ask(&port, "/", &here);
     assert_eq!(status, 200);
@@ -112,7 +104,7 @@ fn other_addresses_need_a_token() {
 #[test]
 fn one_address_gets_a_limited_number_of_sockets() {
     let console = Console::of_one();
-    let port = port(&console.url);
+    let port = port(&console.url).to_string();
     let headers = format!("Host: localhost:{port}\r\n");
     let open: Vec<_> = (0..32).map(|_| socket(&port, &headers)).collect();
     assert!(open.iter().all(|(status, _)| *status == 101));
@@ -123,6 +115,40 @@ fn one_address_gets_a_limited_number_of_sockets() {
     until("a free socket", PATIENCE, || {
         (upgrade(&port, &headers) == 101).then_some(())
     });
+}
+
+/// A connection to the console, which says nothing.
+fn silent(port: &str) -> TcpStream {
+    let stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a connection");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a limit");
+    stream
+}
+
+#[test]
+fn strangers_keep_nobody_out_and_are_closed() {
+    let robot = reserve_port();
+    let (process, _) = web(0, &[("ours", robot)], &["--bind", "0.0.0.0"]);
+    let link = process.wait_for("watchers:");
+    let (port, token) = link.split_once("/?token=").expect("a token");
+    let (_, port) = port.rsplit_once(':').expect("a port");
+    let here = "Host: 127.0.0.1\r\n";
+    let ours = format!("{here}Authorization: Bearer {}\r\n", token.trim());
+    // More than there is room for, of which none says anything.
+    let mut strangers: Vec<_> = (0..300).map(|_| silent(port)).collect();
+    assert_eq!((ask(port, "/", &ours).0, upgrade(port, &ours)), (200, 101));
+    for stranger in &mut strangers {
+        let ended = stranger.read(&mut [0; 1]);
+        assert!(matches!(ended, Ok(0) | Err(_)), "{ended:?}");
+    }
+    // Whoever is refused is not kept either, although it does not ask to be closed.
+    for headers in [here, "Host: evil.example\r\n"] {
+        let mut stream = silent(port);
+        let request = format!("GET / HTTP/1.1\r\n{headers}\r\n");
+        stream.write_all(request.as_bytes()).expect("a request");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an end");
+        assert!(answer.starts_with("HTTP/1.1 40"), "{answer}");
+    }
 }
 
 #[test]

@@ -1,7 +1,11 @@
 //! `ztl web` with real clients: Chromium at three sizes, roslib, roslibpy, and requests of strangers.
 
+mod client;
 mod clients;
 mod console;
 mod gate;
+mod goals;
 mod page;
+mod robot;
 mod socket;
+mod stops;

@@ -2,7 +2,7 @@
 
 use std::io;
 use std::net::{IpAddr, TcpListener};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::extract::ws::WebSocketUpgrade;
@@ -16,14 +16,18 @@ use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use tokio::net::TcpStream;
 
-use crate::board::Board;
+use crate::board::{Board, locked};
 use crate::gate::{Gate, Role, TOKEN_COOKIE, token_in};
-use crate::places::Places;
+use crate::places::{Place, Places, Stranger, Strangers};
 use crate::socket;
 
-/// Most connections, and most of one address.
+/// Most connections that have shown that they may look, and most of one address.
 const CONNECTIONS: (usize, usize) = (256, 64);
+/// The same of the others, and how long they may take to show it.
+const STRANGERS: (usize, usize) = (64, 8);
+const STRANGER: Duration = Duration::from_secs(5);
 /// Most sockets, and most of one address.
 const SOCKETS: (usize, usize) = (128, 32);
 /// How long a browser may take for the head of a request.
@@ -59,7 +63,37 @@ const HEADERS: [(&str, &str); 6] = [
 struct Console {
     board: Arc<Board>,
     gate: Arc<Gate>,
+    connections: Places,
     sockets: Places,
+}
+
+/// A browser's connection: a stranger's until a request of it has passed the gate.
+struct Connection {
+    address: IpAddr,
+    stands: Mutex<Standing>,
+}
+
+enum Standing {
+    Stranger { _place: Stranger },
+    Admitted { _place: Place },
+}
+
+impl Connection {
+    fn is_stranger(&self) -> bool {
+        matches!(*locked(&self.stands), Standing::Stranger { .. })
+    }
+
+    /// A request has passed the gate; returns whether there is room for the connection.
+    fn admit(&self, connections: &Places) -> bool {
+        if !self.is_stranger() {
+            return true;
+        }
+        let place = connections.take(self.address);
+        let admitted = place.map(|place| Standing::Admitted { _place: place });
+        // Outside of the lock: dropping a place locks others.
+        let before = admitted.map(|admitted| std::mem::replace(&mut *locked(&self.stands), admitted));
+        before.is_some()
+    }
 }
 
 /// Serves connections until the process ends.
@@ -71,9 +105,10 @@ pub(crate) async fn accept(listener: TcpListener, board: Arc<Board>, gate: Gate)
     let app = router(Console {
         board,
         gate: Arc::new(gate),
+        connections: Places::new(CONNECTIONS.0, CONNECTIONS.1),
         sockets: Places::new(SOCKETS.0, SOCKETS.1),
     });
-    let places = Places::new(CONNECTIONS.0, CONNECTIONS.1);
+    let strangers = Strangers::new(STRANGERS.0, STRANGERS.1);
     loop {
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
@@ -83,22 +118,35 @@ pub(crate) async fn accept(listener: TcpListener, board: Arc<Board>, gate: Gate)
                 continue;
             }
         };
-        let Some(place) = places.take(peer.ip()) else {
-            continue;
-        };
         // A short message must not wait for a longer one.
         let _ = stream.set_nodelay(true);
-        let service = TowerToHyperService::new(app.clone().layer(Extension(peer.ip())));
-        tokio::spawn(async move {
-            let connection = http1::Builder::new()
-                .timer(TokioTimer::new())
-                .header_read_timeout(HEAD)
-                .serve_connection(TokioIo::new(stream), service)
-                .with_upgrades();
-            // A browser may break its connection at any time.
-            let _ = connection.await;
-            drop(place);
+        strangers.add(peer.ip(), |stranger| {
+            let connection = Arc::new(Connection {
+                address: peer.ip(),
+                stands: Mutex::new(Standing::Stranger { _place: stranger }),
+            });
+            tokio::spawn(serve(stream, app.clone(), connection)).abort_handle()
         });
+    }
+}
+
+async fn serve(stream: TcpStream, app: Router, connection: Arc<Connection>) {
+    let service = TowerToHyperService::new(app.layer(Extension(Arc::clone(&connection))));
+    let served = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD)
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
+    let too_long = async {
+        tokio::time::sleep(STRANGER).await;
+        if !connection.is_stranger() {
+            std::future::pending::<()>().await;
+        }
+    };
+    tokio::select! {
+        // A browser may break its connection at any time.
+        _ = served => {}
+        () = too_long => {}
     }
 }
 
@@ -112,11 +160,21 @@ fn router(console: Console) -> Router {
     router.layer(checked).with_state(console)
 }
 
-/// Checks who may; a link with a token becomes a cookie.
-async fn check(State(console): State<Console>, mut request: Request, next: Next) -> Response {
+/// Checks who may; a link with a token becomes a cookie. The connection of whoever may nothing is closed.
+async fn check(
+    State(console): State<Console>,
+    Extension(connection): Extension<Arc<Connection>>,
+    mut request: Request,
+    next: Next,
+) -> Response {
     let query = request.uri().query();
+    let closed = [(header::CONNECTION, "close")];
     let mut response = match console.gate.check(request.headers(), query) {
-        Err((status, why)) => (status, why).into_response(),
+        Err((status, why)) => (status, closed, why).into_response(),
+        Ok(_) if !connection.admit(&console.connections) => {
+            let why = "too many connections are open\n";
+            (StatusCode::TOO_MANY_REQUESTS, closed, why).into_response()
+        }
         Ok(_) if request.uri().path() == "/" && token_in(query).is_some() => link(request.uri()),
         Ok(role) => {
             request.extensions_mut().insert(role);
@@ -148,10 +206,11 @@ fn link(uri: &Uri) -> Response {
 
 async fn upgrade(
     State(console): State<Console>,
-    Extension(address): Extension<IpAddr>,
+    Extension(connection): Extension<Arc<Connection>>,
     Extension(role): Extension<Role>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
+    let address = connection.address;
     let Some(place) = console.sockets.take(address) else {
         let why = "too many sockets are open\n";
         return (StatusCode::TOO_MANY_REQUESTS, why).into_response();
