@@ -13,7 +13,6 @@ scopes:
       echo: echo
       sleep: sleep
       mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: ''}
-      slow: {shell: 'trap \"date +%s.%N >> terms; sleep 1.2; exit 1\" TERM; echo begun; while :; do sleep 0.02; done', progress: ''}
 ";
 
 /// A console for the robot `ours`, and for `gone`, which nobody serves.

@@ -115,12 +115,11 @@ fn a_stop_does_not_confirm_while_a_goal_has_no_answer() {
         let requests = requests.lock().expect("no panic");
         requests.iter().any(|request| request.starts_with("/test;1;")).then_some(())
     });
-    // It answers nothing about tasks, and lists one.
     let stop = client.call("/ztl/stop", &json!({}));
     let told = &stop["robots"][0];
     assert_eq!(told["confirmed"], false, "{stop}");
     let why = told["text"].as_str().expect("why");
-    assert!(why.contains("has no answer: it may still start") && why.contains("1 may still run"), "{why}");
+    assert!(why.contains("has no answer: it may still start"), "{why}");
     lost.store(false, Ordering::SeqCst);
     assert_eq!(client.result("g")["values"]["state"], "ABORTED");
     let stop = client.call("/ztl/stop", &json!({}));
@@ -194,9 +193,11 @@ fn what_a_hostile_robot_says_is_cut() {
             "$ztl;2;-1;probe" => {
                 let names: Vec<String> = (0..5000).map(|number| format!("n{number}")).collect();
                 let names = names.join(", ");
+                // YAML knows no longer key.
+                let name = &long[..1000];
                 format!(
                     "$ztl;5;0;{{ztl: 1, version: '{long}', boot: 7, \
-                     scopes: {{\"/test\": {{\"{long}\": [], \"arm\": [left, {names}, \"{long}\"]}}}}, running: {{}}}}"
+                     scopes: {{\"/test\": {{\"{name}\": [], \"arm\": [left, {names}, \"{long}\"]}}}}, running: {{}}}}"
                 )
             }
             "$ztl;2;-1;tasks" => {
