@@ -3,6 +3,7 @@
 mod client;
 mod clients;
 mod console;
+mod figures;
 mod gate;
 mod goals;
 mod page;
