@@ -213,9 +213,16 @@ fn network(server: u16, stalled: &Arc<AtomicBool>) -> (u16, Arc<AtomicU32>) {
     let counted = Arc::clone(&open);
     std::thread::spawn(move || {
         for client in listener.incoming() {
-            let (client, server) = (client.unwrap(), TcpStream::connect(("127.0.0.1", server)).unwrap());
+            let (client, server) = (
+                client.unwrap(),
+                TcpStream::connect(("127.0.0.1", server)).unwrap(),
+            );
             for (mut from, mut to, stalled) in [
-                (client.try_clone().unwrap(), server.try_clone().unwrap(), Arc::clone(&stalled)),
+                (
+                    client.try_clone().unwrap(),
+                    server.try_clone().unwrap(),
+                    Arc::clone(&stalled),
+                ),
                 (server, client, Arc::default()),
             ] {
                 counted.fetch_add(1, Ordering::SeqCst);
@@ -254,7 +261,9 @@ fn an_init_that_nobody_waits_for_does_not_arrive_later() {
     let mut remote = remote.with_timeout(Duration::from_millis(300));
     stalled.store(true, Ordering::SeqCst);
     // Longer than what the network holds.
-    let error = remote.trigger("h", "c", &"long ".repeat(140_000)).unwrap_err();
+    let error = remote
+        .trigger("h", "c", &"long ".repeat(140_000))
+        .unwrap_err();
     let unknown = matches!(error, TriggerError::Request(RequestError::NoAnswer { .. }));
     assert!(unknown, "{error:?}");
     drop(remote);

@@ -92,7 +92,9 @@ impl Client {
         self.subscribe("/ztl/tasks");
         let mut bytes = vec![0xA5; 64 << 10];
         while !over.load(Ordering::SeqCst) {
-            self.stream.read(&mut bytes).expect("a message within the time");
+            self.stream
+                .read(&mut bytes)
+                .expect("a message within the time");
         }
     }
 

@@ -102,7 +102,11 @@ impl Console {
 /// The port in a console's link.
 #[track_caller]
 pub(crate) fn port(url: &str) -> u16 {
-    let (_, port) = url.trim().trim_end_matches('/').rsplit_once(':').expect("a port");
+    let (_, port) = url
+        .trim()
+        .trim_end_matches('/')
+        .rsplit_once(':')
+        .expect("a port");
     port.parse().expect("a number")
 }
 

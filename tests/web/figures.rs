@@ -75,10 +75,14 @@ fn watch(mut client: Client, changes: &Changes, over: &AtomicBool) -> Vec<Durati
 #[ignore = "measures on a quiet machine"]
 fn figures_of_changes() {
     let changes = Changes::default();
-    let servers: Vec<_> = (0..ROBOTS).map(|_| serve(Short(Arc::clone(&changes)))).collect();
+    let servers: Vec<_> = (0..ROBOTS)
+        .map(|_| serve(Short(Arc::clone(&changes))))
+        .collect();
     let names: Vec<String> = (0..ROBOTS).map(|number| format!("r{number}")).collect();
     let robots = names.iter().zip(&servers);
-    let robots: Vec<_> = robots.map(|(name, server)| (name.as_str(), port_of(server.endpoint()))).collect();
+    let robots: Vec<_> = robots
+        .map(|(name, server)| (name.as_str(), port_of(server.endpoint())))
+        .collect();
     let (console, url) = web(0, &robots, &[]);
     let over = AtomicBool::new(false);
     let next = AtomicU32::new(0);
@@ -89,7 +93,9 @@ fn figures_of_changes() {
                 let mut remote = connect(server.endpoint());
                 while !over.load(Ordering::SeqCst) {
                     let goal = next.fetch_add(1, Ordering::SeqCst).to_string();
-                    remote.trigger("arm", "left", &goal).expect("it is accepted");
+                    remote
+                        .trigger("arm", "left", &goal)
+                        .expect("it is accepted");
                     std::thread::sleep(Duration::from_secs(1) / TASKS_PER_SECOND);
                 }
             });
@@ -110,12 +116,17 @@ fn figures_of_changes() {
             .collect();
         std::thread::sleep(TIME);
         over.store(true, Ordering::SeqCst);
-        clients.into_iter().flat_map(|client| client.join().expect("no panic")).collect::<Vec<_>>()
+        clients
+            .into_iter()
+            .flat_map(|client| client.join().expect("no panic"))
+            .collect::<Vec<_>>()
     });
     let cpu = ztl_tests::lab::processor_time(console.id());
     let count = delays.len();
     let [half, most, all] = percentiles(delays);
-    println!("change to message: {half:.0} ms, 99% {most:.0} ms, at most {all:.0} ms, of {count}; processor {cpu:?}");
+    println!(
+        "change to message: {half:.0} ms, 99% {most:.0} ms, at most {all:.0} ms, of {count}; processor {cpu:?}"
+    );
 }
 
 #[test]
@@ -125,7 +136,9 @@ fn figures_of_stops() {
     let servers: Vec<_> = (0..ROBOTS).map(|_| serve(robot.clone())).collect();
     let names: Vec<String> = (0..ROBOTS).map(|number| format!("r{number}")).collect();
     let robots = names.iter().zip(&servers);
-    let robots: Vec<_> = robots.map(|(name, server)| (name.as_str(), port_of(server.endpoint()))).collect();
+    let robots: Vec<_> = robots
+        .map(|(name, server)| (name.as_str(), port_of(server.endpoint())))
+        .collect();
     let (_console, url) = web(0, &robots, &[]);
     let mut client = Client::open(port(&url));
     client.subscribe("/ztl/tasks");
@@ -133,7 +146,9 @@ fn figures_of_stops() {
     for round in 0..STOPS {
         for (number, server) in servers.iter().enumerate() {
             let goal = format!("{round}-{number}");
-            connect(server.endpoint()).trigger("arm", "left", &goal).expect("it is accepted");
+            connect(server.endpoint())
+                .trigger("arm", "left", &goal)
+                .expect("it is accepted");
         }
         let all_run = |list: &Value| {
             let tasks = list["tasks"].as_array().expect("a list");
@@ -151,5 +166,7 @@ fn figures_of_stops() {
     let [half, most, all] = percentiles(aborts);
     println!("Stop until a task hears it: {half:.1} ms, 99% {most:.1} ms, at most {all:.1} ms");
     let [half, most, all] = percentiles(ends);
-    println!("Stop until {ROBOTS} robots have confirmed: {half:.1} ms, 99% {most:.1} ms, at most {all:.1} ms");
+    println!(
+        "Stop until {ROBOTS} robots have confirmed: {half:.1} ms, 99% {most:.1} ms, at most {all:.1} ms"
+    );
 }

@@ -23,14 +23,29 @@ fn refused(result: &Value) -> &str {
 fn a_goal_that_arrives_after_its_time_is_not_sent() {
     let console = Console::of_one();
     let mut client = Client::open(port(&console.url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"].as_u64().expect("a time");
-    let wall_clock = SystemTime::now().duration_since(UNIX_EPOCH).expect("a time");
+    let now = client.call("/ztl/time", &json!({}))["now_ms"]
+        .as_u64()
+        .expect("a time");
+    let wall_clock = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .expect("a time");
     let difference = wall_clock.as_secs().abs_diff(now / 1000);
     assert!(difference < 60, "{difference} s");
-    client.goal("late", "/test/test/mark", &json!({ "goal": "x", "not_after_ms": now - 1 }));
+    client.goal(
+        "late",
+        "/test/test/mark",
+        &json!({ "goal": "x", "not_after_ms": now - 1 }),
+    );
     let result = client.result("late");
-    assert!(refused(&result).starts_with("too late, not sent"), "{result}");
-    client.goal("soon", "/test/test/echo", &json!({ "goal": "x", "not_after_ms": now + 60_000 }));
+    assert!(
+        refused(&result).starts_with("too late, not sent"),
+        "{result}"
+    );
+    client.goal(
+        "soon",
+        "/test/test/echo",
+        &json!({ "goal": "x", "not_after_ms": now + 60_000 }),
+    );
     assert_eq!(client.result("soon")["values"]["state"], "COMPLETED");
     assert_eq!(console.marks(), 0);
 }
@@ -39,13 +54,22 @@ fn a_goal_that_arrives_after_its_time_is_not_sent() {
 fn a_goal_that_waited_while_the_console_stood_still_is_not_sent() {
     let console = Console::of_one();
     let mut client = Client::open(port(&console.url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"].as_u64().expect("a time");
+    let now = client.call("/ztl/time", &json!({}))["now_ms"]
+        .as_u64()
+        .expect("a time");
     console.process.signal("STOP");
-    client.goal("g", "/test/test/mark", &json!({ "goal": "x", "not_after_ms": now + 300 }));
+    client.goal(
+        "g",
+        "/test/test/mark",
+        &json!({ "goal": "x", "not_after_ms": now + 300 }),
+    );
     std::thread::sleep(Duration::from_millis(400));
     console.process.signal("CONT");
     let result = client.result("g");
-    assert!(refused(&result).starts_with("too late, not sent"), "{result}");
+    assert!(
+        refused(&result).starts_with("too late, not sent"),
+        "{result}"
+    );
     assert_eq!(console.marks(), 0);
 }
 
@@ -54,12 +78,24 @@ fn a_goal_for_a_robot_that_is_not_reached_in_time_is_not_sent_later() {
     let gone = reserve_port();
     let (_console, url) = web(0, &[("ours", gone)], &[]);
     let mut client = Client::open(port(&url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"].as_u64().expect("a time");
-    client.goal("g", "/test/arm/left", &json!({ "goal": "x", "not_after_ms": now + 200 }));
+    let now = client.call("/ztl/time", &json!({}))["now_ms"]
+        .as_u64()
+        .expect("a time");
+    client.goal(
+        "g",
+        "/test/arm/left",
+        &json!({ "goal": "x", "not_after_ms": now + 200 }),
+    );
     let result = client.result("g");
     let values = &result["values"];
     assert_eq!(values["state"], "NOT_STARTED", "{result}");
-    assert!(values["text"].as_str().expect("why").starts_with("too late, not sent"), "{result}");
+    assert!(
+        values["text"]
+            .as_str()
+            .expect("why")
+            .starts_with("too late, not sent"),
+        "{result}"
+    );
 }
 
 /// A scripted robot that accepts an INIT, but whose answer about it does not arrive while it is `lost`.
@@ -67,7 +103,13 @@ fn forgetful(lost: &Arc<AtomicBool>, requests: &Arc<Mutex<Vec<String>>>) -> Scri
     let (lost, requests) = (Arc::clone(lost), Arc::clone(requests));
     Scripted::start(move |request| {
         let is_lost = lost.load(Ordering::SeqCst);
-        let aborted = || requests.lock().expect("no panic").iter().any(|request| request.contains(";3;5;"));
+        let aborted = || {
+            requests
+                .lock()
+                .expect("no panic")
+                .iter()
+                .any(|request| request.contains(";3;5;"))
+        };
         let answer = match request {
             "$ztl;2;-1;probe" => return Some(probed(if aborted() { &[] } else { &[5] })),
             "$ztl;2;-1;tasks" => return Some(listed()),
@@ -88,8 +130,14 @@ fn a_task_of_which_nobody_heard_in_time_is_aborted() {
     let robot = forgetful(&lost, &requests);
     let (_console, url) = web(0, &[("ours", robot.port)], &[]);
     let mut client = Client::open(port(&url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"].as_u64().expect("a time");
-    client.goal("g", "/test/arm/left", &json!({ "goal": "x", "not_after_ms": now + 1000 }));
+    let now = client.call("/ztl/time", &json!({}))["now_ms"]
+        .as_u64()
+        .expect("a time");
+    client.goal(
+        "g",
+        "/test/arm/left",
+        &json!({ "goal": "x", "not_after_ms": now + 1000 }),
+    );
     let told = |message: &Value| {
         let progress = message["values"]["progress"].as_str();
         progress.is_some_and(|text| text.contains("asking what became of it"))
@@ -99,9 +147,14 @@ fn a_task_of_which_nobody_heard_in_time_is_aborted() {
     let result = client.result("g");
     assert_eq!(result["values"]["state"], "ABORTED", "{result}");
     let requests = requests.lock().expect("no panic");
-    let inits = requests.iter().filter(|request| request.starts_with("/test;1;"));
+    let inits = requests
+        .iter()
+        .filter(|request| request.starts_with("/test;1;"));
     assert_eq!(inits.count(), 1, "{requests:?}");
-    assert!(requests.contains(&"/test;3;5;abort command".to_owned()), "{requests:?}");
+    assert!(
+        requests.contains(&"/test;3;5;abort command".to_owned()),
+        "{requests:?}"
+    );
 }
 
 #[test]
@@ -113,7 +166,10 @@ fn a_stop_does_not_confirm_while_a_goal_has_no_answer() {
     client.goal("g", "/test/arm/left", &json!({ "goal": "x" }));
     until("an INIT", PATIENCE, || {
         let requests = requests.lock().expect("no panic");
-        requests.iter().any(|request| request.starts_with("/test;1;")).then_some(())
+        requests
+            .iter()
+            .any(|request| request.starts_with("/test;1;"))
+            .then_some(())
     });
     let stop = client.call("/ztl/stop", &json!({}));
     let told = &stop["robots"][0];
@@ -144,8 +200,13 @@ fn a_client_that_comes_back_learns_what_became_of_its_goals_and_starts_none_twic
     let mut client = Client::open(port(&url));
     let goals = client.call("/ztl/resume", &name);
     let states: Vec<_> = goals["goals"].as_array().expect("goals").iter().collect();
-    let states = states.iter().map(|goal| (goal["id"].as_str(), goal["values"]["state"].as_str()));
-    let expected = [(Some("runs"), Some("OPEN")), (Some("ends"), Some("ABORTED"))];
+    let states = states
+        .iter()
+        .map(|goal| (goal["id"].as_str(), goal["values"]["state"].as_str()));
+    let expected = [
+        (Some("runs"), Some("OPEN")),
+        (Some("ends"), Some("ABORTED")),
+    ];
     assert_eq!(states.collect::<Vec<_>>(), expected, "{goals}");
     for id in ["ends", "runs"] {
         client.goal(id, "/test/arm/left", &json!({ "goal": id }));
@@ -161,7 +222,10 @@ fn a_client_that_comes_back_learns_what_became_of_its_goals_and_starts_none_twic
     other.next(|message| message["op"] == "action_feedback" && message["id"] == "runs");
     let mut other = Client::open(port(&url));
     let told = other.call("/ztl/resume", &json!({ "client": "short" }));
-    assert!(told.as_str().expect("why").contains("16 to 128 bytes"), "{told}");
+    assert!(
+        told.as_str().expect("why").contains("16 to 128 bytes"),
+        "{told}"
+    );
 }
 
 #[test]
@@ -170,17 +234,27 @@ fn a_cancel_does_not_wait_behind_goals_of_a_robot_that_hangs() {
     let server = serve(robot.clone());
     let hanging = Server::ours();
     hanging.process.signal("STOP");
-    let robots = [("ours", port_of(server.endpoint())), ("hangs", hanging.port)];
+    let robots = [
+        ("ours", port_of(server.endpoint())),
+        ("hangs", hanging.port),
+    ];
     let (_console, url) = web(0, &robots, &[]);
     let mut client = Client::open(port(&url));
     client.goal("g", "ours:/test/arm/left", &json!({ "goal": "up" }));
     client.next(|message| message["op"] == "action_feedback" && message["id"] == "g");
     for number in 0..10 {
-        client.goal(&number.to_string(), "hangs:/test/test/sleep", &json!({ "goal": "1" }));
+        client.goal(
+            &number.to_string(),
+            "hangs:/test/test/sleep",
+            &json!({ "goal": "1" }),
+        );
     }
     client.send(&json!({ "op": "cancel_action_goal", "id": "g", "action": "ours:/test/arm/left" }));
     let first = client.next(|message| message["op"] == "action_result");
-    assert_eq!((&first["id"], &first["values"]["state"]), (&json!("g"), &json!("ABORTED")));
+    assert_eq!(
+        (&first["id"], &first["values"]["state"]),
+        (&json!("g"), &json!("ABORTED"))
+    );
 }
 
 #[test]
@@ -218,11 +292,19 @@ fn what_a_hostile_robot_says_is_cut() {
     client.subscribe("/ztl/tasks");
     let mut tasks = client.topic("/ztl/tasks", |list| list["tasks"][0]["id"] == 5);
     assert_eq!(tasks["tasks"].as_array().map(Vec::len), Some(1));
-    assert!(tasks.to_string().len() < 2000, "{}", tasks.to_string().len());
+    assert!(
+        tasks.to_string().len() < 2000,
+        "{}",
+        tasks.to_string().len()
+    );
     let gaps = tasks["gaps"].take().to_string();
     assert!(gaps.contains("too long to be shown"), "{gaps}");
     let robots = client.call("/ztl/robots", &json!({}));
-    assert!(robots.to_string().len() < 20_000, "{}", robots.to_string().len());
+    assert!(
+        robots.to_string().len() < 20_000,
+        "{}",
+        robots.to_string().len()
+    );
     let offered = &robots["robots"][0]["scopes"][0]["handlers"];
     assert_eq!(offered["arm"][0], "left");
     assert_eq!(offered.as_object().map(serde_json::Map::len), Some(1));
@@ -232,5 +314,9 @@ fn what_a_hostile_robot_says_is_cut() {
     assert!(text.len() < 70_000 && text.ends_with('…'), "{}", text.len());
     // Its tasks run on.
     let stop = client.call("/ztl/stop", &json!({}));
-    assert!(stop["robots"][0]["confirmed"] == false && stop.to_string().len() < 5000, "{}", stop.to_string().len());
+    assert!(
+        stop["robots"][0]["confirmed"] == false && stop.to_string().len() < 5000,
+        "{}",
+        stop.to_string().len()
+    );
 }

@@ -5,9 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ztl_std::{
-    ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest,
-};
+use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest};
 use ztl_tests::lab::port_of;
 
 /// A robot whose tasks run until they are aborted, and take their time to stop.
@@ -85,7 +83,10 @@ impl Drop for Scripted {
 
 /// The answer of a scripted server to `probe`, with these running tasks of `/test`.
 pub(crate) fn probed(running: &[u32]) -> String {
-    let running: Vec<String> = running.iter().map(|id| format!("{id}: \"/test\"")).collect();
+    let running: Vec<String> = running
+        .iter()
+        .map(|id| format!("{id}: \"/test\""))
+        .collect();
     let running = running.join(", ");
     format!(
         "$ztl;5;0;{{ztl: 1, version: '0.1.0', boot: 7, message: 1048576, \

@@ -20,7 +20,10 @@ fn told(stop: &Value) -> Vec<(bool, String)> {
     let robots = stop["robots"].as_array().expect("robots");
     let told = robots.iter().map(|robot| {
         let confirmed = robot["confirmed"].as_bool().expect("decided");
-        (confirmed, robot["text"].as_str().expect("a text").to_owned())
+        (
+            confirmed,
+            robot["text"].as_str().expect("a text").to_owned(),
+        )
     });
     told.collect()
 }
@@ -45,7 +48,10 @@ fn five_tasks_that_are_slow_to_stop_hear_of_it_within_100_ms() {
     // A busy machine delays some attempts, a defect delays all.
     let mut slowest = Duration::MAX;
     while slowest > Duration::from_millis(100) {
-        assert!(started.elapsed() < 2 * PATIENCE, "the slowest heard after {slowest:?}");
+        assert!(
+            started.elapsed() < 2 * PATIENCE,
+            "the slowest heard after {slowest:?}"
+        );
         for number in 0..5 {
             let id = format!("{:?}-{number}", started.elapsed());
             client.goal(&id, "/test/arm/left", &json!({ "goal": "up" }));
@@ -61,7 +67,11 @@ fn five_tasks_that_are_slow_to_stop_hear_of_it_within_100_ms() {
         assert_eq!(told(&stop), [(true, "5 tasks have ended".to_owned())]);
         let heard = robot.heard.lock().expect("no panic");
         assert_eq!(heard.len(), 5);
-        slowest = heard.iter().map(|heard| *heard - pressed).max().expect("five");
+        slowest = heard
+            .iter()
+            .map(|heard| *heard - pressed)
+            .max()
+            .expect("five");
     }
 }
 
@@ -70,7 +80,11 @@ fn a_lost_abort_is_sent_again() {
     let aborts = Arc::new(AtomicUsize::new(0));
     let seen = Arc::clone(&aborts);
     let robot = Scripted::start(move |request| {
-        let running: &[u32] = if seen.load(Ordering::SeqCst) < 2 { &[5] } else { &[] };
+        let running: &[u32] = if seen.load(Ordering::SeqCst) < 2 {
+            &[5]
+        } else {
+            &[]
+        };
         match request {
             "$ztl;2;-1;probe" => Some(probed(running)),
             "$ztl;2;-1;tasks" => Some(listed()),
@@ -139,7 +153,13 @@ fn a_goal_during_a_stop_is_refused() {
     client.ask("stop", "/ztl/stop", &json!({}));
     client.goal("g", "/test/arm/left", &json!({ "goal": "up" }));
     let result = client.result("g");
-    assert!(result["values"].as_str().expect("why").contains("a Stop is under way"), "{result}");
+    assert!(
+        result["values"]
+            .as_str()
+            .expect("why")
+            .contains("a Stop is under way"),
+        "{result}"
+    );
     assert!(!told(&client.answer("stop")["values"])[0].0);
 }
 
@@ -170,7 +190,13 @@ fn a_thousand_presses_need_no_thread_and_delay_no_other_client() {
         client.ask(&number.to_string(), "/ztl/stop", &json!({}));
     }
     let refused = client.answer("999");
-    assert!(refused["values"].as_str().expect("why").contains("answers are awaited"), "{refused}");
+    assert!(
+        refused["values"]
+            .as_str()
+            .expect("why")
+            .contains("answers are awaited"),
+        "{refused}"
+    );
     let threads = process_status(console.id(), "Threads:");
     assert!(threads < 10, "{threads}");
     assert!(!told(&client.answer("0")["values"])[0].0);
@@ -184,7 +210,10 @@ fn a_task_in_a_scope_that_the_key_may_not_use_is_not_called_stopped() {
     let access = access.allow(keys.pair("all").public());
     let access = access.allow_scope(SCOPE, keys.pair("some").public());
     let robot = Slow::default();
-    let mut server = TaskServer::builder().access(access).bind("tcp://127.0.0.1:*").expect("a port");
+    let mut server = TaskServer::builder()
+        .access(access)
+        .bind("tcp://127.0.0.1:*")
+        .expect("a port");
     for scope in [SCOPE, "/other"] {
         server.register(scope, robot.clone());
     }
@@ -192,7 +221,10 @@ fn a_task_in_a_scope_that_the_key_may_not_use_is_not_called_stopped() {
     let files = Scratch::new();
     let file = files.path("remotes.yaml");
     let entry = |scope: &str, key: &str| {
-        let (port, key) = (port_of(server.endpoint()), keys.path(&format!("{key}.key_secret")));
+        let (port, key) = (
+            port_of(server.endpoint()),
+            keys.path(&format!("{key}.key_secret")),
+        );
         let own = keys.path("robot.key");
         format!("{{host: 127.0.0.1, port: {port}, scope: {scope}, key: {key}, server-key: {own}}}")
     };
@@ -206,18 +238,28 @@ fn a_task_in_a_scope_that_the_key_may_not_use_is_not_called_stopped() {
     let (mut client, console) = start();
     let other = RemoteTask::connect(server.endpoint(), "/other").expect("an address");
     let other = other.with_keys(keys.pair("all"), keys.pair("robot").public());
-    other.expect("encryption").trigger("arm", "left", "up").expect("it is accepted");
+    other
+        .expect("encryption")
+        .trigger("arm", "left", "up")
+        .expect("it is accepted");
     let stop = client.call("/ztl/stop", &json!({}));
     let why = "1 more run in scopes that this client may not use".to_owned();
     assert_eq!(told(&stop), [(false, why)]);
     assert_eq!(robot.running.load(Ordering::SeqCst), 1);
     drop(console);
     // The same server with another key is another one: the key that may see the task stops it.
-    let both = format!("remotes:\n  all: {}\n  some: {}\n", entry("/other", "all"), entry(SCOPE, "some"));
+    let both = format!(
+        "remotes:\n  all: {}\n  some: {}\n",
+        entry("/other", "all"),
+        entry(SCOPE, "some")
+    );
     std::fs::write(&file, both).expect("a file");
     let (mut client, _console) = start();
     let stop = client.call("/ztl/stop", &json!({}));
-    assert!(told(&stop).iter().all(|(confirmed, _)| *confirmed), "{stop}");
+    assert!(
+        told(&stop).iter().all(|(confirmed, _)| *confirmed),
+        "{stop}"
+    );
     assert_eq!(robot.running.load(Ordering::SeqCst), 0);
 }
 
@@ -227,11 +269,15 @@ fn a_scope_that_the_server_does_not_show_is_not_called_stopped() {
     let port_there = port_of(server.endpoint()).to_string();
     let mut command = ztl();
     command.args(["web", "-c", "/dev/null", "-p", "0"]);
-    let process = Process::start(command.args(["--task", "x", "127.0.0.1", &port_there, "/elsewhere"]));
+    let process =
+        Process::start(command.args(["--task", "x", "127.0.0.1", &port_there, "/elsewhere"]));
     let url = process.wait_for("http://");
     let stop = Client::open(port(&url)).call("/ztl/stop", &json!({}));
     let told = told(&stop);
-    assert!(!told[0].0 && told[0].1.contains("does not serve /elsewhere"), "{told:?}");
+    assert!(
+        !told[0].0 && told[0].1.contains("does not serve /elsewhere"),
+        "{told:?}"
+    );
 }
 
 #[test]
@@ -242,10 +288,20 @@ fn an_abort_is_answered_with_what_became_of_it_and_never_waits_behind_goals() {
     client.goal("long", "/test/arm/left", &json!({ "goal": "up" }));
     let task = client.task(|task| task["runs"] == true);
     for number in 0..300 {
-        client.goal(&format!("n{number}"), "/test/nothing", &json!({ "goal": "x" }));
+        client.goal(
+            &format!("n{number}"),
+            "/test/nothing",
+            &json!({ "goal": "x" }),
+        );
     }
     let refused = client.result("n299");
-    assert!(refused["values"].as_str().expect("why").contains("too many"), "{refused}");
+    assert!(
+        refused["values"]
+            .as_str()
+            .expect("why")
+            .contains("too many"),
+        "{refused}"
+    );
     let named = json!({ "robot": task["robot"], "scope": task["scope"], "id": task["id"] });
     let told = client.call("/ztl/abort", &named);
     assert_eq!(told["state"], "ABORTED", "{told}");
@@ -254,12 +310,24 @@ fn an_abort_is_answered_with_what_became_of_it_and_never_waits_behind_goals() {
     client.ask("unknown", "/ztl/abort", &unknown);
     let told = client.answer("unknown");
     assert_eq!(told["result"], false);
-    assert!(told["values"].as_str().expect("why").contains("may still run"), "{told}");
+    assert!(
+        told["values"]
+            .as_str()
+            .expect("why")
+            .contains("may still run"),
+        "{told}"
+    );
     // Of a robot that cannot be reached.
     let (_console, url) = web(0, &[("gone", reserve_port())], &[]);
     let mut client = Client::open(port(&url));
-    let told = client.call("/ztl/abort", &json!({ "robot": "gone", "scope": SCOPE, "id": 1 }));
-    assert!(told.as_str().expect("why").contains("may still run"), "{told}");
+    let told = client.call(
+        "/ztl/abort",
+        &json!({ "robot": "gone", "scope": SCOPE, "id": 1 }),
+    );
+    assert!(
+        told.as_str().expect("why").contains("may still run"),
+        "{told}"
+    );
 }
 
 #[test]
@@ -298,5 +366,8 @@ fn a_server_of_the_original_is_told_to_stop_each_goal_of_this_console() {
         robot.process.wait_for(&format!("abort {id}"));
     }
     let told = told(&stop);
-    assert!(!told[0].0 && told[0].1.contains("2 of this console were asked to stop"), "{told:?}");
+    assert!(
+        !told[0].0 && told[0].1.contains("2 of this console were asked to stop"),
+        "{told:?}"
+    );
 }

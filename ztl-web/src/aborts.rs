@@ -11,8 +11,10 @@ use ztl_std::{RemoteId, RequestError, Status};
 use crate::cut;
 use crate::goal::Goal;
 
-/// How long an ABORT is repeated that is not answered.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
+/// How long an ABORT is repeated that is not answered, if a client waits for the answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// The same after a Stop, which has then said that it is not confirmed: the task runs on while its robot is not reached.
+const PATIENCE_OF_STOP: Duration = Duration::from_secs(60);
 /// Between an ABORT that has failed and the next one.
 const AGAIN: Duration = Duration::from_millis(100);
 /// After this time an ABORT counts as lost: a server holds its answer for up to 1.5 s.
@@ -27,6 +29,7 @@ pub(crate) type Told = Result<Value, String>;
 /// A task that is to be aborted.
 pub(crate) struct AbortRequest {
     key: Key,
+    patience: Duration,
     /// Its goal, if a client of this console started it: the ABORT is repeated until that has ended.
     goal: Option<Arc<Goal>>,
     told: Option<oneshot::Sender<Told>>,
@@ -37,6 +40,7 @@ impl AbortRequest {
     pub(crate) fn of_goal(goal: &Arc<Goal>, id: &RemoteId) -> Self {
         Self {
             key: (goal.target.scope.clone(), id.clone()),
+            patience: PATIENCE,
             goal: Some(Arc::clone(goal)),
             told: None,
         }
@@ -46,15 +50,17 @@ impl AbortRequest {
     pub(crate) fn told(key: Key, told: oneshot::Sender<Told>) -> Self {
         Self {
             key,
+            patience: PATIENCE,
             goal: None,
             told: Some(told),
         }
     }
 
-    /// Aborts a task.
-    pub(crate) fn of(key: Key) -> Self {
+    /// Aborts a task because of a Stop.
+    pub(crate) fn of_stop(key: Key) -> Self {
         Self {
             key,
+            patience: PATIENCE_OF_STOP,
             goal: None,
             told: None,
         }
@@ -79,7 +85,12 @@ struct Abort {
 impl Aborts {
     /// Aborts a task now, unless an ABORT is under way to it.
     pub(crate) fn add(&mut self, request: AbortRequest, now: Instant) {
-        let AbortRequest { key, goal, told } = request;
+        let AbortRequest {
+            key,
+            patience,
+            goal,
+            told,
+        } = request;
         let abort = self.open.entry(key).or_insert_with(|| Abort {
             due: now,
             is_under_way: false,
@@ -90,7 +101,7 @@ impl Aborts {
         if !abort.is_under_way {
             abort.due = now;
         }
-        abort.until = now + PATIENCE;
+        abort.until = abort.until.max(now + patience);
         abort.goals.extend(goal);
         abort.told.extend(told);
     }
@@ -128,7 +139,9 @@ impl Aborts {
         let abort = self.open.get_mut(key)?;
         abort.goals.retain(|goal| !goal.has_ended());
         let answer = match answer {
-            Err(error) if !error.was_answered() && (now < abort.until || !abort.goals.is_empty()) => {
+            Err(error)
+                if !error.was_answered() && (now < abort.until || !abort.goals.is_empty()) =>
+            {
                 abort.is_under_way = false;
                 abort.due = now + AGAIN;
                 return None;
@@ -177,7 +190,6 @@ mod tests {
         let (mut aborts, start) = (Aborts::default(), Instant::now());
         let (told, mut telling) = oneshot::channel();
         aborts.add(AbortRequest::told(key(1), told), start);
-        aborts.add(AbortRequest::of(key(1)), start);
         assert_eq!(aborts.take_due(start), [key(1)]);
         assert!(aborts.take_due(start).is_empty() && aborts.are_under_way());
         assert_eq!(aborts.on_answer(&key(1), Err(lost()), start), None);
@@ -186,12 +198,26 @@ mod tests {
         assert!(aborts.take_due(start + 2 * AGAIN).is_empty());
         // Without any answer it counts as lost.
         assert_eq!(aborts.take_due(start + AGAIN + LOST), [key(1)]);
-        assert_eq!(aborts.on_answer(&key(1), Err(lost()), start + AGAIN + LOST), None);
-        let later = start + PATIENCE;
+        assert_eq!(
+            aborts.on_answer(&key(1), Err(lost()), start + AGAIN + LOST),
+            None
+        );
+        // A Stop waits longer.
+        aborts.add(AbortRequest::of_stop(key(1)), start + PATIENCE);
+        assert_eq!(aborts.take_due(start + PATIENCE), [key(1)]);
+        assert_eq!(
+            aborts.on_answer(&key(1), Err(lost()), start + PATIENCE),
+            None
+        );
+        let later = start + PATIENCE + PATIENCE_OF_STOP;
         assert_eq!(aborts.take_due(later), [key(1)]);
         assert!(telling.try_recv().is_err());
         let gone = aborts.on_answer(&key(1), Err(lost()), later);
-        assert!(gone.expect("an end").expect_err("lost").starts_with("it may still run"));
+        assert!(
+            gone.expect("an end")
+                .expect_err("lost")
+                .starts_with("it may still run")
+        );
         assert!(telling.try_recv().expect("told").is_err());
         assert!(!aborts.contains(&key(1)));
     }

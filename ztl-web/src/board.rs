@@ -42,6 +42,8 @@ pub(crate) struct Board {
     pub(crate) clients: Clients,
     /// What the thread of each server is to do.
     posts: Vec<Post>,
+    /// Held while a topic is written, so that an older value never replaces a newer one.
+    publishing: Mutex<()>,
 }
 
 /// What the thread of a server is to do besides looking.
@@ -123,6 +125,7 @@ impl Board {
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
             clients: Clients::default(),
+            publishing: Mutex::default(),
         };
         board.publish();
         (board, woken)
@@ -148,6 +151,7 @@ impl Board {
     }
 
     pub(crate) fn publish_stop(&self) {
+        let _publishing = locked(&self.publishing);
         set(&self.topics.stop, &self.stops.shown());
     }
 
@@ -219,12 +223,16 @@ impl Board {
     /// The open goals of a server.
     pub(crate) fn goals_at(&self, server: usize) -> Vec<Arc<Goal>> {
         let goals = locked(&self.goals);
-        let own = goals.open.values().filter(|goal| goal.target.server == server);
+        let own = goals
+            .open
+            .values()
+            .filter(|goal| goal.target.server == server);
         own.cloned().collect()
     }
 
     /// Writes the topics anew; a topic that has not changed wakes nobody.
     pub(crate) fn publish(&self) {
+        let _publishing = locked(&self.publishing);
         let seen = locked(&self.seen).clone();
         let goals = self.goals();
         set(&self.topics.robots, &self.robots(&seen));

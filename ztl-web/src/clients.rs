@@ -35,16 +35,21 @@ impl Clients {
     pub(crate) fn named(&self, name: &str) -> Result<Arc<Client>, String> {
         if !NAME.contains(&name.len()) {
             let (least, most) = (NAME.start(), NAME.end());
-            return Err(format!("a client's name is a secret of {least} to {most} bytes"));
+            return Err(format!(
+                "a client's name is a secret of {least} to {most} bytes"
+            ));
         }
         let mut clients = locked(&self.0);
         if let Some(client) = clients.get(name) {
             return Ok(Arc::clone(client));
         }
         if clients.len() >= CLIENTS {
-            let gone = clients.iter().filter_map(|(name, client)| Some((client.left_ms()?, name)));
+            let gone = clients
+                .iter()
+                .filter_map(|(name, client)| Some((client.left_ms()?, name)));
             let oldest = gone.min().map(|(_, name)| name.clone());
-            let oldest = oldest.ok_or_else(|| format!("{CLIENTS} clients have named themselves"))?;
+            let oldest =
+                oldest.ok_or_else(|| format!("{CLIENTS} clients have named themselves"))?;
             clients.remove(&oldest);
         }
         let client = Arc::new(Client::default());
@@ -82,7 +87,8 @@ impl Client {
             json!({ "id": id, "action": action, "values": { "state": "OPEN", "text": "", "id": task } })
         });
         let ended = state.ended.iter();
-        let ended = ended.map(|of| json!({ "id": of.id, "action": of.action, "values": of.outcome }));
+        let ended =
+            ended.map(|of| json!({ "id": of.id, "action": of.action, "values": of.outcome }));
         json!({ "goals": open.chain(ended).collect::<Vec<_>>() })
     }
 
@@ -93,12 +99,18 @@ impl Client {
     pub(crate) fn begin(&self, id: &str, action: &str, goal: &Arc<Goal>) -> Result<(), String> {
         let mut state = locked(&self.0);
         if state.open.contains_key(id) || state.ended.iter().any(|ended| ended.id == id) {
-            return Err(format!("the goal with the id '{id}' was sent before: it was not sent again"));
+            return Err(format!(
+                "the goal with the id '{id}' was sent before: it was not sent again"
+            ));
         }
         if state.open.len() >= GOALS {
-            return Err(format!("{GOALS} goals of this client are open: wait for one to end"));
+            return Err(format!(
+                "{GOALS} goals of this client are open: wait for one to end"
+            ));
         }
-        state.open.insert(id.to_owned(), (Arc::clone(goal), action.to_owned()));
+        state
+            .open
+            .insert(id.to_owned(), (Arc::clone(goal), action.to_owned()));
         Ok(())
     }
 

@@ -53,7 +53,10 @@ mod tests {
         assert_eq!(text("", 0), "");
         let names = (0..2 * NAMES).map(|number| number.to_string());
         let all = Offers::from([
-            ("a".to_owned(), vec!["left".to_owned(), "x".repeat(NAME + 1)]),
+            (
+                "a".to_owned(),
+                vec!["left".to_owned(), "x".repeat(NAME + 1)],
+            ),
             ("b".repeat(NAME + 1), Vec::new()),
             ("c".to_owned(), names.collect()),
         ]);

@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use serde::Serialize;
-use ztl_std::{RemoteId, RemoteTask, State, Triggered, TriggerError, encoded};
+use ztl_std::{RemoteId, RemoteTask, State, TriggerError, Triggered, encoded};
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;

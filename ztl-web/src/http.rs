@@ -91,7 +91,8 @@ impl Connection {
         let place = connections.take(self.address);
         let admitted = place.map(|place| Standing::Admitted { _place: place });
         // Outside of the lock: dropping a place locks others.
-        let before = admitted.map(|admitted| std::mem::replace(&mut *locked(&self.stands), admitted));
+        let before =
+            admitted.map(|admitted| std::mem::replace(&mut *locked(&self.stands), admitted));
         before.is_some()
     }
 }

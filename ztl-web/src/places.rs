@@ -95,7 +95,10 @@ impl Strangers {
         let mut open = locked(&self.open);
         let own = open.oldest_first.iter().filter(|(_, of, _)| *of == address);
         let oldest = match own.count() >= self.most_of_one {
-            true => open.oldest_first.iter().position(|(_, of, _)| *of == address),
+            true => open
+                .oldest_first
+                .iter()
+                .position(|(_, of, _)| *of == address),
             false if open.oldest_first.len() >= self.most => Some(0),
             false => None,
         };
@@ -119,7 +122,8 @@ impl Strangers {
 impl Drop for Stranger {
     fn drop(&mut self) {
         let mut open = locked(&self.among.open);
-        open.oldest_first.retain(|(number, _, _)| *number != self.number);
+        open.oldest_first
+            .retain(|(number, _, _)| *number != self.number);
     }
 }
 

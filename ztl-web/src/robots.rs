@@ -93,7 +93,8 @@ pub(crate) fn group(robots: Vec<Robot>) -> Vec<Server> {
     let scopes = servers.iter().flat_map(|server| &server.scopes);
     let all: Vec<String> = scopes.map(|scope| scope.scope.clone()).collect();
     for scope in servers.iter_mut().flat_map(|server| &mut server.scopes) {
-        let alike = |other: &&String| is_below(other, &scope.scope) || is_below(&scope.scope, other);
+        let alike =
+            |other: &&String| is_below(other, &scope.scope) || is_below(&scope.scope, other);
         // One of them is itself.
         if all.iter().filter(alike).count() > 1
             && let Some(name) = scope.names.first()
@@ -148,9 +149,13 @@ pub(crate) fn find(
     for (server, of) in servers.iter().enumerate() {
         for scope in &of.scopes {
             let known = offers(server, &scope.scope);
-            let names = scope.names.iter().map(|name| format!("{name}:{}", scope.scope));
+            let names = scope
+                .names
+                .iter()
+                .map(|name| format!("{name}:{}", scope.scope));
             let prefixes = names.chain([scope.scope.clone()]);
-            let rests = prefixes.filter_map(|prefix| action.strip_prefix(&prefix)?.strip_prefix('/'));
+            let rests =
+                prefixes.filter_map(|prefix| action.strip_prefix(&prefix)?.strip_prefix('/'));
             for rest in rests {
                 for (first, (at, _)) in rest.match_indices('/').enumerate() {
                     let (handler, component) = rest.split_at(at);
@@ -166,7 +171,8 @@ pub(crate) fn find(
                         handler: handler.to_owned(),
                         component: component.to_owned(),
                     };
-                    let name = format!("component '{component}' of '{handler}' of {}", scope.prefix);
+                    let name =
+                        format!("component '{component}' of '{handler}' of {}", scope.prefix);
                     let list = match offer {
                         Offer::Yes | Offer::Perhaps => &mut meant,
                         Offer::No => &mut unknown,
@@ -195,8 +201,13 @@ pub(crate) fn find(
         }
         several => {
             let names: Vec<&str> = several.iter().map(|(_, name)| name.as_str()).collect();
-            let (action, names) = (crate::cut::text(action, crate::cut::LINE), names.join(", or "));
-            Err(format!("not sent: '{action}' may mean {names}: write NAME:SCOPE for the scope"))
+            let (action, names) = (
+                crate::cut::text(action, crate::cut::LINE),
+                names.join(", or "),
+            );
+            Err(format!(
+                "not sent: '{action}' may mean {names}: write NAME:SCOPE for the scope"
+            ))
         }
     }
 }
@@ -261,13 +272,29 @@ mod tests {
         );
         // Only one offers it.
         let one = [Some(ours.clone()), Some(offers(&[("right", &["x"])]))];
-        assert_eq!(found(&servers, &one, "/lab/arm/left/x"), target(0, "arm", "left/x"));
+        assert_eq!(
+            found(&servers, &one, "/lab/arm/left/x"),
+            target(0, "arm", "left/x")
+        );
         // What the other offers is not known.
         for other in [None, Some(Offers::new()), Some(offers(&[("left", &["*"])]))] {
             let known = [Some(ours.clone()), other];
-            assert!(found(&servers, &known, "/lab/arm/left/x").is_err(), "{known:?}");
+            assert!(
+                found(&servers, &known, "/lab/arm/left/x").is_err(),
+                "{known:?}"
+            );
         }
-        for wrong in ["", "/", "/lab", "/lab/", "/lab/arm", "/lab//x", "/labs/arm/left", "a:/lab/x", "c:/lab/x/y"] {
+        for wrong in [
+            "",
+            "/",
+            "/lab",
+            "/lab/",
+            "/lab/arm",
+            "/lab//x",
+            "/labs/arm/left",
+            "a:/lab/x",
+            "c:/lab/x/y",
+        ] {
             assert!(found(&servers, &both, wrong).is_err(), "{wrong}");
         }
     }
@@ -302,7 +329,10 @@ mod tests {
             assert_eq!(server(action), Ok(expected), "{action}");
         }
         let wrong = server("/robot/arm/left").expect_err("ambiguous");
-        assert!(wrong.contains("of a:/robot, or") && wrong.contains("of b:/robot:"), "{wrong}");
+        assert!(
+            wrong.contains("of a:/robot, or") && wrong.contains("of b:/robot:"),
+            "{wrong}"
+        );
         let wrong = server("/robots/arm/left").expect_err("no scope");
         assert!(wrong.ends_with("one of a:/robot /lamp b:/robot"), "{wrong}");
     }
@@ -319,7 +349,12 @@ mod tests {
             }),
             connect: Arc::new(|_| Err(String::new())),
         };
-        let robots = [("a", Some("x")), ("b", Some("y")), ("c", Some("x")), ("d", None)];
+        let robots = [
+            ("a", Some("x")),
+            ("b", Some("y")),
+            ("c", Some("x")),
+            ("d", None),
+        ];
         let servers = group(robots.map(|(name, key)| robot(name, key)).into());
         let names: Vec<&str> = servers.iter().map(|server| server.name.as_str()).collect();
         assert_eq!(names, ["a, c", "b", "d"]);

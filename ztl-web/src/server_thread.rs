@@ -119,7 +119,11 @@ impl<'b> ServerThread<'b> {
     }
 
     fn turn(&mut self, woken: &Receiver<()>) {
-        if self.requests.as_ref().is_none_or(ParallelRequests::is_empty) {
+        if self
+            .requests
+            .as_ref()
+            .is_none_or(ParallelRequests::is_empty)
+        {
             let wait = self.next_work().saturating_duration_since(Instant::now());
             // Fails if there is nothing but the time.
             let _ = woken.recv_timeout(wait);
@@ -141,9 +145,9 @@ impl<'b> ServerThread<'b> {
 
     /// Stop was pressed: everything that is known to run is sent an ABORT at once.
     fn begin_stop(&mut self) {
-        if self.stop.is_none()
-            && let Some(press) = self.board.stops.undecided(self.index)
-        {
+        let press = self.board.stops.undecided(self.index);
+        let begins = self.stop.is_none() && press.is_some();
+        if begins && let Some(press) = press {
             let now = Instant::now();
             self.stop = Some(Stopping {
                 press,
@@ -152,26 +156,37 @@ impl<'b> ServerThread<'b> {
                 ended: 0,
             });
             self.next_look = now;
-            let running: Vec<Key> = self.running.iter().map(|(key, _)| key.clone()).collect();
-            self.stop_tasks(running);
         }
         if self.stop.is_some() {
-            let goals = self.board.goals_at(self.index);
-            let own = goals.iter().filter(|goal| !goal.has_ended());
-            let own = own.filter_map(|goal| Some((goal.target.scope.clone(), goal.id()?.clone())));
-            self.stop_tasks(own.collect());
+            for goal in self.board.goals_at(self.index) {
+                if let Some(id) = goal.id() {
+                    let request = AbortRequest::of_goal(&goal, id);
+                    self.stop_task((goal.target.scope.clone(), id.clone()), request);
+                }
+            }
+        }
+        if begins {
+            self.stop_running();
         }
     }
 
-    /// Sends an ABORT to each of these tasks that this Stop has not asked yet.
-    fn stop_tasks(&mut self, tasks: Vec<Key>) {
-        let Some(stop) = &mut self.stop else {
+    /// During a Stop, sends an ABORT to every task that is known to run.
+    fn stop_running(&mut self) {
+        if self.stop.is_none() {
             return;
-        };
-        for key in tasks {
-            if stop.asked.insert(key.clone()) {
-                self.aborts.add(AbortRequest::of(key), Instant::now());
-            }
+        }
+        let running: Vec<Key> = self.running.iter().map(|(key, _)| key.clone()).collect();
+        for key in running {
+            self.stop_task(key.clone(), AbortRequest::of_stop(key));
+        }
+    }
+
+    /// Sends an ABORT to a task that this Stop has not asked yet.
+    fn stop_task(&mut self, key: Key, request: AbortRequest) {
+        if let Some(stop) = &mut self.stop
+            && stop.asked.insert(key)
+        {
+            self.aborts.add(request, Instant::now());
         }
     }
 
@@ -225,7 +240,12 @@ impl<'b> ServerThread<'b> {
             true => PATIENCE_FOR_ABORTS,
             false => PATIENCE,
         };
-        if answers.is_empty() && self.look.as_ref().is_some_and(|look| look.at.elapsed() > patience) {
+        if answers.is_empty()
+            && self
+                .look
+                .as_ref()
+                .is_some_and(|look| look.at.elapsed() > patience)
+        {
             answers = requests.give_up();
         }
         for (asked, answer) in answers {
@@ -264,8 +284,10 @@ impl<'b> ServerThread<'b> {
     }
 
     fn on_answers(&mut self, (at, settled): (Instant, bool), probe: Answer, tasks: Answer) {
-        let described = server_answer(probe).and_then(|answer| answer.map(Description::read).transpose());
-        let listed = ServerTasks::merged(&self.of.endpoint, described.clone(), server_answer(tasks));
+        let described =
+            server_answer(probe).and_then(|answer| answer.map(Description::read).transpose());
+        let listed =
+            ServerTasks::merged(&self.of.endpoint, described.clone(), server_answer(tasks));
         let pause = match &listed {
             Ok(None) => ORIGINAL,
             _ if self.stop.is_some() => STOPPING,
@@ -285,8 +307,11 @@ impl<'b> ServerThread<'b> {
                     Seen {
                         since_ms: since(&known, Health::There),
                         health: Health::There,
-                        text: "a server of the original: it does not tell what it offers or does".to_owned(),
-                        gaps: vec!["it does not list its tasks: others than these may run".to_owned()],
+                        text: "a server of the original: it does not tell what it offers or does"
+                            .to_owned(),
+                        gaps: vec![
+                            "it does not list its tasks: others than these may run".to_owned(),
+                        ],
                         ..Seen::default()
                     },
                 );
@@ -337,17 +362,29 @@ impl<'b> ServerThread<'b> {
                 format!("it does not serve {scope}, or this console may not use it: its tasks cannot be seen")
             }));
             let scopes = described.scopes.into_iter();
-            let ours = scopes.filter(|(scope, _)| self.of.scopes.iter().any(|of| of.scope == *scope));
-            seen.scopes = ours.map(|(scope, offers)| (scope, cut::offers(offers))).collect();
+            let ours =
+                scopes.filter(|(scope, _)| self.of.scopes.iter().any(|of| of.scope == *scope));
+            seen.scopes = ours
+                .map(|(scope, offers)| (scope, cut::offers(offers)))
+                .collect();
         }
         let running = || listed.tasks.iter().filter(|task| task.may_run);
         self.running = running()
-            .map(|task| ((task.scope.clone(), task.id.clone()), cut::text(task.task(), cut::LINE)))
+            .map(|task| {
+                (
+                    (task.scope.clone(), task.id.clone()),
+                    cut::text(task.task(), cut::LINE),
+                )
+            })
             .collect();
-        let shown = |task: &&ServerTask| task.scope.len() <= cut::NAME && task.id.as_str().len() <= cut::NAME;
+        let shown = |task: &&ServerTask| {
+            task.scope.len() <= cut::NAME && task.id.as_str().len() <= cut::NAME
+        };
         let hidden = running().filter(|task| !shown(task)).count();
         if hidden > 0 {
-            seen.gaps.push(format!("{hidden} run whose scope or id is too long to be shown"));
+            seen.gaps.push(format!(
+                "{hidden} run whose scope or id is too long to be shown"
+            ));
         }
         let ended = listed.tasks.iter().filter(|task| !task.may_run).take(ENDED);
         let now = now_ms();
@@ -362,10 +399,7 @@ impl<'b> ServerThread<'b> {
         }
         drop(started);
         self.board.set_seen(self.index, seen);
-        if self.stop.is_some() {
-            let running: Vec<Key> = self.running.iter().map(|(key, _)| key.clone()).collect();
-            self.stop_tasks(running);
-        }
+        self.stop_running();
     }
 
     /// A server confirms a Stop by a list without running tasks that was asked for after the press, and after every goal of
@@ -416,8 +450,14 @@ impl<'b> ServerThread<'b> {
         }
         if !self.running.is_empty() {
             let names = self.running.iter().take(NAMED);
-            let names: Vec<String> = names.map(|((_, id), task)| format!("{id} {task}")).collect();
-            why.push(format!("{} may still run: {}", self.running.len(), names.join(", ")));
+            let names: Vec<String> = names
+                .map(|((_, id), task)| format!("{id} {task}"))
+                .collect();
+            why.push(format!(
+                "{} may still run: {}",
+                self.running.len(),
+                names.join(", ")
+            ));
         }
         why.extend(seen.gaps);
         if why.is_empty() {

@@ -269,7 +269,10 @@ impl Reader {
         let now = now_ms();
         let not_after = args.not_after_ms.map_or(u64::MAX, |ms| ms as u64);
         if now > not_after {
-            return Err(format!("{TOO_LATE}: it arrived {} ms after its time", now - not_after));
+            return Err(format!(
+                "{TOO_LATE}: it arrived {} ms after its time",
+                now - not_after
+            ));
         }
         let not_after = not_after.min(now + LATEST_MS);
         let offers = |server, scope: &str| self.board.offers(server, scope);
@@ -382,7 +385,11 @@ impl Reader {
         let (told, telling) = oneshot::channel();
         let request = AbortRequest::told((named.scope, named.id), told);
         self.board.abort(server, request)?;
-        let told = async { telling.await.unwrap_or_else(|_| Err("it may still run".to_owned())) };
+        let told = async {
+            telling
+                .await
+                .unwrap_or_else(|_| Err("it may still run".to_owned()))
+        };
         self.answer_later(id, "/ztl/abort", told)
     }
 

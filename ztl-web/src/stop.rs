@@ -66,7 +66,10 @@ impl Stops {
     /// Whether a server has something to decide.
     pub(crate) fn are_under_way(&self) -> bool {
         let state = locked(&self.state);
-        state.servers.iter().any(|server| server.press < state.pressed)
+        state
+            .servers
+            .iter()
+            .any(|server| server.press < state.pressed)
     }
 
     /// The last press, if this server has not decided for it.
@@ -85,7 +88,7 @@ impl Stops {
             decision.text = cut::text(&told.unwrap_or_else(|why| why), 4 * cut::LINE);
         }
         let all = state.servers.iter().map(|server| server.press).min();
-        drop(state);
+        // While the state is locked: a later decision must not be told before an earlier one.
         self.decided.send_replace(all.unwrap_or_default());
     }
 
@@ -125,13 +128,31 @@ mod tests {
     use super::*;
 
     #[test]
+    fn decisions_at_the_same_time_are_told() {
+        let stops = Stops::new((0..8).map(|server| server.to_string()));
+        for _ in 0..500 {
+            let press = stops.press("one");
+            std::thread::scope(|scope| {
+                for server in 0..8 {
+                    let stops = &stops;
+                    scope.spawn(move || stops.decide(server, press, Ok(String::new())));
+                }
+            });
+            assert_eq!(*stops.decided.borrow(), press);
+        }
+    }
+
+    #[test]
     fn a_second_press_reopens_what_is_decided() {
         let stops = Stops::new(["a", "b"].map(str::to_owned).into_iter());
         assert_eq!(stops.shown(), json!({}));
         assert!(!stops.are_under_way());
         let first = stops.press("one");
         stops.decide(0, first, Ok("nothing ran".to_owned()));
-        assert_eq!((stops.undecided(0), stops.undecided(1)), (None, Some(first)));
+        assert_eq!(
+            (stops.undecided(0), stops.undecided(1)),
+            (None, Some(first))
+        );
         let second = stops.press("two");
         assert_eq!(stops.undecided(0), Some(second));
         assert_eq!(stops.shown()["robots"][0]["confirmed"], Value::Null);
@@ -141,6 +162,9 @@ mod tests {
         stops.decide(1, second, Err("silent".to_owned()));
         assert!(!stops.are_under_way());
         let shown = stops.shown();
-        assert_eq!((&shown["by"], &shown["robots"][1]["text"]), (&json!("two"), &json!("silent")));
+        assert_eq!(
+            (&shown["by"], &shown["robots"][1]["text"]),
+            (&json!("two"), &json!("silent"))
+        );
     }
 }

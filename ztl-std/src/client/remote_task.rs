@@ -9,7 +9,9 @@ use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State};
 
-use super::connection::{ABORT, ClientReply, Connection, Open, Question, STATUS, Wanted, server_answer};
+use super::connection::{
+    ABORT, ClientReply, Connection, Open, Question, STATUS, Wanted, server_answer,
+};
 use super::error::{RequestError, RunError, TriggerError, WaitError};
 use super::status::{ServerInfo, Status, Triggered};
 use crate::keys::{KeyPair, PublicKey};

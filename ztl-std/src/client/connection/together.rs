@@ -56,14 +56,12 @@ impl Question {
     /// What the reply means, or the next question.
     fn handle(self, reply: Result<ClientReply, RequestError>) -> Result<Answered, Self> {
         match self {
-            Self::Abort { scope, id } => {
-                match reply.and_then(|reply| status_of(reply, &id)) {
-                    Ok(answer) if answer.state.is_final() => {
-                        Err(Self::StatusAfter { scope, id, answer })
-                    }
-                    answered => Ok(answered),
+            Self::Abort { scope, id } => match reply.and_then(|reply| status_of(reply, &id)) {
+                Ok(answer) if answer.state.is_final() => {
+                    Err(Self::StatusAfter { scope, id, answer })
                 }
-            }
+                answered => Ok(answered),
+            },
             Self::StatusAfter { id, answer, .. } => {
                 let status = reply.and_then(|reply| status_of(reply, &id));
                 Ok(after_abort(answer, status))
@@ -133,7 +131,10 @@ impl Connection {
     }
 
     /// Ends the requests without an answer, and closes the connection over which they were sent.
-    pub(in crate::client) fn close_together<K>(&mut self, open: &mut Open<K>) -> Vec<(K, Answered)> {
+    pub(in crate::client) fn close_together<K>(
+        &mut self,
+        open: &mut Open<K>,
+    ) -> Vec<(K, Answered)> {
         let mut answered = Vec::new();
         let error = match &self.socket {
             Some(socket) => self.not_connected(socket, open.heard),
@@ -215,7 +216,9 @@ impl Connection {
             (true, true) => self.send_together(socket, open, answered)?,
             (true, false) => self.receive_together(socket, open, answered)?,
             (false, _) if Instant::now() < deadline => return Ok(false),
-            (false, _) if open.sent.is_empty() => return Err(self.not_connected(socket, open.heard)),
+            (false, _) if open.sent.is_empty() => {
+                return Err(self.not_connected(socket, open.heard));
+            }
             (false, _) => return Err(self.no_answer(open.heard)),
         }
         Ok(true)
@@ -276,7 +279,10 @@ impl Connection {
         };
         let reply = self.reply(heard, body, open.heard);
         open.heard = Instant::now();
-        match sent.question.handle(reply.map_err(|unanswered| unanswered.error)) {
+        match sent
+            .question
+            .handle(reply.map_err(|unanswered| unanswered.error))
+        {
             Ok(outcome) => answered.push((sent.key, outcome)),
             Err(next) => open.unsent.push_back((sent.key, next)),
         }
