@@ -21,6 +21,9 @@ use crate::time::now;
 /// other to read.
 const MOST: usize = 1000;
 
+/// How soon a lost connection is noticed: the socket then connects again.
+const LOOK_AGAIN: Duration = Duration::from_millis(50);
+
 /// The original's payloads.
 pub(in crate::client) const STATUS: &str = "status update";
 pub(in crate::client) const ABORT: &str = "abort command";
@@ -198,30 +201,34 @@ impl Connection {
         until: Option<Instant>,
         answered: &mut Vec<(K, Answered)>,
     ) -> Result<bool, RequestError> {
+        if socket.can_receive(Duration::ZERO)? {
+            self.receive_together(socket, open, answered)?;
+            return Ok(true);
+        }
+        let is_first = open.sent.is_empty();
+        if !is_first && open.lost != socket.lost() {
+            // The answers that did not come before are lost with their connection.
+            return Err(self.no_answer(open.heard));
+        }
         let deadline = open.heard + self.timeout;
         let waiting = until.map_or(deadline, |until| until.min(deadline));
         let left = waiting.saturating_duration_since(Instant::now());
         let sends = open.sent.len() < MOST && !open.unsent.is_empty();
         let ready = match sends {
             true => socket.can_send(left)?,
-            false => socket.can_receive(left)?,
+            false => socket.can_receive(left.min(LOOK_AGAIN))?,
         };
-        if open.sent.is_empty() {
+        if ready && sends && (is_first || open.lost == socket.lost()) {
             open.lost = socket.lost();
-        } else if open.lost != socket.lost() {
-            // The answers were lost with their connection.
-            return Err(self.no_answer(open.heard));
+            self.send_together(socket, open, answered)?;
         }
-        match (ready, sends) {
-            (true, true) => self.send_together(socket, open, answered)?,
-            (true, false) => self.receive_together(socket, open, answered)?,
-            (false, _) if Instant::now() < deadline => return Ok(false),
-            (false, _) if open.sent.is_empty() => {
-                return Err(self.not_connected(socket, open.heard));
-            }
-            (false, _) => return Err(self.no_answer(open.heard)),
+        let now = Instant::now();
+        match ready || now < waiting {
+            true => Ok(true),
+            false if now < deadline => Ok(false),
+            false if is_first => Err(self.not_connected(socket, open.heard)),
+            false => Err(self.no_answer(open.heard)),
         }
-        Ok(true)
     }
 
     fn send_together<K>(
