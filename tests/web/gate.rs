@@ -147,7 +147,10 @@ fn strangers_keep_nobody_out_and_are_closed() {
         stream.write_all(request.as_bytes()).expect("a request");
         let mut answer = String::new();
         stream.read_to_string(&mut answer).expect("an end");
-        assert!(answer.starts_with("HTTP/1.1 40"), "{answer}");
+        assert!(
+            answer.starts_with("HTTP/1.1 40") && answer.contains("connection: close"),
+            "{answer}"
+        );
     }
 }
 
