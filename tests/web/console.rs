@@ -6,13 +6,13 @@ use std::process::Command;
 use ztl_tests::lab::{Process, SCOPE, Scratch, Server, node_packages, reserve_port, ztl};
 
 /// A robot whose tasks can be aborted: `test:echo`, `test:sleep`, and `test:mark`, which leaves a mark for each start.
-const ROBOT: &str = "\
+pub(crate) const ROBOT: &str = "\
 scopes:
   /test:
     test:
       echo: echo
       sleep: sleep
-      mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: ''}
+      mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: '', at-once: 20}
 ";
 
 /// A console for the robot `ours`, and for `gone`, which nobody serves.
@@ -25,8 +25,9 @@ pub(crate) struct Console {
     gone: u16,
 }
 
-fn robot(files: &Scratch, port: u16) -> Server {
-    fs::write(files.path("robot.yaml"), ROBOT).expect("a file");
+/// Serves this configuration in a directory.
+pub(crate) fn robot(files: &Scratch, configuration: &str, port: u16) -> Server {
+    fs::write(files.path("robot.yaml"), configuration).expect("a file");
     let mut command = ztl();
     command.current_dir(files.path(""));
     command.args(["serve", "robot.yaml", "-p", &port.to_string()]);
@@ -43,16 +44,17 @@ pub(crate) fn web(port: u16, robots: &[(&str, u16)], options: &[&str]) -> (Proce
         command.args(["--task", name, "127.0.0.1", &port.to_string(), SCOPE]);
     }
     let process = Process::start(command.args(options));
-    let line = process.wait_for("http://");
-    let (_, url) = line.split_once("http://").expect("a link");
-    (process, format!("http://{}", url.trim()))
+    let line = process.wait_for("://");
+    let link = line.split(' ').next_back().expect("a link").trim();
+    let url = link.to_owned();
+    (process, url)
 }
 
 impl Console {
     pub(crate) fn new() -> Self {
         let files = Scratch::new();
         let [port, gone, at] = [(); 3].map(|()| reserve_port());
-        let robot = robot(&files, at);
+        let robot = robot(&files, ROBOT, at);
         let (process, url) = web(port, &[("ours", at), ("gone", gone)], &[]);
         Self {
             files,
@@ -84,13 +86,12 @@ impl Console {
     }
 
     pub(crate) fn start_robot_again(&mut self) {
-        self.robot = robot(&self.files, self.robot.port);
+        self.robot = robot(&self.files, ROBOT, self.robot.port);
     }
 
     /// How often `test:mark` was started.
     pub(crate) fn marks(&self) -> usize {
-        let marks = fs::read_to_string(self.files.path("marks"));
-        marks.unwrap_or_default().lines().count()
+        marks(&self.files)
     }
 
     /// The address of its socket.
@@ -102,12 +103,22 @@ impl Console {
 /// The port in a console's link.
 #[track_caller]
 pub(crate) fn port(url: &str) -> u16 {
-    let (_, port) = url
-        .trim()
-        .trim_end_matches('/')
-        .rsplit_once(':')
-        .expect("a port");
-    port.parse().expect("a number")
+    let digits = from_port(url);
+    let digits = digits.trim_matches(|c: char| !c.is_ascii_digit());
+    digits.parse().expect("a number")
+}
+
+/// How often the `test:mark` of a robot was started.
+pub(crate) fn marks(files: &Scratch) -> usize {
+    let marks = fs::read_to_string(files.path("marks"));
+    marks.unwrap_or_default().lines().count()
+}
+
+/// The part of a printed link from its port on.
+pub(crate) fn from_port(line: &str) -> String {
+    let (_, link) = line.split_once("://").expect("a link");
+    let (_, rest) = link.trim().split_once(':').expect("a port");
+    format!(":{rest}")
 }
 
 /// Node with the installed packages.

@@ -218,6 +218,7 @@ fn a_client_that_comes_back_learns_what_became_of_its_goals_and_starts_none_twic
     assert_eq!(robot.given.load(Ordering::SeqCst), 2);
     // Another client has its own ids, and no name is too easy to guess.
     let mut other = Client::open(port(&url));
+    other.call("/ztl/operate", &json!({}));
     other.goal("runs", "/test/arm/left", &json!({ "goal": "x" }));
     other.next(|message| message["op"] == "action_feedback" && message["id"] == "runs");
     let mut other = Client::open(port(&url));

@@ -62,6 +62,7 @@ const scenarios = {
     const runs = (goal, is) => (task) => task.task === `test:sleep:${goal}` && task.runs === is;
     for (const [goal, abort] of [['70', false], ['71', true]]) {
       const client = await new Client().open();
+      assert.equal((await client.call('/ztl/operate')).result, true);
       if (abort) assert.equal((await client.call('/ztl/when_gone', { abort })).result, true);
       client.goal('g', 'test/sleep', goal);
       await watching.task(runs(goal, true));
@@ -107,15 +108,49 @@ const scenarios = {
     assert.equal((await client.call('/ztl/stop')).values.robots[0].confirmed, true);
   },
 
+  // A watcher looks and stops, and starts nothing.
   async watcher() {
     const client = await new Client().open();
     client.goal('g', 'test/echo', 'x');
-    assert.match((await client.result('g')).values, /may only look/);
-    for (const service of ['/ztl/stop', '/ztl/abort']) {
-      assert.match((await client.call(service)).values, /may only look/);
-    }
-    assert.equal((await client.call('/ztl/robots')).values.may_operate, false);
+    assert.match((await client.result('g')).values, /may only look and stop/);
+    assert.match((await client.call('/ztl/operate')).values, /may only look and stop/);
+    const told = (await client.call('/ztl/robots')).values;
+    assert.deepEqual([told.may_operate, told.operator], [false, null]);
     assert.ok((await client.call('/ztl/tasks')).values.tasks);
+    assert.equal((await client.call('/ztl/stop')).values.by, 'watcher at 127.0.0.1');
+    assert.match((await client.call('/ztl/abort', { robot: 'ours', scope: '/test', id: 1 })).values, /may still run/);
+  },
+
+  // One client at a time starts tasks. Each may take over, sees who did, and stops the tasks of all.
+  async operators() {
+    const [one, other, third] = await Promise.all([1, 2, 3].map(() => new Client().open()));
+    const operates = (client) => other.next((message) => message.topic === '/ztl/robots' && message.msg.operator?.client === client);
+    const number = async (client) => (await client.call('/ztl/robots')).values.client;
+    const numbers = [await number(one), await number(other), await number(third)];
+    assert.equal(new Set(numbers).size, 3);
+    other.send({ op: 'subscribe', topic: '/ztl/robots' });
+    one.goal('g', 'test/sleep', '60');
+    await operates(numbers[0]);
+    other.goal('h', 'test/mark', 'x');
+    assert.match((await other.result('h')).values, /^operator at 127.0.0.1 operates: take over/);
+    assert.equal((await other.call('/ztl/operate', { from: numbers[0] })).values.operator.client, numbers[1]);
+    await operates(numbers[1]);
+    // Too late: it saw the one before.
+    assert.match((await third.call('/ztl/operate', { from: numbers[0] })).values, /has taken over before/);
+    assert.match((await third.call('/ztl/operate', { from: 'me' })).values, /expected/);
+    one.goal('i', 'test/mark', 'x');
+    assert.match((await one.result('i')).values, /operates: take over/);
+    // What it started goes on; also others may end it.
+    const { msg } = await third.task((task) => task.task === 'test:sleep:60' && task.runs);
+    const { robot, scope, id } = msg.tasks.find((task) => task.runs);
+    assert.equal((await third.call('/ztl/abort', { robot, scope, id })).values.state, 'ABORTED');
+    assert.equal((await one.result('g')).values.state, 'ABORTED');
+    other.socket.terminate();
+    const free = (message) => message.topic === '/ztl/robots' && message.msg.operator === null;
+    third.send({ op: 'subscribe', topic: '/ztl/robots' });
+    await third.next(free);
+    third.goal('j', 'test/echo', 'x');
+    assert.equal((await third.result('j')).values.state, 'COMPLETED');
   },
 
   // A server of the original lists nothing: its goals are known, and Stop does not call it confirmed.

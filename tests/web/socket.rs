@@ -2,7 +2,7 @@
 
 use ztl_tests::lab::{PATIENCE, Process, Server, reserve_port};
 
-use crate::console::{Console, node, web};
+use crate::console::{Console, from_port, node, web};
 
 fn start(scenario: &str, url: &str) -> Process {
     Process::start(node("socket.mjs").args([scenario, url]))
@@ -32,14 +32,17 @@ fn too_many_goals_are_refused_and_one_id_starts_one_task() {
 }
 
 #[test]
-fn a_watcher_starts_and_stops_nothing() {
-    let (process, _) = web(0, &[("ours", reserve_port())], &["--bind", "0.0.0.0"]);
-    let line = process.wait_for("watchers:");
-    let (_, link) = line
-        .split_once("http://ADDRESS-OF-THIS-MACHINE")
-        .expect("a link");
-    let url = format!("ws://127.0.0.1{}", link.trim().replace("/?", "/rosbridge?"));
-    passes("watcher", &url);
+fn a_watcher_stops_and_starts_nothing() {
+    let (_process, link) = web(0, &[("ours", reserve_port())], &["--bind", "0.0.0.0"]);
+    let link = from_port(&link).replace("/?", "/rosbridge?");
+    passes("watcher", &format!("ws://127.0.0.1{link}"));
+}
+
+#[test]
+fn one_client_at_a_time_starts_tasks_until_another_takes_over() {
+    let console = Console::of_one();
+    passes("operators", &console.socket());
+    assert_eq!(console.marks(), 0);
 }
 
 #[test]

@@ -26,6 +26,8 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
     // Shows the pages of `ztl report` and `ztl web`.
     ["chromium", "chromium --version"],
+    // Makes a certificate for `ztl web --tls`.
+    ["openssl", "openssl version"],
     // `setsid` gives a program a terminal of its own.
     ["util-linux", "setsid --version"],
     // `systemd-analyze` checks the units in examples.
@@ -227,9 +229,9 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
 }
 
 /// Installs npm packages: of `examples/clients/client.mjs`, of Foxglove's reader of recordings, what drives and examines the
-/// page of `ztl web`, and a rosbridge client.
+/// page of `ztl web` and reads its QR codes, and a rosbridge client.
 pub(crate) fn javascript(project: &Project) -> Result<()> {
-    const PACKAGES: [&str; 7] = [
+    const PACKAGES: [&str; 8] = [
         "zeromq@6.8.0",
         "roslib@2.1.0",
         "axe-core@4.14.1",
@@ -237,6 +239,7 @@ pub(crate) fn javascript(project: &Project) -> Result<()> {
         "@mcap/core@2.2.2",
         "@foxglove/schemas@2.1.0",
         "ajv@8.20.0",
+        "jsqr@1.4.0",
     ];
     let sh = &project.sh;
     let home = project.target.join("clients");

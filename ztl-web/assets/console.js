@@ -1,67 +1,101 @@
 // The page: shows what the topics say, and sends goals, aborts and Stop. It uses nothing but /rosbridge.
 
-import { at, card, element, setText, short, showAll, span } from './elements.js';
+import { at, card, element, setText, showAll, span } from './elements.js';
+import { Form, NOTHING } from './form.js';
+import { Operator } from './operator.js';
+import { Past } from './past.js';
 import { Bridge } from './rosbridge.js';
+import { Streams } from './streams.js';
 
-const KEPT_GOALS = 20;
-const OTHER = '*';
-// What a server says of a task without progress or result.
-const NOTHING = 'None';
 // How long ago a Stop may have ended that a page shows which was not there.
 const RECENT = 10_000;
-// How soon after a goal the same one is taken for a second press of the same kind, such as a double click.
-const SAME_PRESS = 700;
+// How often the console's clock is asked for.
+const CLOCK = 10_000;
 
 let robots = [];
 let tasks = { tasks: [], gaps: [] };
-let mayOperate = false;
-let goals = [];
 let closedStop = sessionStorage.getItem('closed-stop');
-// How far the console's wall clock is ahead of this browser's.
-let ahead = 0;
+// The console's wall clock, and this browser's monotonic clock when the console told it. The wall clock of this
+// browser may be wrong, or be set while the page is open.
+let clock = null;
 
 const bridge = new Bridge(`${location.protocol.replace('http', 'ws')}//${location.host}/rosbridge`, onState);
+const operator = new Operator(bridge);
+const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
+const streams = new Streams(bridge, now);
+const past = new Past(bridge);
+
+// The console's wall clock. Behind by what the answer took to come, never ahead.
+function now() {
+  return clock === null ? Date.now() : Math.round(clock.ms + performance.now() - clock.at);
+}
+
+async function askClock() {
+  const told = await bridge.call('/ztl/robots', {});
+  clock = { ms: told.now_ms, at: performance.now() };
+  return told;
+}
 
 function onState(open) {
-  const connection = at('connection');
-  connection.dataset.state = open ? 'open' : 'lost';
+  at('connection').dataset.state = open ? 'open' : 'lost';
   if (open) {
-    bridge.call('/ztl/robots', {}).then((told) => {
-      mayOperate = told.may_operate;
-      ahead = told.now_ms - Date.now();
-      // Only now: whether a Stop is old depends on the console's clock.
-      bridge.subscribe('/ztl/stop', showStop);
-      showForm();
-      show();
-    }, () => {});
+    greet().catch(() => {});
+  } else {
+    operator.gone();
+    askWhy();
   }
   show();
 }
 
-bridge.subscribe('/ztl/robots', (told) => { robots = told.robots; showForm(); show(); });
-bridge.subscribe('/ztl/tasks', (told) => { tasks = told; show(); });
+async function greet() {
+  await operator.welcome(await askClock());
+  // Only now: whether a Stop is old depends on the console's clock.
+  bridge.subscribe('/ztl/stop', showStop);
+  show();
+}
+
+// A socket does not tell why it was refused; a file does.
+async function askWhy() {
+  const answer = await fetch('/style.css', { cache: 'no-store' }).catch(() => null);
+  if (answer?.status === 401) setText(at('connection'), 'No access: open the link again that ztl web printed');
+}
+
+bridge.subscribe('/ztl/robots', (told) => {
+  robots = told.robots;
+  operator.see(told.operator);
+  form.offer(robots);
+  streams.offer(told.publishers);
+  show();
+});
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); show(); });
 setInterval(show, 1000);
+setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
 
 function show() {
   showConnection();
   showRobots();
   showTasks();
-  showGoals();
-  const may = mayOperate && bridge.isOpen;
-  at('start').disabled = !may;
-  // Never disabled without a connection: a press then says that nothing was sent.
-  at('stop').disabled = bridge.isOpen && !mayOperate;
+  form.show();
+  streams.show();
 }
 
 function showConnection() {
   const missing = robots.filter((robot) => robot.health === 'missing').length;
-  const words = [mayOperate ? 'connected' : 'connected, as a watcher'];
+  const words = [operator.mayOperate ? 'connected' : 'connected, as a watcher'];
   if (missing) words.push(`${missing} of ${robots.length} missing`);
-  setText(at('connection'), bridge.isOpen ? words.join(' · ') : 'No connection to the console: what is shown is old');
+  const lost = 'No connection to the console: what is shown is old';
+  const said = at('connection');
+  if (bridge.isOpen) setText(said, words.join(' · '));
+  else if (!said.textContent.startsWith('No ')) setText(said, lost);
+}
+
+// A goal was sent: what was confirmed before says nothing of it.
+function started() {
+  at('stopped').hidden = true;
 }
 
 function ago(ms) {
-  return span(Date.now() + ahead - ms);
+  return span(now() - ms);
 }
 
 function showRobots() {
@@ -91,7 +125,7 @@ function showTasks() {
     const by = task.by ? `by ${task.by}` : '';
     setText(about, [`${task.robot} ${task.scope} ${task.id}`, by, since, stale].filter(Boolean).join(' · '));
     for (const button of made.buttons) {
-      button.disabled = !(mayOperate && bridge.isOpen) || 'busy' in button.dataset;
+      button.disabled = !bridge.isOpen || 'busy' in button.dataset;
       button.setAttribute('aria-label', `Abort ${task.task || task.id} of ${task.robot}`);
     }
   };
@@ -112,7 +146,7 @@ function abort(task, button) {
   show();
   const done = (text) => {
     delete button.dataset.busy;
-    setText(at('form-said'), text);
+    setText(at('abort-said'), text);
     show();
   };
   bridge.call('/ztl/abort', { robot: task.robot, scope: task.scope, id: task.id }).then(
@@ -121,137 +155,7 @@ function abort(task, button) {
   );
 }
 
-// One choice for each component that a robot tells, and one for any other of its scope.
-function choices() {
-  const all = [];
-  for (const robot of robots) {
-    for (const scope of robot.scopes) {
-      const names = Object.entries(scope.handlers ?? {})
-        .flatMap(([handler, components]) => components.map((component) => [handler, component]))
-        .filter((pair) => !pair.includes(OTHER));
-      for (const [handler, component] of names) {
-        all.push([robot.name, JSON.stringify([scope.action, handler, component]), `${handler} ${component}`]);
-      }
-      all.push([robot.name, JSON.stringify([scope.action]), `another of ${scope.action} …`]);
-    }
-  }
-  return all;
-}
-
-let shownChoices = '';
-function showForm() {
-  const all = choices();
-  const now = JSON.stringify(all);
-  if (now === shownChoices) return;
-  shownChoices = now;
-  const select = at('component');
-  const chosen = select.value;
-  const groups = new Map();
-  for (const [robot, value, text] of all) {
-    if (!groups.has(robot)) {
-      const group = element('optgroup');
-      group.label = robot;
-      groups.set(robot, group);
-    }
-    const option = element('option', '', text);
-    option.value = value;
-    groups.get(robot).append(option);
-  }
-  select.replaceChildren(...groups.values());
-  if (all.some(([, value]) => value === chosen)) select.value = chosen;
-  showOther();
-}
-
-function showOther() {
-  const value = at('component').value;
-  at('other-box').hidden = !value || JSON.parse(value).length > 1;
-}
-at('component').addEventListener('change', showOther);
-
-at('form').addEventListener('submit', (event) => {
-  event.preventDefault();
-  const value = at('component').value;
-  if (!value || !mayOperate) return;
-  const [prefix, handler, component] = JSON.parse(value);
-  const name = handler === undefined ? at('other').value : `${handler}/${component}`;
-  start(`${prefix}/${name}`, name, at('goal').value);
-});
-
-// A held Enter submits again and again.
-at('form').addEventListener('keydown', (event) => {
-  if (event.key === 'Enter' && event.repeat) event.preventDefault();
-});
-
-function start(action, name, text) {
-  const [last] = goals;
-  if (last?.action === action && last.text === text
-    && (last.state === 'sent' || performance.now() - last.pressed < SAME_PRESS)) {
-    setText(at('form-said'), 'not sent again: the same goal was just sent');
-    return;
-  }
-  const goal = { action, name, text, state: 'sent', progress: '', ended: false, pressed: performance.now() };
-  goal.id = bridge.goal(action, text, {
-    feedback: (told) => { goal.state = 'running'; goal.progress = told.progress; showGoals(); },
-    result: (told) => { goal.state = told.state; goal.progress = told.text; goal.ended = true; showGoals(); },
-    lost: () => {
-      goal.state = 'UNKNOWN';
-      goal.progress = 'the connection was lost: if it runs, Now shows it; it is not sent again';
-      goal.ended = true;
-      showGoals();
-    },
-  });
-  if (goal.id === undefined) {
-    setText(at('form-said'), 'NOT SENT: no connection');
-    return;
-  }
-  setText(at('form-said'), '');
-  // What was confirmed before says nothing of this goal.
-  at('stopped').hidden = true;
-  goals = [goal, ...goals].slice(0, KEPT_GOALS);
-  showGoals();
-}
-
-function showGoals() {
-  at('goals-title').hidden = goals.length === 0;
-  const again = (made) => {
-    at('goal').value = made.goal.text;
-    choose(made.goal);
-    at('goal').focus();
-  };
-  const cancel = (made) => {
-    made.goal.progress = 'abort sent';
-    if (!bridge.cancel(made.goal.id, made.goal.action)) made.goal.progress = 'abort NOT SENT: no connection';
-    showGoals();
-  };
-  const make = () => card(['name', '', 'quiet'], [['Abort', cancel], ['Again', again]]);
-  showAll(at('goals'), goals, (goal) => goal.id, make, (made, goal) => {
-    made.goal = goal;
-    const [name, said] = made.lines;
-    setText(name, short(`${goal.name} ${goal.text}`));
-    said.className = goal.state === 'COMPLETED' ? 'good' : goal.ended ? 'bad' : '';
-    setText(said, short([goal.state, goal.progress].filter((text) => text && text !== NOTHING).join(': ')));
-    const [abortButton, againButton] = made.buttons;
-    abortButton.hidden = goal.ended;
-    againButton.hidden = !goal.ended;
-    abortButton.setAttribute('aria-label', `Abort ${goal.name} ${goal.text}`);
-    againButton.setAttribute('aria-label', `Again ${goal.name} ${goal.text}: fill in the form`);
-  });
-}
-
-// Chooses the component of an earlier goal in the form.
-function choose(goal) {
-  const whole = ([prefix, ...names]) => [prefix, ...names].join('/');
-  const options = [...at('component').options].map((option) => option.value);
-  const same = options.find((value) => whole(JSON.parse(value)) === goal.action)
-    ?? options.find((value) => JSON.parse(value).length === 1 && goal.action.startsWith(`${JSON.parse(value)[0]}/`));
-  if (same === undefined) return;
-  at('component').value = same;
-  at('other').value = goal.name;
-  showOther();
-}
-
 function stop() {
-  if (bridge.isOpen && !mayOperate) return;
   closedStop = null;
   at('stopped').hidden = false;
   setText(at('stopped-title'), 'Stop: sent, no robot has confirmed yet');
@@ -265,7 +169,7 @@ function stop() {
 function showStop(told) {
   if (!told.robots || String(told.at_ms) === closedStop) return;
   const waits = told.robots.some((robot) => robot.confirmed === null);
-  if (!waits && at('stopped').hidden && Date.now() + ahead - told.at_ms > RECENT) return;
+  if (!waits && at('stopped').hidden && now() - told.at_ms > RECENT) return;
   const all = told.robots.every((robot) => robot.confirmed);
   at('stopped').hidden = false;
   at('stopped').dataset.at = told.at_ms;

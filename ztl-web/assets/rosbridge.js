@@ -89,6 +89,11 @@ export class Bridge {
     this.#send({ op: 'subscribe', topic });
   }
 
+  unsubscribe(topic) {
+    this.#topics.delete(topic);
+    this.#send({ op: 'unsubscribe', topic });
+  }
+
   call(service, args) {
     const id = `${this.#prefix}:${++this.#next}`;
     return new Promise((resolve, reject) => {
@@ -101,9 +106,9 @@ export class Bridge {
   }
 
   // The id of the goal; nothing if it was not sent.
-  goal(action, goal, watch) {
+  goal(action, args, watch) {
     const id = `${this.#prefix}:${++this.#next}`;
-    const message = { op: 'send_action_goal', id, action, action_type: 'ztl_msgs/action/Task', args: { goal }, feedback: true };
+    const message = { op: 'send_action_goal', id, action, action_type: 'ztl_msgs/action/Task', args, feedback: true };
     if (!this.#send(message)) return undefined;
     this.#goals.set(id, watch);
     return id;

@@ -13,8 +13,11 @@ use ztl_std::{Offers, RemoteId, State};
 use crate::aborts::AbortRequest;
 use crate::clients::Clients;
 use crate::goal::Goal;
+use crate::operator::{Client, Operator};
+use crate::past::Past;
 use crate::robots::{ConfiguredScope, Server};
 use crate::stop::Stops;
+use crate::streams::{Publisher, Streams};
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
@@ -34,6 +37,9 @@ pub(crate) struct Topics {
 pub(crate) struct Board {
     pub(crate) servers: Vec<Server>,
     pub(crate) topics: Topics,
+    pub(crate) operator: Operator,
+    pub(crate) streams: Arc<Streams>,
+    pub(crate) past: Past,
     seen: Mutex<Vec<Seen>>,
     goals: Mutex<Goals>,
     /// How many sockets are open.
@@ -104,7 +110,10 @@ pub(crate) struct Task {
 
 impl Board {
     /// The board, and for each server what wakes its thread.
-    pub(crate) fn new(servers: Vec<Server>) -> (Self, Vec<Receiver<()>>) {
+    pub(crate) fn new(
+        servers: Vec<Server>,
+        publishers: Vec<Publisher>,
+    ) -> (Self, Vec<Receiver<()>>) {
         // A thread that is woken twice looks once.
         let (wakes, woken): (Vec<_>, Vec<_>) = servers.iter().map(|_| sync_channel(1)).unzip();
         let post = |wake| Post {
@@ -122,6 +131,9 @@ impl Board {
                 tasks: topic(),
                 stop: topic(),
             },
+            operator: Operator::new(),
+            past: Past::default(),
+            streams: Arc::new(Streams::new(publishers)),
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
             clients: Clients::default(),
@@ -190,11 +202,44 @@ impl Board {
 
     /// Replaces what is known of a server.
     pub(crate) fn set_seen(&self, server: usize, now: Seen) {
+        self.past.on_listed(&now.tasks);
         let mut seen = locked(&self.seen);
         let known = seen.get_mut(server).filter(|known| **known != now);
         if let Some(known) = known {
             *known = now;
             drop(seen);
+            self.publish();
+        }
+    }
+
+    /// Lets a client operate if nobody does.
+    ///
+    /// # Errors
+    /// Why it may not start tasks.
+    pub(crate) fn begins_to_operate(&self, client: &Client) -> Result<(), String> {
+        if self.operator.begin(client)? {
+            self.publish();
+        }
+        Ok(())
+    }
+
+    /// Lets a client operate instead of another, which `args` may name.
+    ///
+    /// # Errors
+    /// Why it does not.
+    pub(crate) fn take_over(&self, client: &Client, args: &Value) -> Result<Value, String> {
+        let from = match args.get("from") {
+            None => None,
+            Some(from) => Some(from.as_u64().ok_or("expected {\"from\": NUMBER} or {}")?),
+        };
+        self.operator.take_over(client, from)?;
+        self.publish();
+        Ok(json!({ "operator": self.operator.now() }))
+    }
+
+    /// A client is gone: nobody operates if it did.
+    pub(crate) fn client_left(&self, client: &Client) {
+        if self.operator.leave(client) {
             self.publish();
         }
     }
@@ -212,7 +257,13 @@ impl Board {
     }
 
     pub(crate) fn remove_goal(&self, number: u64) {
-        locked(&self.goals).open.remove(&number);
+        let goal = locked(&self.goals).open.remove(&number);
+        if let Some(goal) = goal
+            && let (Some(server), Some(id)) = (self.servers.get(goal.target.server), goal.id())
+        {
+            let key = (server.name.clone(), goal.target.scope.clone(), id.clone());
+            self.past.on_goal(key, &goal.by);
+        }
         self.publish();
     }
 
@@ -259,7 +310,11 @@ impl Board {
             })
         };
         let robots: Vec<Value> = self.servers.iter().zip(seen).map(robot).collect();
-        json!({ "robots": robots })
+        json!({
+            "robots": robots,
+            "operator": self.operator.now(),
+            "publishers": self.streams.names(),
+        })
     }
 
     fn tasks(&self, seen: &[Seen], goals: &[Arc<Goal>]) -> Value {

@@ -16,6 +16,8 @@ use crate::robots::Target;
 
 /// Most goals of all clients at a time; each has a thread.
 const MOST: usize = 128;
+/// How long after its arrival a goal may be sent to its robot, in ms. The client can demand less.
+pub(crate) const LATEST_MS: u64 = 5000;
 /// After the last moment at which a goal may be sent, how long its answer may take. A task of which nobody heard until then
 /// is aborted.
 const ANSWER_MS: u64 = 5000;

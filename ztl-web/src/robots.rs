@@ -36,6 +36,13 @@ pub(crate) struct Server {
 const LONGEST_ANSWER: usize = 4 << 20;
 
 impl Server {
+    /// The scope of a robot, if this is its server.
+    pub(crate) fn scope_of(&self, robot: &str) -> Option<&str> {
+        let mut scopes = self.scopes.iter();
+        let scope = scopes.find(|scope| scope.names.iter().any(|name| name == robot));
+        scope.map(|scope| scope.scope.as_str())
+    }
+
     /// A client of a scope of this server.
     pub(crate) fn remote(&self, scope: &str) -> Result<RemoteTask, String> {
         let remote = (self.connect)(scope)?.with_longest_answer(LONGEST_ANSWER);

@@ -20,9 +20,10 @@ use crate::clients::Client;
 use crate::clock::now_ms;
 use crate::gate::Role;
 use crate::goal::Goal;
-use crate::goals::{self, News, TOO_LATE};
-use crate::robots;
+use crate::goals::{self, LATEST_MS, News, TOO_LATE};
 use crate::rosbridge::{self, GoalArgs, Incoming};
+use crate::streams::Listener;
+use crate::{operator, robots};
 
 /// Answers that wait to be written.
 const QUEUE: usize = 256;
@@ -34,21 +35,18 @@ const SILENCE: Duration = Duration::from_secs(60);
 const BEAT: Duration = Duration::from_secs(2);
 /// Most Stops and single aborts of a socket whose answers it waits for.
 const ANSWERS: usize = 64;
-/// How long after its arrival a goal may be sent to its robot, in ms. The client can demand less.
-const LATEST_MS: u64 = 5000;
 /// Messages and goals in a second, and how many at once.
 const MESSAGES: (f64, f64) = (50.0, 100.0);
 const GOAL_RATE: (f64, f64) = (10.0, 20.0);
 /// Longest id of a client's goal.
 const ID: usize = 256;
 
-/// The refusal of what only operators may do.
-const WATCHERS_LOOK: &str = "a watcher may only look: open the operators' link";
-
 /// What is written to a client, or what it wants to hear.
 pub(crate) enum Out {
     Text(String),
     Subscribe(Topic, bool),
+    /// A publisher's streams.
+    Listen(usize, bool),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,7 +63,7 @@ impl Topic {
             "/ztl/tasks" => Ok(Self::Tasks),
             "/ztl/stop" => Ok(Self::Stop),
             _ => Err(format!(
-                "no topic '{name}': there are /ztl/robots, /ztl/tasks and /ztl/stop"
+                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop and /ztl/streams/PUBLISHER"
             )),
         }
     }
@@ -88,8 +86,7 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
     client.attach(out.clone());
     let mut reader = Reader {
         board: Arc::clone(&board),
-        by: format!("operator at {address}"),
-        role,
+        who: board.operator.client(role, address),
         out,
         client,
         has_started: false,
@@ -116,6 +113,7 @@ async fn written(
     let mut tasks = board.topics.tasks.subscribe();
     let mut stop = board.topics.stop.subscribe();
     let (mut on_robots, mut on_tasks, mut on_stop) = (false, false, false);
+    let mut listener = Listener::new(&board.streams);
     let mut beat = interval(BEAT);
     let told = |topic: Topic, value: &Shared| {
         let text = rosbridge::publish(topic.name(), value);
@@ -128,6 +126,7 @@ async fn written(
             out = queue.recv() => match out {
                 None => return,
                 Some(Out::Text(text)) => vec![Message::from(text)],
+                Some(Out::Listen(publisher, on)) => listener.listen(publisher, on),
                 Some(Out::Subscribe(topic, on)) => {
                     let (flag, topic_of) = match topic {
                         Topic::Robots => (&mut on_robots, &mut robots),
@@ -145,6 +144,7 @@ async fn written(
             },
             Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
             Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
+            messages = listener.changed() => messages,
             _ = beat.tick() => {
                 let mut messages = vec![Message::Ping(Vec::new().into())];
                 if on_robots {
@@ -165,8 +165,7 @@ async fn written(
 /// Reads what a client wants.
 struct Reader {
     board: Arc<Board>,
-    by: String,
-    role: Role,
+    who: operator::Client,
     out: mpsc::Sender<Out>,
     client: Arc<Client>,
     /// Whether a goal came over this socket.
@@ -239,14 +238,16 @@ impl Reader {
                 error(&why)
             }
             Incoming::CallService { id, service, args } => self.call(id, service, args),
-            Incoming::Subscribe { topic } => match Topic::of(&topic) {
-                Ok(topic) => Some(Out::Subscribe(topic, true)),
-                Err(why) => error(&why),
-            },
-            Incoming::Unsubscribe { topic } => match Topic::of(&topic) {
-                Ok(topic) => Some(Out::Subscribe(topic, false)),
-                Err(why) => error(&why),
-            },
+            Incoming::Subscribe { topic } => Some(self.subscribe(&topic, true)),
+            Incoming::Unsubscribe { topic } => Some(self.subscribe(&topic, false)),
+        }
+    }
+
+    fn subscribe(&self, topic: &str, on: bool) -> Out {
+        match (self.board.streams.find(topic), Topic::of(topic)) {
+            (Some(publisher), _) => Out::Listen(publisher, on),
+            (None, Ok(topic)) => Out::Subscribe(topic, on),
+            (None, Err(why)) => Out::Text(rosbridge::error(&why)),
         }
     }
 
@@ -257,9 +258,6 @@ impl Reader {
         args: GoalArgs,
         feedback: bool,
     ) -> Result<(), String> {
-        if self.role != Role::Operator {
-            return Err(WATCHERS_LOOK.to_owned());
-        }
         if id.len() > ID {
             return Err(format!("the id is longer than {ID} bytes"));
         }
@@ -277,7 +275,9 @@ impl Reader {
         let not_after = not_after.min(now + LATEST_MS);
         let offers = |server, scope: &str| self.board.offers(server, scope);
         let target = robots::find(&self.board.servers, offers, action)?;
-        let goal = Arc::new(Goal::new(target, args.goal, self.by.clone(), not_after));
+        self.board.begins_to_operate(&self.who)?;
+        let by = self.who.by.clone();
+        let goal = Arc::new(Goal::new(target, args.goal, by, not_after));
         self.client.begin(id, action, &goal)?;
         self.has_started = true;
         let (client, key, action) = (Arc::clone(&self.client), id.to_owned(), action.to_owned());
@@ -290,9 +290,6 @@ impl Reader {
     }
 
     fn cancel(&self, id: &str, action: &str) -> Result<(), String> {
-        if self.role != Role::Operator {
-            return Err(WATCHERS_LOOK.to_owned());
-        }
         let goal = self.client.goal(id);
         let goal = goal.ok_or_else(|| format!("no goal '{id}' of '{action}' is open"))?;
         goals::cancel(&goal, &self.board)
@@ -304,9 +301,8 @@ impl Reader {
             "/ztl/tasks" => self.newest(Topic::Tasks),
             "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
             "/ztl/when_gone" => self.when_gone(&args),
-            "/ztl/abort" | "/ztl/stop" | "/ztl/resume" if self.role != Role::Operator => {
-                Err(WATCHERS_LOOK.to_owned())
-            }
+            "/ztl/past" => self.board.past.find(args),
+            "/ztl/operate" => self.board.take_over(&self.who, &args),
             "/ztl/resume" => self.resume(&args),
             "/ztl/stop" => match self.stop(id.clone()) {
                 Ok(()) => return None,
@@ -317,7 +313,7 @@ impl Reader {
                 Err(why) => Err(why),
             },
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/time, /ztl/abort, /ztl/stop, /ztl/when_gone and /ztl/resume"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
@@ -337,8 +333,9 @@ impl Reader {
         let value = topic.borrow().clone();
         let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
         if let Some(members) = value.as_object_mut() {
-            let operates = self.role == Role::Operator;
+            let operates = self.who.role == Role::Operator;
             members.insert("may_operate".to_owned(), json!(operates));
+            members.insert("client".to_owned(), json!(self.who.number));
             members.insert("now_ms".to_owned(), json!(now_ms()));
         }
         Ok(value)
@@ -363,7 +360,7 @@ impl Reader {
 
     /// Aborts everything. The answer follows when all is decided.
     fn stop(&self, id: Option<Value>) -> Result<(), String> {
-        let press = self.board.press_stop(&self.by);
+        let press = self.board.press_stop(&self.who.by);
         let board = Arc::clone(&self.board);
         let told = async move { Ok(board.stops.answer(press).await) };
         self.answer_later(id, "/ztl/stop", told)
@@ -421,6 +418,7 @@ impl Reader {
 
     /// The client is gone: leaves or aborts what it started, as it has chosen.
     fn leave(&self) {
+        self.board.client_left(&self.who);
         for goal in self.client.leave(&self.out) {
             if self.aborts_when_gone
                 && let Err(error) = goals::cancel(&goal, &self.board)

@@ -1,19 +1,25 @@
 //! `ztl web`: the web console.
 
-use std::net::{IpAddr, TcpListener};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
+use qrcode::render::unicode::Dense1x2;
+use qrcode::{EcLevel, QrCode};
 use tracing::Level;
 use ztl_std::RemoteTask;
-use ztl_web::{Options, Robot, Tokens, serve};
+use ztl_std::keys::exposure;
+use ztl_web::{Options, Publisher, Robot, Tls, Tokens, serve};
 
+use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
 use crate::option_values::port;
 use crate::remotes_options::RemotesOptions;
-use crate::terminal::line;
+use crate::terminal::{drawn_line, error_line, is_live, line, size};
 use crate::{log, signals};
 
 /// The original's port.
@@ -39,9 +45,22 @@ pub(crate) struct Web {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     bind: IpAddr,
 
-    /// A name under which browsers reach this machine, besides its addresses (repeatable)
+    /// A name under which browsers reach this machine, besides its addresses (repeatable). Everybody then needs the
+    /// printed links. Also needed behind a proxy
     #[arg(long, value_name = "NAME")]
     host: Vec<String>,
+
+    /// A page of one's own, with forms as for the original's ztl_web; the console's is then at /console
+    #[arg(short, long, value_name = "PAGE.html")]
+    serve: Option<PathBuf>,
+
+    /// Keep the tokens of the links in this file, so that open pages go on when the console is started again
+    #[arg(long, value_name = "FILE")]
+    tokens: Option<PathBuf>,
+
+    /// PEM files of a certificate and its key: serve https
+    #[arg(long, value_names = ["CERT", "KEY"], num_args = 2)]
+    tls: Option<Vec<PathBuf>>,
 }
 
 impl Web {
@@ -79,25 +98,59 @@ impl Web {
             );
             return Err(Misuse(why).into());
         }
+        let tls = match self.tls.as_deref() {
+            Some([certificate, key]) => Some(Tls::read(certificate, key).map_err(Misuse)?),
+            _ => None,
+        };
+        let mut publishers = Vec::new();
+        for name in remotes.publisher_names() {
+            let publisher = remotes
+                .publisher(name)
+                .map_err(|wrong| Misuse(wrong.to_string()))?;
+            let (named, publisher, options) =
+                (name.to_owned(), publisher.clone(), self.connecting.clone());
+            let connect = move || {
+                let publisher = ChosenPublisher::named(&named, publisher.clone());
+                let connected = publisher.connect(&[], options.keys());
+                connected
+                    .map(|connected| connected.subscriber)
+                    .map_err(|error| error.to_string())
+            };
+            // As above.
+            connect().map_err(Misuse)?;
+            publishers.push(Publisher {
+                name: name.to_owned(),
+                connect: Arc::new(connect),
+            });
+        }
         let place = (self.bind, self.port);
         let listener = TcpListener::bind(place).map_err(|error| {
             format!("cannot serve at {} port {}: {error}", self.bind, self.port)
         })?;
         let address = listener.local_addr()?;
-        let tokens = match self.bind.is_loopback() {
-            true => None,
-            false => Some(Tokens::random()?),
+        let tokens = match &self.tokens {
+            None => Tokens::random()?,
+            Some(path) => {
+                let tokens = Tokens::kept(path);
+                if let Some(exposure) = exposure(path) {
+                    error_line(format_args!("ztl: warning: {exposure}"));
+                }
+                tokens.map_err(|error| Misuse(format!("{}: {error}", path.display())))?
+            }
         };
-        match &tokens {
-            None => line(format_args!("http://{address}/")),
-            Some(Tokens { operator, watcher }) => {
-                let host = match (self.host.first(), self.bind.is_unspecified()) {
-                    (Some(name), _) => format!("{name}:{}", address.port()),
-                    (None, true) => format!("ADDRESS-OF-THIS-MACHINE:{}", address.port()),
-                    (None, false) => address.to_string(),
-                };
-                line(format_args!("operators: http://{host}/?token={operator}"));
-                line(format_args!("watchers:  http://{host}/?token={watcher}"));
+        let at = format!(
+            "http{}://{}",
+            if tls.is_some() { "s" } else { "" },
+            self.place(address)
+        );
+        if self.bind.is_loopback() && self.host.is_empty() {
+            line(format_args!("{at}/"));
+        } else {
+            for (who, token) in [
+                ("watchers", &tokens.watcher),
+                ("operators", &tokens.operator),
+            ] {
+                show_link(who, &format!("{at}/?token={token}"))?;
             }
         }
         let (ending, end) = channel();
@@ -109,8 +162,11 @@ impl Web {
                 let options = Options {
                     listener,
                     robots,
+                    publishers,
                     tokens,
                     hosts: self.host,
+                    page: self.serve,
+                    tls,
                 };
                 drop(failing.send(serve(options).err()));
             })?;
@@ -119,4 +175,48 @@ impl Web {
             None => Ok(signals::exit_code_or(ExitCode::SUCCESS)),
         }
     }
+
+    /// What browsers call the console: its host and port.
+    fn place(&self, address: SocketAddr) -> String {
+        match self.host.first() {
+            Some(name) => format!("{name}:{}", address.port()),
+            None => SocketAddr::new(reachable(self.bind), address.port()).to_string(),
+        }
+    }
+}
+
+/// The address of this machine at which others reach what is bound to `bind`; without a network, `bind`.
+fn reachable(bind: IpAddr) -> IpAddr {
+    // An address for documentation: it is only looked up by which interface it would be reached, nothing is sent.
+    let far: IpAddr = match bind {
+        IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
+        IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
+    };
+    let own = || {
+        let socket = UdpSocket::bind((bind, 0))?;
+        socket.connect((far, 9))?;
+        io::Result::Ok(socket.local_addr()?.ip())
+    };
+    match bind.is_unspecified() {
+        true => own().unwrap_or(bind),
+        false => bind,
+    }
+}
+
+/// Prints a link; on a terminal, also as a QR code for phones.
+fn show_link(who: &str, link: &str) -> Result<(), String> {
+    line(format_args!("{who}: {link}"));
+    if !is_live() {
+        return Ok(());
+    }
+    let code = QrCode::with_error_correction_level(link, EcLevel::L);
+    let code = code.map_err(|error| format!("no QR code for {link}: {error}"))?;
+    let drawn = code.render::<Dense1x2>().build();
+    if drawn.lines().all(|row| row.chars().count() <= size().0) {
+        for row in drawn.lines() {
+            // Black on white, whatever the colours of the terminal are.
+            drawn_line(&format!("\x1b[30;47m{row}\x1b[0m"));
+        }
+    }
+    Ok(())
 }
