@@ -365,6 +365,20 @@ const scenarios = {
     await page.getByText('NOT SENT: operator at 127.0.0.1 operates').waitFor();
   },
 
+  // What a page started is aborted when it is closed, if it has chosen so.
+  async closed() {
+    const [one, other] = [await open(SIZES.tablet), await open()];
+    await start(one, 'test/sleep', '60');
+    await saying(other, '#running', 'test:sleep:60').waitFor();
+    await one.locator('#when-gone').check();
+    await one.locator('#connection[data-state=open]').waitFor();
+    await check(one, 'when-gone');
+    await one.close();
+    await other.locator('#idle').waitFor();
+    await other.locator('#ended-box summary').click();
+    await saying(other, '#ended', 'ABORTED').waitFor();
+  },
+
   async encrypted() {
     const page = await open();
     const [cookie] = await browser.cookies();

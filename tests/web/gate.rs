@@ -10,7 +10,10 @@ use crate::console::{Console, from_port, node, web};
 
 /// The status and the whole answer to a request with these headers.
 fn ask(port: &str, path: &str, headers: &str) -> (u16, String) {
-    answer(port, &format!("GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n"))
+    answer(
+        port,
+        &format!("GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n"),
+    )
 }
 
 fn answer(port: &str, request: &str) -> (u16, String) {
@@ -30,7 +33,10 @@ fn answer(port: &str, request: &str) -> (u16, String) {
 fn post(port: &str, headers: &str, form: &str) -> (u16, String) {
     let kind = "Content-Type: application/x-www-form-urlencoded";
     let headers = format!("{headers}{kind}\r\nContent-Length: {}\r\n", form.len());
-    answer(port, &format!("POST / HTTP/1.1\r\n{headers}Connection: close\r\n\r\n{form}"))
+    answer(
+        port,
+        &format!("POST / HTTP/1.1\r\n{headers}Connection: close\r\n\r\n{form}"),
+    )
 }
 
 /// A WebSocket's first request: its status, and the connection.
@@ -240,9 +246,15 @@ fn a_page_of_ones_own_and_its_forms_are_answered_as_by_the_original() {
     fs::write(&page, "<title>second</title>").expect("a file");
     for path in ["/", "/any/path/"] {
         let (status, answer) = get(path);
-        assert!(status == 200 && answer.ends_with("<title>second</title>"), "{answer}");
+        assert!(
+            status == 200 && answer.ends_with("<title>second</title>"),
+            "{answer}"
+        );
     }
-    for (path, place) in [("/logo.png", "/logo.png/"), ("//evil.example", "/evil.example/")] {
+    for (path, place) in [
+        ("/logo.png", "/logo.png/"),
+        ("//evil.example", "/evil.example/"),
+    ] {
         let (status, answer) = get(path);
         let place = format!("location: {place}\r\n");
         assert!(status == 303 && answer.contains(&place), "{answer}");
@@ -250,10 +262,18 @@ fn a_page_of_ones_own_and_its_forms_are_answered_as_by_the_original() {
     assert!(get("/console").1.contains("Stop everything"));
     let post = |form: &str| post(&port, &here, form);
     let (status, answer) = post("test%3Amark=a+b&test%3Amark=c");
-    assert!(status == 200 && answer.ends_with("<title>second</title>"), "{answer}");
-    until("the task to start", PATIENCE, || (console.marks() == 1).then_some(()));
+    assert!(
+        status == 200 && answer.ends_with("<title>second</title>"),
+        "{answer}"
+    );
+    until("the task to start", PATIENCE, || {
+        (console.marks() == 1).then_some(())
+    });
     let (status, answer) = post("port=1061");
-    assert!(status == 303 && answer.contains("location: http://127.0.0.1:1061\r\n"), "{answer}");
+    assert!(
+        status == 303 && answer.contains("location: http://127.0.0.1:1061\r\n"),
+        "{answer}"
+    );
     for (form, status) in [("nobody%3Amark=x", 200), ("test=x", 200), ("a:b:c=x", 200)] {
         assert_eq!(post(form).0, status, "{form}");
     }
@@ -276,12 +296,29 @@ fn it_says_what_is_wrong_with_its_files() {
     fs::write(&wrong, "operator x\n").expect("a file");
     let missing = scratch.path("missing").display().to_string();
     for (options, says) in [
-        (vec!["--tokens", &wrong], "wrong: expected the lines `operator TOKEN`"),
+        (
+            vec!["--tokens", &wrong],
+            "wrong: expected the lines `operator TOKEN`",
+        ),
         (vec!["--tls", &missing, &wrong], "missing: "),
-        (vec!["--tls", &wrong, &wrong], "wrong: no certificate: expected PEM"),
+        (
+            vec!["--tls", &wrong, &wrong],
+            "wrong: no certificate: expected PEM",
+        ),
     ] {
         let mut command = ztl();
-        command.args(["web", "-c", "/dev/null", "-p", "0", "--task", "ours", "localhost", "1", "/test"]);
+        command.args([
+            "web",
+            "-c",
+            "/dev/null",
+            "-p",
+            "0",
+            "--task",
+            "ours",
+            "localhost",
+            "1",
+            "/test",
+        ]);
         let ended = Process::run(command.args(&options));
         assert_eq!(ended.code, Some(2), "{options:?}: {ended:?}");
         assert!(ended.stderr.contains(says), "{options:?}: {ended:?}");

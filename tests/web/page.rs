@@ -243,11 +243,22 @@ fn a_button_of_ones_own_page_starts_one_task_a_press() {
     let console = Console::of_one();
     let page = console.files.path("page.html");
     let form = "<form method=post><button name='test:mark' value='hello'>Go</button></form>";
-    std::fs::write(&page, format!("<style>p {{ color: red }}</style><p>mine</p>{form}")).expect("a file");
+    std::fs::write(
+        &page,
+        format!("<style>p {{ color: red }}</style><p>mine</p>{form}"),
+    )
+    .expect("a file");
     let robots = [("test", console.robot.port)];
     let (_process, url) = web(0, &robots, &["-s", &page.display().to_string()]);
     passes("own", &url, &console);
     assert_eq!(console.marks(), 2);
+}
+
+#[test]
+fn what_a_closed_page_started_is_aborted_if_it_has_chosen_so() {
+    let _busy = busy();
+    let console = Console::of_one();
+    passes("closed", &console.url, &console);
 }
 
 #[test]

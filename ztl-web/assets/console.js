@@ -49,10 +49,21 @@ function onState(open) {
 
 async function greet() {
   await operator.welcome(await askClock());
+  chooseWhenGone();
   // Only now: whether a Stop is old depends on the console's clock.
   bridge.subscribe('/ztl/stop', showStop);
   show();
 }
+
+// What happens to the goals of this page when it is closed, or loses its connection: they go on, or are aborted.
+function chooseWhenGone() {
+  const abort = at('when-gone').checked;
+  bridge.call('/ztl/when_gone', { abort }).catch((error) => {
+    at('when-gone').checked = false;
+    setText(at('form-said'), `NOT CHOSEN: ${error.message}`);
+  });
+}
+at('when-gone').addEventListener('change', chooseWhenGone);
 
 // A socket does not tell why it was refused; a file does.
 async function askWhy() {
@@ -82,6 +93,8 @@ function show() {
 function showConnection() {
   const missing = robots.filter((robot) => robot.health === 'missing').length;
   const words = [operator.mayOperate ? 'connected' : 'connected, as a watcher'];
+  const running = tasks.tasks.filter((task) => task.runs).length;
+  if (running) words.push(`${running} running`);
   if (missing) words.push(`${missing} of ${robots.length} missing`);
   const lost = 'No connection to the console: what is shown is old';
   const said = at('connection');

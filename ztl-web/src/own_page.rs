@@ -129,8 +129,8 @@ fn decoded(text: &[u8]) -> Option<String> {
             b'%' => {
                 let (code, rest) = left.split_at_checked(2)?;
                 left = rest;
-                let digits = code.iter().map(|digit| char::from(*digit).to_digit(16));
-                let value = digits.fold(Some(0), |value, digit| Some(value? * 16 + digit?));
+                let mut digits = code.iter().map(|digit| char::from(*digit).to_digit(16));
+                let value = digits.try_fold(0, |value, digit| Some(value * 16 + digit?));
                 u8::try_from(value?).ok()?
             }
             other => *other,
@@ -147,11 +147,23 @@ mod tests {
     fn the_first_field_of_a_form_is_decoded() {
         let field = |form: &str| first_field(form.as_bytes());
         let pair = |name: &str, value: &str| Some((name.to_owned(), value.to_owned()));
-        assert_eq!(field("arm%3Aleft=a+b%26%C3%BC&x=y"), pair("arm:left", "a b&ü"));
+        assert_eq!(
+            field("arm%3Aleft=a+b%26%C3%BC&x=y"),
+            pair("arm:left", "a b&ü")
+        );
         assert_eq!(field("port=1061"), pair("port", "1061"));
         assert_eq!(field("a=b=c"), pair("a", "b=c"));
         assert_eq!(field("a="), pair("a", ""));
-        for wrong in ["", "a", "a=%", "a=%2", "a=%zz", "a=%+1", "a=%ff", "{\"a\": 1}"] {
+        for wrong in [
+            "",
+            "a",
+            "a=%",
+            "a=%2",
+            "a=%zz",
+            "a=%+1",
+            "a=%ff",
+            "{\"a\": 1}",
+        ] {
             assert_eq!(field(wrong), None, "{wrong}");
         }
     }
