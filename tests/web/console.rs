@@ -13,7 +13,6 @@ scopes:
       echo: echo
       sleep: sleep
       mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: '', at-once: 20}
-      slow: {shell: 'trap \"date +%s.%N >> terms; sleep 1.2; exit 1\" TERM; echo begun; while :; do sleep 0.02; done', progress: ''}
 ";
 
 /// A console for the robot `ours`, and for `gone`, which nobody serves.
@@ -99,6 +98,14 @@ impl Console {
     pub(crate) fn socket(&self) -> String {
         format!("{}rosbridge", self.url.replace("http", "ws"))
     }
+}
+
+/// The port in a console's link.
+#[track_caller]
+pub(crate) fn port(url: &str) -> u16 {
+    let digits = from_port(url);
+    let digits = digits.trim_matches(|c: char| !c.is_ascii_digit());
+    digits.parse().expect("a number")
 }
 
 /// How often the `test:mark` of a robot was started.

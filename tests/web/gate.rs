@@ -60,9 +60,7 @@ fn upgrade(port: &str, headers: &str) -> u16 {
 }
 
 fn port(url: &str) -> String {
-    from_port(url)
-        .trim_matches(|c: char| !c.is_ascii_digit())
-        .to_owned()
+    crate::console::port(url).to_string()
 }
 
 #[test]
@@ -194,6 +192,43 @@ fn one_address_gets_a_limited_number_of_sockets() {
     until("a free socket", PATIENCE, || {
         (upgrade(&port, &headers) == 101).then_some(())
     });
+}
+
+/// A connection to the console, which says nothing.
+fn silent(port: &str) -> TcpStream {
+    let stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a connection");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a limit");
+    stream
+}
+
+#[test]
+fn strangers_keep_nobody_out_and_are_closed() {
+    let robot = reserve_port();
+    let (process, _) = web(0, &[("ours", robot)], &["--host", "robot.local"]);
+    let link = process.wait_for("watchers:");
+    let (port, token) = link.split_once("/?token=").expect("a token");
+    let (_, port) = port.rsplit_once(':').expect("a port");
+    let here = "Host: robot.local\r\n";
+    let ours = format!("{here}Authorization: Bearer {}\r\n", token.trim());
+    // More than there is room for, of which none says anything.
+    let mut strangers: Vec<_> = (0..300).map(|_| silent(port)).collect();
+    assert_eq!((ask(port, "/", &ours).0, upgrade(port, &ours)), (200, 101));
+    for stranger in &mut strangers {
+        let ended = stranger.read(&mut [0; 1]);
+        assert!(matches!(ended, Ok(0) | Err(_)), "{ended:?}");
+    }
+    // Whoever is refused is not kept either, although it does not ask to be closed.
+    for headers in [here, "Host: evil.example\r\n"] {
+        let mut stream = silent(port);
+        let request = format!("GET / HTTP/1.1\r\n{headers}\r\n");
+        stream.write_all(request.as_bytes()).expect("a request");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an end");
+        assert!(
+            answer.starts_with("HTTP/1.1 40") && answer.contains("connection: close"),
+            "{answer}"
+        );
+    }
 }
 
 #[test]

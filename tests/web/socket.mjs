@@ -165,17 +165,6 @@ const scenarios = {
     assert.equal((await client.result('g')).values.state, 'COMPLETED');
   },
 
-  // Each task is asked to stop at once, although each takes its time to stop.
-  async slow() {
-    const client = await new Client().open();
-    for (let number = 0; number < 5; number += 1) client.goal(`s${number}`, 'test/slow', `${number}`);
-    const begun = (tasks) => tasks.filter((task) => task.text === 'begun' && task.runs).length === 5;
-    client.send({ op: 'subscribe', topic: '/ztl/tasks' });
-    await client.next((message) => message.topic === '/ztl/tasks' && begun(message.msg.tasks));
-    const [robot] = (await client.call('/ztl/stop')).values.robots;
-    assert.deepEqual([robot.confirmed, robot.text], [true, '5 tasks have ended']);
-  },
-
   // A server that hangs is named by Stop, in bounded time, and delays no answer about the others.
   async hanging() {
     const client = await new Client().open();

@@ -69,21 +69,6 @@ fn a_hanging_server_is_not_confirmed_and_delays_no_other() {
 }
 
 #[test]
-fn a_stop_reaches_each_of_five_slow_tasks_at_once() {
-    let console = Console::of_one();
-    passes("slow", &console.socket());
-    let terms = std::fs::read_to_string(console.files.path("terms")).expect("times");
-    let mut terms: Vec<f64> = terms
-        .lines()
-        .map(|line| line.parse().expect("a time"))
-        .collect();
-    terms.sort_by(f64::total_cmp);
-    assert_eq!(terms.len(), 5);
-    // One after another, each would wait for the answer to the one before it: 0.9 s.
-    assert!(terms[4] - terms[0] < 0.9, "{terms:?}");
-}
-
-#[test]
 fn a_task_of_a_restarted_server_is_unknown_and_not_started_again() {
     let mut console = Console::of_one();
     let mut client = start("unknown", &console.socket());

@@ -2,22 +2,27 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 use ztl_std::{Offers, RemoteId, State};
 
+use crate::aborts::AbortRequest;
+use crate::clients::Clients;
 use crate::goal::Goal;
 use crate::operator::{Client, Operator};
 use crate::past::Past;
 use crate::robots::{ConfiguredScope, Server};
+use crate::stop::Stops;
 use crate::streams::{Publisher, Streams};
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
+/// Most aborts that wait for the thread of a server.
+const WAITING: usize = 1000;
 
 /// A message that many sockets share: the value of a topic, as JSON.
 pub(crate) type Shared = Arc<str>;
@@ -39,8 +44,18 @@ pub(crate) struct Board {
     goals: Mutex<Goals>,
     /// How many sockets are open.
     pub(crate) sockets: AtomicUsize,
-    /// How many Stops are under way.
-    pub(crate) stops: AtomicUsize,
+    pub(crate) stops: Stops,
+    pub(crate) clients: Clients,
+    /// What the thread of each server is to do.
+    posts: Vec<Post>,
+    /// Held while a topic is written, so that an older value never replaces a newer one.
+    publishing: Mutex<()>,
+}
+
+/// What the thread of a server is to do besides looking.
+struct Post {
+    wake: SyncSender<()>,
+    aborts: Mutex<Vec<AbortRequest>>,
 }
 
 /// The goals of this console that have not ended.
@@ -51,7 +66,7 @@ struct Goals {
 }
 
 /// What a watcher knows of its server.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Seen {
     pub(crate) health: Health,
     /// Wall clock in ms: since when the health is so.
@@ -94,10 +109,22 @@ pub(crate) struct Task {
 }
 
 impl Board {
-    pub(crate) fn new(servers: Vec<Server>, publishers: Vec<Publisher>) -> Self {
+    /// The board, and for each server what wakes its thread.
+    pub(crate) fn new(
+        servers: Vec<Server>,
+        publishers: Vec<Publisher>,
+    ) -> (Self, Vec<Receiver<()>>) {
+        // A thread that is woken twice looks once.
+        let (wakes, woken): (Vec<_>, Vec<_>) = servers.iter().map(|_| sync_channel(1)).unzip();
+        let post = |wake| Post {
+            wake,
+            aborts: Mutex::default(),
+        };
         let topic = || watch::Sender::new(Shared::from("{}"));
         let board = Self {
             seen: Mutex::new(vec![Seen::default(); servers.len()]),
+            stops: Stops::new(servers.iter().map(|server| server.name.clone())),
+            posts: wakes.into_iter().map(post).collect(),
             servers,
             topics: Topics {
                 robots: topic(),
@@ -109,10 +136,11 @@ impl Board {
             streams: Arc::new(Streams::new(publishers)),
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
-            stops: AtomicUsize::new(0),
+            clients: Clients::default(),
+            publishing: Mutex::default(),
         };
         board.publish();
-        board
+        (board, woken)
     }
 
     /// Whether somebody looks.
@@ -120,9 +148,45 @@ impl Board {
         self.sockets.load(Ordering::Relaxed) > 0
     }
 
-    /// Whether a Stop is under way.
-    pub(crate) fn is_stopping(&self) -> bool {
-        self.stops.load(Ordering::SeqCst) > 0
+    /// Stop is pressed: aborts everything on every server. Returns the number of this press.
+    pub(crate) fn press_stop(&self, by: &str) -> u64 {
+        let press = self.stops.press(by);
+        // What was not sent yet is never sent.
+        for goal in self.goals() {
+            goal.give_up();
+        }
+        for post in &self.posts {
+            post.wake();
+        }
+        self.publish_stop();
+        press
+    }
+
+    pub(crate) fn publish_stop(&self) {
+        let _publishing = locked(&self.publishing);
+        set(&self.topics.stop, &self.stops.shown());
+    }
+
+    /// Aborts a task.
+    ///
+    /// # Errors
+    /// If too many aborts wait.
+    pub(crate) fn abort(&self, server: usize, request: AbortRequest) -> Result<(), String> {
+        let post = self.posts.get(server).ok_or("no such server")?;
+        let mut aborts = locked(&post.aborts);
+        if aborts.len() >= WAITING {
+            return Err(format!("{WAITING} aborts wait: try again"));
+        }
+        aborts.push(request);
+        drop(aborts);
+        post.wake();
+        Ok(())
+    }
+
+    /// What the thread of a server is to abort.
+    pub(crate) fn take_aborts(&self, server: usize) -> Vec<AbortRequest> {
+        let post = self.posts.get(server);
+        post.map_or_else(Vec::new, |post| std::mem::take(&mut *locked(&post.aborts)))
     }
 
     /// What is known of a server.
@@ -130,13 +194,22 @@ impl Board {
         locked(&self.seen).get(server).cloned().unwrap_or_default()
     }
 
+    /// What a scope of a server offers, if the server has told that.
+    pub(crate) fn offers(&self, server: usize, scope: &str) -> Option<Offers> {
+        let seen = locked(&self.seen);
+        seen.get(server)?.scopes.get(scope).cloned()
+    }
+
     /// Replaces what is known of a server.
     pub(crate) fn set_seen(&self, server: usize, now: Seen) {
         self.past.on_listed(&now.tasks);
-        if let Some(known) = locked(&self.seen).get_mut(server) {
+        let mut seen = locked(&self.seen);
+        let known = seen.get_mut(server).filter(|known| **known != now);
+        if let Some(known) = known {
             *known = now;
+            drop(seen);
+            self.publish();
         }
-        self.publish();
     }
 
     /// Lets a client operate if nobody does.
@@ -198,8 +271,19 @@ impl Board {
         locked(&self.goals).open.values().cloned().collect()
     }
 
+    /// The open goals of a server.
+    pub(crate) fn goals_at(&self, server: usize) -> Vec<Arc<Goal>> {
+        let goals = locked(&self.goals);
+        let own = goals
+            .open
+            .values()
+            .filter(|goal| goal.target.server == server);
+        own.cloned().collect()
+    }
+
     /// Writes the topics anew; a topic that has not changed wakes nobody.
     pub(crate) fn publish(&self) {
+        let _publishing = locked(&self.publishing);
         let seen = locked(&self.seen).clone();
         let goals = self.goals();
         set(&self.topics.robots, &self.robots(&seen));
@@ -285,6 +369,13 @@ fn unlisted_task(goal: &Goal, robot: &str) -> Option<Task> {
     })
 }
 
+impl Post {
+    fn wake(&self) {
+        // Fails if it is woken already.
+        let _ = self.wake.try_send(());
+    }
+}
+
 /// Sets a topic if its value changes.
 pub(crate) fn set(topic: &watch::Sender<Shared>, value: &Value) {
     let text = value.to_string();
@@ -295,14 +386,6 @@ pub(crate) fn set(topic: &watch::Sender<Shared>, value: &Value) {
         }
         changed
     });
-}
-
-/// Milliseconds since 1970.
-pub(crate) fn wall_clock_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| {
-        u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-    })
 }
 
 pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

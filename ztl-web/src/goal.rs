@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ztl_std::RemoteId;
 
+use crate::clock;
 use crate::robots::Target;
 
 /// A goal that was asked for.
@@ -13,21 +14,26 @@ pub(crate) struct Goal {
     pub(crate) goal: String,
     /// Who asked for it.
     pub(crate) by: String,
+    /// Until when it may be sent, by the console's clock.
+    pub(crate) not_after_ms: u64,
     id: OnceLock<RemoteId>,
     cancelled: AtomicBool,
-    aborting: AtomicBool,
+    settled: AtomicBool,
+    ended: AtomicBool,
     left: AtomicBool,
 }
 
 impl Goal {
-    pub(crate) fn new(target: Target, goal: String, by: String) -> Self {
+    pub(crate) fn new(target: Target, goal: String, by: String, not_after_ms: u64) -> Self {
         Self {
             target,
             goal,
             by,
+            not_after_ms,
             id: OnceLock::new(),
             cancelled: AtomicBool::new(false),
-            aborting: AtomicBool::new(false),
+            settled: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
             left: AtomicBool::new(false),
         }
     }
@@ -40,6 +46,16 @@ impl Goal {
     pub(crate) fn set_id(&self, id: RemoteId) {
         // The goal's own thread sets it once.
         let _ = self.id.set(id);
+        self.settle();
+    }
+
+    /// Notes that no task can start from now on whose id is not known.
+    pub(crate) fn settle(&self) {
+        self.settled.store(true, Ordering::SeqCst);
+    }
+
+    pub(crate) fn is_settled(&self) -> bool {
+        self.settled.load(Ordering::SeqCst)
     }
 
     /// Keeps it from being sent, or lets its thread abort it when it is accepted.
@@ -51,18 +67,23 @@ impl Goal {
         self.cancelled.load(Ordering::SeqCst)
     }
 
-    /// Whether the caller is to send an ABORT: no other one is on its way.
-    pub(crate) fn begin_abort(&self) -> bool {
-        !self.aborting.swap(true, Ordering::SeqCst)
+    /// Whether it is too late to send it.
+    pub(crate) fn is_late(&self) -> bool {
+        clock::now_ms() > self.not_after_ms
     }
 
-    pub(crate) fn end_abort(&self) {
-        self.aborting.store(false, Ordering::SeqCst);
+    /// Notes that nothing is waited for any more.
+    pub(crate) fn end(&self) {
+        self.ended.store(true, Ordering::SeqCst);
     }
 
-    /// Notes that its client has gone, so that its thread does not wait for a server that is gone, too.
-    pub(crate) fn leave(&self) {
-        self.left.store(true, Ordering::SeqCst);
+    pub(crate) fn has_ended(&self) -> bool {
+        self.ended.load(Ordering::SeqCst)
+    }
+
+    /// Notes whether its client has gone: its thread then does not wait for a server that is gone, too.
+    pub(crate) fn set_left(&self, left: bool) {
+        self.left.store(left, Ordering::SeqCst);
     }
 
     pub(crate) fn is_left(&self) -> bool {

@@ -2,7 +2,7 @@
 
 use std::io;
 use std::net::{IpAddr, TcpListener};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::body::Bytes;
@@ -18,18 +18,21 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpStream;
 use tokio::task::spawn_blocking;
-use tokio::time::timeout;
 
-use crate::board::Board;
+use crate::board::{Board, locked};
 use crate::gate::{Gate, Role, name_of, token_in};
 use crate::own_page::{OwnPage, Posted};
-use crate::places::Places;
+use crate::places::{Place, Places, Stranger, Strangers};
 use crate::socket;
 use crate::tls::Tls;
 
-/// Most connections, and most of one address.
+/// Most connections that have shown that they may look, and most of one address.
 const CONNECTIONS: (usize, usize) = (256, 64);
+/// The same of the others, and how long they may take to show it.
+const STRANGERS: (usize, usize) = (64, 8);
+const STRANGER: Duration = Duration::from_secs(5);
 /// Most sockets, and most of one address.
 const SOCKETS: (usize, usize) = (128, 32);
 /// How long a browser may take for the head of a request, and to agree on encryption.
@@ -83,9 +86,40 @@ const LOCKED: &str = "<!DOCTYPE html><html lang=\"en\"><title>ZTL console: no ac
 struct Console {
     board: Arc<Board>,
     gate: Arc<Gate>,
+    connections: Places,
     page: Option<Arc<OwnPage>>,
     is_encrypted: bool,
     sockets: Places,
+}
+
+/// A browser's connection: a stranger's until a request of it has passed the gate.
+struct Connection {
+    address: IpAddr,
+    stands: Mutex<Standing>,
+}
+
+enum Standing {
+    Stranger { _place: Stranger },
+    Admitted { _place: Place },
+}
+
+impl Connection {
+    fn is_stranger(&self) -> bool {
+        matches!(*locked(&self.stands), Standing::Stranger { .. })
+    }
+
+    /// A request has passed the gate; returns whether there is room for the connection.
+    fn admit(&self, connections: &Places) -> bool {
+        if !self.is_stranger() {
+            return true;
+        }
+        let place = connections.take(self.address);
+        let admitted = place.map(|place| Standing::Admitted { _place: place });
+        // Outside of the lock: dropping a place locks others.
+        let before =
+            admitted.map(|admitted| std::mem::replace(&mut *locked(&self.stands), admitted));
+        before.is_some()
+    }
 }
 
 /// Serves connections until the process ends.
@@ -103,11 +137,12 @@ pub(crate) async fn accept(
     let app = router(Console {
         board,
         gate: Arc::new(gate),
+        connections: Places::new(CONNECTIONS.0, CONNECTIONS.1),
         page: page.map(Arc::new),
         is_encrypted: tls.is_some(),
         sockets: Places::new(SOCKETS.0, SOCKETS.1),
     });
-    let places = Places::new(CONNECTIONS.0, CONNECTIONS.1);
+    let strangers = Strangers::new(STRANGERS.0, STRANGERS.1);
     loop {
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
@@ -117,25 +152,41 @@ pub(crate) async fn accept(
                 continue;
             }
         };
-        let Some(place) = places.take(peer.ip()) else {
-            continue;
-        };
         // A short message must not wait for a longer one.
         let _ = stream.set_nodelay(true);
-        let app = app.clone().layer(Extension(peer.ip()));
         let tls = tls.clone();
-        tokio::spawn(async move {
-            match tls {
-                None => answer(stream, app).await,
-                Some(Tls(acceptor)) => {
-                    // A browser that does not trust the certificate breaks off.
-                    if let Ok(Ok(stream)) = timeout(HEAD, acceptor.accept(stream)).await {
-                        answer(stream, app).await;
-                    }
+        strangers.add(peer.ip(), |stranger| {
+            let connection = Arc::new(Connection {
+                address: peer.ip(),
+                stands: Mutex::new(Standing::Stranger { _place: stranger }),
+            });
+            tokio::spawn(serve(stream, tls, app.clone(), connection)).abort_handle()
+        });
+    }
+}
+
+async fn serve(stream: TcpStream, tls: Option<Tls>, app: Router, connection: Arc<Connection>) {
+    let app = app.layer(Extension(Arc::clone(&connection)));
+    let served = async {
+        match tls {
+            None => answer(stream, app).await,
+            Some(Tls(acceptor)) => {
+                // A browser that does not trust the certificate breaks off.
+                if let Ok(stream) = acceptor.accept(stream).await {
+                    answer(stream, app).await;
                 }
             }
-            drop(place);
-        });
+        }
+    };
+    let too_long = async {
+        tokio::time::sleep(STRANGER).await;
+        if !connection.is_stranger() {
+            std::future::pending::<()>().await;
+        }
+    };
+    tokio::select! {
+        () = served => {}
+        () = too_long => {}
     }
 }
 
@@ -172,22 +223,29 @@ fn router(console: Console) -> Router {
     router.layer(limit).layer(checked).with_state(console)
 }
 
-/// Checks who may; a link with a token becomes a cookie.
+/// Checks who may; a link with a token becomes a cookie. The connection of whoever may nothing is closed.
 async fn check(
     State(console): State<Console>,
-    Extension(peer): Extension<IpAddr>,
+    Extension(connection): Extension<Arc<Connection>>,
     mut request: Request,
     next: Next,
 ) -> Response {
     let is_page = request.uri().path() == "/";
     let query = request.uri().query();
     let token = token_in(query).filter(|token| console.gate.role_of(token).is_some());
-    let checked = console.gate.check(peer, request.headers(), query);
+    let checked = console
+        .gate
+        .check(connection.address, request.headers(), query);
+    let closed = [(header::CONNECTION, "close")];
     let mut response = match (checked, token) {
         (Err((StatusCode::UNAUTHORIZED, _)), _) if is_page => {
-            (StatusCode::UNAUTHORIZED, Html(LOCKED)).into_response()
+            (StatusCode::UNAUTHORIZED, closed, Html(LOCKED)).into_response()
         }
-        (Err((status, why)), _) => (status, why).into_response(),
+        (Err((status, why)), _) => (status, closed, why).into_response(),
+        (Ok(_), _) if !connection.admit(&console.connections) => {
+            let why = "too many connections are open\n";
+            (StatusCode::TOO_MANY_REQUESTS, closed, why).into_response()
+        }
         (Ok(_), Some(token)) if is_page => link(&console, token),
         (Ok(role), _) => {
             request.extensions_mut().insert(role);
@@ -249,13 +307,13 @@ async fn own_page(page: &OwnPage, path: &str) -> Response {
 /// A form of one's own page.
 async fn post(
     State((console, page)): State<(Console, Arc<OwnPage>)>,
-    Extension(address): Extension<IpAddr>,
+    Extension(connection): Extension<Arc<Connection>>,
     Extension(role): Extension<Role>,
     uri: Uri,
     headers: HeaderMap,
     form: Bytes,
 ) -> Response {
-    match page.post(&console.board, &form, role, address) {
+    match page.post(&console.board, &form, role, connection.address) {
         Ok(Posted::Page) => own_page(&page, &format!("{}/", uri.path())).await,
         Ok(Posted::Port(port)) => {
             let host = headers
@@ -275,10 +333,11 @@ async fn post(
 
 async fn upgrade(
     State(console): State<Console>,
-    Extension(address): Extension<IpAddr>,
+    Extension(connection): Extension<Arc<Connection>>,
     Extension(role): Extension<Role>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
+    let address = connection.address;
     let Some(place) = console.sockets.take(address) else {
         let why = "too many sockets are open\n";
         return (StatusCode::TOO_MANY_REQUESTS, why).into_response();

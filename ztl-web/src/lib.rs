@@ -1,10 +1,14 @@
 //! The web console: what all robots do, and a Stop for all of them, in a browser and for any rosbridge client.
 //!
-//! [`serve`] watches each server on a thread of its own (`watcher`), starts goals on threads
+//! [`serve`] watches each server, and sends it ABORTs, on a thread of its own (`server_thread`), starts goals on threads
 //! (`goals`), and tells every socket (`socket`) what changed on the `board`. The page in `assets/` is one
 //! rosbridge client among others.
 
+mod aborts;
 mod board;
+mod clients;
+mod clock;
+mod cut;
 mod gate;
 mod goal;
 mod goals;
@@ -16,12 +20,12 @@ mod picture;
 mod places;
 mod robots;
 mod rosbridge;
+mod server_thread;
 mod socket;
 mod stop;
 mod streams;
 mod tls;
 mod tokens;
-mod watcher;
 
 use std::io;
 use std::net::TcpListener;
@@ -65,10 +69,11 @@ pub fn serve(options: Options) -> io::Result<()> {
         page,
         tls,
     } = options;
-    let page = page.map(|path| own_page::OwnPage::new(path, &robots));
-    let console = Arc::new(board::Board::new(robots::group(robots), publishers));
-    for server in 0..console.servers.len() {
-        watcher::spawn(&console, server)?;
+    let page = page.map(own_page::OwnPage::new);
+    let (console, woken) = board::Board::new(robots::group(robots), publishers);
+    let console = Arc::new(console);
+    for (server, woken) in woken.into_iter().enumerate() {
+        server_thread::spawn(&console, server, woken)?;
     }
     streams::spawn(&console.streams)?;
     listener.set_nonblocking(true)?;

@@ -4,7 +4,8 @@ use std::sync::Mutex;
 
 use serde::Serialize;
 
-use crate::board::{locked, wall_clock_ms};
+use crate::board::locked;
+use crate::clock::now_ms;
 use crate::gate::Role;
 
 /// A client: one socket of a page or a program.
@@ -47,7 +48,7 @@ impl Operator {
     pub(crate) fn new() -> Self {
         Self {
             // A console that starts later counts from later, because no client takes less than a millisecond.
-            next: Mutex::new(wall_clock_ms()),
+            next: Mutex::new(now_ms()),
             now: Mutex::default(),
         }
     }
@@ -126,7 +127,7 @@ impl Operates {
     fn since_now(client: &Client) -> Self {
         Self {
             client: client.clone(),
-            since_ms: wall_clock_ms(),
+            since_ms: now_ms(),
         }
     }
 }

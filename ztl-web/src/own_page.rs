@@ -1,6 +1,5 @@
 //! A page of one's own instead of the console's, and its forms, as the original's `ztl_web` serves them.
 
-use std::collections::HashMap;
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -9,18 +8,17 @@ use std::time::{Duration, Instant};
 use axum::http::StatusCode;
 
 use crate::board::{Board, locked};
+use crate::clock::now_ms;
 use crate::gate::Role;
 use crate::goal::Goal;
-use crate::goals;
-use crate::robots::{Robot, Target};
+use crate::goals::{self, LATEST_MS};
+use crate::robots::Target;
 
 /// A press that follows sooner belongs to the one before: a double click, or a held key.
 const SAME_PRESS: Duration = Duration::from_millis(600);
 
 pub(crate) struct OwnPage {
     pub(crate) path: PathBuf,
-    /// Endpoint and scope of each robot: forms name a robot where others name a handler.
-    robots: HashMap<String, (String, String)>,
     last: Mutex<Option<(IpAddr, String, Instant)>>,
 }
 
@@ -34,14 +32,9 @@ pub(crate) enum Posted {
 }
 
 impl OwnPage {
-    pub(crate) fn new(path: PathBuf, robots: &[Robot]) -> Self {
-        let place = |robot: &Robot| {
-            let place = (robot.endpoint.clone(), robot.scope.clone());
-            (robot.name.clone(), place)
-        };
+    pub(crate) fn new(path: PathBuf) -> Self {
         Self {
             path,
-            robots: robots.iter().map(place).collect(),
             last: Mutex::default(),
         }
     }
@@ -74,7 +67,7 @@ impl OwnPage {
             tracing::warn!("no command: a field '{name}'");
             return Ok(Posted::Page);
         };
-        let Some(target) = self.target(board, handler, component) else {
+        let Some(target) = target(board, handler, component) else {
             tracing::warn!("no robot '{handler}' for a field '{name}'");
             return Ok(Posted::Page);
         };
@@ -88,22 +81,12 @@ impl OwnPage {
         if self.is_same_press(address, &format!("{name}={value}")) {
             return Ok(Posted::Page);
         }
-        let goal = Arc::new(Goal::new(target, value, format!("page at {address}")));
+        let (by, not_after) = (format!("page at {address}"), now_ms() + LATEST_MS);
+        let goal = Arc::new(Goal::new(target, value, by, not_after));
         match goals::start(&goal, board, Box::new(|_| {})) {
             Ok(()) => Ok(Posted::Page),
             Err(why) => refused(StatusCode::SERVICE_UNAVAILABLE, why),
         }
-    }
-
-    fn target(&self, board: &Board, handler: &str, component: &str) -> Option<Target> {
-        let (endpoint, scope) = self.robots.get(handler)?;
-        let mut servers = board.servers.iter();
-        Some(Target {
-            server: servers.position(|server| server.endpoint == *endpoint)?,
-            scope: scope.clone(),
-            handler: handler.to_owned(),
-            component: component.to_owned(),
-        })
     }
 
     fn is_same_press(&self, address: IpAddr, form: &str) -> bool {
@@ -114,6 +97,18 @@ impl OwnPage {
         *last = Some((address, form.to_owned(), Instant::now()));
         same
     }
+}
+
+/// The component that a form means: it names a robot where others name a handler.
+fn target(board: &Board, robot: &str, component: &str) -> Option<Target> {
+    let mut servers = board.servers.iter().enumerate();
+    let (server, scope) = servers.find_map(|(index, of)| Some((index, of.scope_of(robot)?)))?;
+    Some(Target {
+        server,
+        scope: scope.to_owned(),
+        handler: robot.to_owned(),
+        component: component.to_owned(),
+    })
 }
 
 /// The first field of a form and its value.

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use ztl_std::RemoteId;
 
-use crate::board::{Task, locked, wall_clock_ms};
+use crate::board::{Task, locked};
+use crate::clock::now_ms;
 
 /// Most tasks that are kept, and for how long, in ms.
 const KEPT: usize = 2000;
@@ -82,7 +83,7 @@ impl Past {
 
     /// A server lists these tasks.
     pub(crate) fn on_listed(&self, tasks: &[Task]) {
-        let now = wall_clock_ms();
+        let now = now_ms();
         let mut inner = locked(&self.0);
         // A server lists the newest first.
         for task in tasks.iter().rev().filter(|task| !task.runs) {

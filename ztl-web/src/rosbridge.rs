@@ -43,6 +43,9 @@ pub(crate) enum Incoming {
 pub(crate) struct GoalArgs {
     #[serde(default)]
     pub(crate) goal: String,
+    /// Until when it may be sent, by the console's clock.
+    #[serde(default)]
+    pub(crate) not_after_ms: Option<f64>,
 }
 
 /// GoalStatus of action_msgs.

@@ -1,10 +1,8 @@
 //! One client's socket: reads its messages, and writes answers and what it subscribed to.
 
-use std::collections::HashMap;
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
-use std::thread;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use axum::extract::ws::{Message, WebSocket};
@@ -12,18 +10,20 @@ use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt as _, StreamExt as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::time::{interval, timeout};
 use ztl_std::RemoteId;
 
-use crate::board::{Board, Shared, locked, wall_clock_ms};
+use crate::aborts::AbortRequest;
+use crate::board::{Board, Shared};
+use crate::clients::Client;
+use crate::clock::now_ms;
 use crate::gate::Role;
 use crate::goal::Goal;
-use crate::goals::{self, News};
-use crate::operator;
+use crate::goals::{self, LATEST_MS, News, TOO_LATE};
 use crate::rosbridge::{self, GoalArgs, Incoming};
 use crate::streams::Listener;
-use crate::{robots, stop};
+use crate::{operator, robots};
 
 /// Answers that wait to be written.
 const QUEUE: usize = 256;
@@ -33,17 +33,16 @@ const WRITE: Duration = Duration::from_secs(10);
 const SILENCE: Duration = Duration::from_secs(60);
 /// How often a client is pinged, and told the state of the robots even if nothing changed.
 const BEAT: Duration = Duration::from_secs(2);
-/// Most goals of one client at a time.
-const GOALS: usize = 32;
-/// Most single aborts at a time; each has a thread.
-const ABORTS: usize = 64;
+/// Most Stops and single aborts of a socket whose answers it waits for.
+const ANSWERS: usize = 64;
 /// Messages and goals in a second, and how many at once.
 const MESSAGES: (f64, f64) = (50.0, 100.0);
 const GOAL_RATE: (f64, f64) = (10.0, 20.0);
 /// Longest id of a client's goal.
 const ID: usize = 256;
 
-enum Out {
+/// What is written to a client, or what it wants to hear.
+pub(crate) enum Out {
     Text(String),
     Subscribe(Topic, bool),
     /// A publisher's streams.
@@ -51,7 +50,7 @@ enum Out {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Topic {
+pub(crate) enum Topic {
     Robots,
     Tasks,
     Stop,
@@ -83,21 +82,25 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
     let (write, read) = socket.split();
     let (out, queue) = mpsc::channel(QUEUE);
     board.sockets.fetch_add(1, Ordering::Relaxed);
-    let mut client = Client {
+    let client = Arc::<Client>::default();
+    client.attach(out.clone());
+    let mut reader = Reader {
         board: Arc::clone(&board),
         who: board.operator.client(role, address),
         out,
-        goals: Arc::default(),
+        client,
+        has_started: false,
+        answers: Arc::new(Semaphore::new(ANSWERS)),
         aborts_when_gone: false,
         messages: Rate::new(MESSAGES),
         goal_rate: Rate::new(GOAL_RATE),
     };
     tokio::select! {
-        () = client.read(read) => {}
+        () = reader.read(read) => {}
         () = written(write, queue, &board) => {}
     }
     board.sockets.fetch_sub(1, Ordering::Relaxed);
-    client.leave();
+    reader.leave();
 }
 
 /// Writes until the client is gone.
@@ -159,21 +162,23 @@ async fn written(
     }
 }
 
-type Goals = Arc<Mutex<HashMap<String, Arc<Goal>>>>;
-
-struct Client {
+/// Reads what a client wants.
+struct Reader {
     board: Arc<Board>,
     who: operator::Client,
     out: mpsc::Sender<Out>,
-    /// Open goals by the client's ids.
-    goals: Goals,
+    client: Arc<Client>,
+    /// Whether a goal came over this socket.
+    has_started: bool,
+    /// Limits the answers that come later.
+    answers: Arc<Semaphore>,
     /// Whether its goals are aborted when it is gone.
     aborts_when_gone: bool,
     messages: Rate,
     goal_rate: Rate,
 }
 
-impl Client {
+impl Reader {
     async fn read(&mut self, mut from: SplitStream<WebSocket>) {
         while let Ok(Some(Ok(message))) = timeout(SILENCE, from.next()).await {
             let answer = match &message {
@@ -203,7 +208,9 @@ impl Client {
         // What stops something is never limited.
         let stops = match &message {
             Incoming::CancelActionGoal { .. } => true,
-            Incoming::CallService { service, .. } => service == "/ztl/stop",
+            Incoming::CallService { service, .. } => {
+                matches!(service.as_str(), "/ztl/stop" | "/ztl/abort")
+            }
             _ => false,
         };
         if !self.messages.allows() && !stops {
@@ -254,69 +261,59 @@ impl Client {
         if id.len() > ID {
             return Err(format!("the id is longer than {ID} bytes"));
         }
-        let target = robots::find(&self.board.servers, action)?;
         if !self.goal_rate.allows() {
             return Err("too many goals: send fewer".to_owned());
         }
+        let now = now_ms();
+        let not_after = args.not_after_ms.map_or(u64::MAX, |ms| ms as u64);
+        if now > not_after {
+            return Err(format!(
+                "{TOO_LATE}: it arrived {} ms after its time",
+                now - not_after
+            ));
+        }
+        let not_after = not_after.min(now + LATEST_MS);
+        let offers = |server, scope: &str| self.board.offers(server, scope);
+        let target = robots::find(&self.board.servers, offers, action)?;
         self.board.begins_to_operate(&self.who)?;
-        let goal = Arc::new(Goal::new(target, args.goal, self.who.by.clone()));
-        let mut open = locked(&self.goals);
-        if open.len() >= GOALS {
-            return Err(format!(
-                "{GOALS} goals of this client are open: wait for one to end"
-            ));
-        }
-        if open.contains_key(id) {
-            return Err(format!(
-                "a goal with the id '{id}' is open: it was not sent again"
-            ));
-        }
-        open.insert(id.to_owned(), Arc::clone(&goal));
-        drop(open);
-        let (open, out) = (Arc::clone(&self.goals), self.out.clone());
-        let (key, action) = (id.to_owned(), action.to_owned());
+        let by = self.who.by.clone();
+        let goal = Arc::new(Goal::new(target, args.goal, by, not_after));
+        self.client.begin(id, action, &goal)?;
+        self.has_started = true;
+        let (client, key, action) = (Arc::clone(&self.client), id.to_owned(), action.to_owned());
         let tell = move |news| match news {
-            News::Progress(text) if feedback => {
-                // A client that does not keep up misses progress, never the outcome.
-                let _ = out.try_send(Out::Text(rosbridge::action_feedback(&key, &action, &text)));
-            }
+            News::Progress(text) if feedback => client.progress(&key, &action, &text),
             News::Progress(_) => {}
-            News::Ended(outcome) => {
-                locked(&open).remove(&key);
-                // Fails if the client is gone.
-                let text = rosbridge::action_result(&key, &action, &outcome);
-                let _ = out.blocking_send(Out::Text(text));
-            }
+            News::Ended(outcome) => client.end(&key, &outcome),
         };
-        goals::start(&goal, &self.board, Box::new(tell)).inspect_err(|_| {
-            locked(&self.goals).remove(id);
-        })
+        goals::start(&goal, &self.board, Box::new(tell)).inspect_err(|_| self.client.forget(id))
     }
 
     fn cancel(&self, id: &str, action: &str) -> Result<(), String> {
-        let goal = locked(&self.goals).get(id).cloned();
-        // It may have ended while the cancel was on its way.
-        let Some(goal) = goal else {
-            return Err(format!("no open goal '{id}' of {action} on this socket"));
-        };
-        let cancelled = goals::cancel(&goal, &self.board);
-        cancelled.map_err(|error| format!("no thread for the cancel: {error}"))
+        let goal = self.client.goal(id);
+        let goal = goal.ok_or_else(|| format!("no goal '{id}' of '{action}' is open"))?;
+        goals::cancel(&goal, &self.board)
     }
 
     fn call(&mut self, id: Option<Value>, service: String, args: Value) -> Option<Out> {
         let told = match service.as_str() {
             "/ztl/robots" => self.newest(Topic::Robots),
             "/ztl/tasks" => self.newest(Topic::Tasks),
+            "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
             "/ztl/when_gone" => self.when_gone(&args),
             "/ztl/past" => self.board.past.find(args),
             "/ztl/operate" => self.board.take_over(&self.who, &args),
-            "/ztl/abort" | "/ztl/stop" => {
-                // The answer comes from a thread.
-                let why = self.stop(id.clone(), &service, args).err()?;
-                Err(why)
-            }
+            "/ztl/resume" => self.resume(&args),
+            "/ztl/stop" => match self.stop(id.clone()) {
+                Ok(()) => return None,
+                Err(why) => Err(why),
+            },
+            "/ztl/abort" => match self.abort(id.clone(), args) {
+                Ok(()) => return None,
+                Err(why) => Err(why),
+            },
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/abort, /ztl/stop, /ztl/operate and /ztl/when_gone"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
@@ -339,7 +336,7 @@ impl Client {
             let operates = self.who.role == Role::Operator;
             members.insert("may_operate".to_owned(), json!(operates));
             members.insert("client".to_owned(), json!(self.who.number));
-            members.insert("now_ms".to_owned(), json!(wall_clock_ms()));
+            members.insert("now_ms".to_owned(), json!(now_ms()));
         }
         Ok(value)
     }
@@ -350,63 +347,81 @@ impl Client {
         Ok(json!({ "abort": self.aborts_when_gone }))
     }
 
-    /// Aborts one task or everything, on a thread that sends the answer.
-    fn stop(&self, id: Option<Value>, service: &str, args: Value) -> Result<(), String> {
-        static BUSY: AtomicUsize = AtomicUsize::new(0);
+    /// The client has a name, by which it finds its goals again.
+    fn resume(&mut self, args: &Value) -> Result<Value, String> {
+        let name = args.get("client").and_then(Value::as_str);
+        let name = name.ok_or("expected {\"client\": a secret name}")?;
+        if self.has_started {
+            return Err("resume before the first goal of a socket".to_owned());
+        }
+        self.client = self.board.clients.named(name)?;
+        Ok(self.client.attach(self.out.clone()))
+    }
+
+    /// Aborts everything. The answer follows when all is decided.
+    fn stop(&self, id: Option<Value>) -> Result<(), String> {
+        let press = self.board.press_stop(&self.who.by);
+        let board = Arc::clone(&self.board);
+        let told = async move { Ok(board.stops.answer(press).await) };
+        self.answer_later(id, "/ztl/stop", told)
+    }
+
+    /// Aborts one task. The answer follows when it is known.
+    fn abort(&self, id: Option<Value>, args: Value) -> Result<(), String> {
         #[derive(Deserialize)]
         struct Named {
             robot: String,
             scope: String,
             id: RemoteId,
         }
-        let named = match service {
-            "/ztl/abort" => {
-                let named: Named = serde_json::from_value(args)
-                    .map_err(|error| format!("expected robot, scope and id of a task: {error}"))?;
-                if BUSY.load(Ordering::Relaxed) >= ABORTS {
-                    return Err(format!("{ABORTS} aborts are under way: try again"));
-                }
-                BUSY.fetch_add(1, Ordering::Relaxed);
-                Some(named)
-            }
-            _ => None,
+        let wrong = |error| format!("expected robot, scope and id of a task: {error}");
+        let named: Named = serde_json::from_value(args).map_err(wrong)?;
+        let mut servers = self.board.servers.iter();
+        let server = servers.position(|server| server.name == named.robot);
+        let server = server.ok_or_else(|| format!("no robot '{}'", named.robot))?;
+        let (told, telling) = oneshot::channel();
+        let request = AbortRequest::told((named.scope, named.id), told);
+        self.board.abort(server, request)?;
+        let told = async {
+            telling
+                .await
+                .unwrap_or_else(|_| Err("it may still run".to_owned()))
         };
-        let is_abort = named.is_some();
-        let (board, by, out) = (
-            Arc::clone(&self.board),
-            self.who.by.clone(),
-            self.out.clone(),
-        );
-        let service = service.to_owned();
-        let spawned = thread::Builder::new()
-            .name("ztl-web-stop".to_owned())
-            .spawn(move || {
-                let told = match named {
-                    Some(Named { robot, scope, id }) => {
-                        let told = stop::one(&board, &robot, &scope, &id);
-                        BUSY.fetch_sub(1, Ordering::Relaxed);
-                        told
-                    }
-                    None => stop::all(&board, &by),
-                };
-                let answer = rosbridge::service_response(id.as_ref(), &service, told);
-                let _ = out.blocking_send(Out::Text(answer));
-            });
-        spawned.map(drop).map_err(|error| {
-            if is_abort {
-                BUSY.fetch_sub(1, Ordering::Relaxed);
+        self.answer_later(id, "/ztl/abort", told)
+    }
+
+    /// Answers a call when the answer is known. Neither a thread nor the client's other messages wait for it.
+    fn answer_later(
+        &self,
+        id: Option<Value>,
+        service: &'static str,
+        told: impl Future<Output = Result<Value, String>> + Send + 'static,
+    ) -> Result<(), String> {
+        let place = Arc::clone(&self.answers).try_acquire_owned();
+        let place = place.map_err(|_| {
+            format!("it was sent, but {ANSWERS} answers are awaited already: no answer will follow")
+        })?;
+        let out = self.out.clone();
+        tokio::spawn(async move {
+            tokio::select! {
+                told = told => {
+                    let answer = rosbridge::service_response(id.as_ref(), service, told);
+                    // Fails if the client is gone.
+                    let _ = out.send(Out::Text(answer)).await;
+                }
+                () = out.closed() => {}
             }
-            format!("no thread: {error}")
-        })
+            drop(place);
+        });
+        Ok(())
     }
 
     /// The client is gone: leaves or aborts what it started, as it has chosen.
     fn leave(&self) {
         self.board.client_left(&self.who);
-        for goal in locked(&self.goals).values() {
-            goal.leave();
+        for goal in self.client.leave(&self.out) {
             if self.aborts_when_gone
-                && let Err(error) = goals::cancel(goal, &self.board)
+                && let Err(error) = goals::cancel(&goal, &self.board)
             {
                 tracing::error!("a goal of a client that is gone was not aborted: {error}");
             }

@@ -1,243 +1,170 @@
-//! Stop: aborts every task on every server, and tells for each robot whether it has confirmed that nothing runs.
+//! Stop: aborts every task on every server, and tells for each robot whether it has confirmed that nothing runs. The thread
+//! of each server does that ([`server_thread`](crate::server_thread)); here is what they have decided.
 
-use std::collections::HashMap;
-use std::sync::atomic::Ordering;
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::sync::Mutex;
 
-use serde::Serialize;
 use serde_json::{Value, json};
-use ztl_std::{RemoteId, ServerTask};
+use tokio::sync::watch;
 
-use crate::board::{Board, locked, set, wall_clock_ms};
-use crate::robots::{Connect, Server};
-use crate::watcher::PATIENCE;
+use crate::board::locked;
+use crate::clock::now_ms;
+use crate::cut;
 
-/// How long a robot may take to stop its tasks until it counts as not confirmed.
-const LIMIT: Duration = Duration::from_secs(4);
-/// Between two looks at the tasks of a server.
-const LOOK_AGAIN: Duration = Duration::from_millis(20);
-/// Most Stops at a time.
-const MOST: usize = 8;
-/// How long an ABORT may take to be answered until it is sent again. A server holds the answer for up to 1.5 s.
-const ABORT: Duration = Duration::from_secs(2);
-/// Most ABORTs to a server at a time; each has a thread.
-const MOST_ABORTS: usize = 128;
-/// Most tasks that a message names.
-const NAMED: usize = 5;
+/// All presses of Stop. A press during another one joins it: each server that has decided looks again.
+pub(crate) struct Stops {
+    state: Mutex<Presses>,
+    /// The last press for which every server has decided.
+    decided: watch::Sender<u64>,
+}
 
-/// Whether a robot has confirmed that nothing runs.
-#[derive(Debug, Clone, Serialize)]
-struct Confirmation {
-    robot: String,
-    /// `null` until it is decided.
-    confirmed: Option<bool>,
+struct Presses {
+    /// How often Stop was pressed.
+    pressed: u64,
+    /// Who pressed it last, and when.
+    by: String,
+    at_ms: u64,
+    servers: Vec<Decision>,
+}
+
+/// Whether a server has confirmed that nothing runs.
+struct Decision {
+    name: String,
+    /// For which press it is decided.
+    press: u64,
+    confirmed: bool,
     text: String,
 }
 
-/// Stops everything. Returns, and publishes on the way, what each robot has confirmed.
-///
-/// # Errors
-/// If too many Stops are under way, which stop everything already.
-pub(crate) fn all(board: &Arc<Board>, by: &str) -> Result<Value, String> {
-    let others = board.stops.fetch_add(1, Ordering::SeqCst);
-    let told = match others < MOST {
-        true => Ok(stop(board, by)),
-        false => Err(format!("{MOST} Stops are under way")),
-    };
-    board.stops.fetch_sub(1, Ordering::SeqCst);
-    told
-}
-
-fn stop(board: &Arc<Board>, by: &str) -> Value {
-    // What was not sent yet is never sent.
-    for goal in board.goals() {
-        goal.give_up();
-    }
-    let waiting = |server: &Server| Confirmation {
-        robot: server.name.clone(),
-        confirmed: None,
-        text: "no answer yet".to_owned(),
-    };
-    let all: Vec<Confirmation> = board.servers.iter().map(waiting).collect();
-    let (at, all) = (wall_clock_ms(), Mutex::new(all));
-    let publish = || {
-        let told = json!({ "by": by, "at_ms": at, "robots": &*locked(&all) });
-        set(&board.topics.stop, &told);
-        told
-    };
-    publish();
-    thread::scope(|scope| {
-        for (index, server) in board.servers.iter().enumerate() {
-            let (all, publish) = (&all, &publish);
-            let spawned = thread::Builder::new().spawn_scoped(scope, move || {
-                let told = server_stops(board, index, server);
-                decide(all, index, told);
-                publish();
-            });
-            if let Err(error) = spawned {
-                decide(all, index, Err(format!("no thread: {error}")));
-            }
-        }
-    });
-    publish()
-}
-
-fn decide(all: &Mutex<Vec<Confirmation>>, index: usize, told: Result<String, String>) {
-    if let Some(robot) = locked(all).get_mut(index) {
-        robot.confirmed = Some(told.is_ok());
-        robot.text = told.unwrap_or_else(|why| why);
-    }
-}
-
-/// Aborts every task of a server until it says that none runs.
-///
-/// # Errors
-/// Why that is not certain.
-fn server_stops(board: &Board, index: usize, server: &Server) -> Result<String, String> {
-    let deadline = Instant::now() + LIMIT;
-    let mut aborts = Aborts {
-        connect: Arc::clone(&server.connect),
-        sent: HashMap::new(),
-        answers: channel(),
-        failed: None,
-    };
-    let mut remote = (server.connect)("$ztl")?.with_timeout(PATIENCE);
-    loop {
-        let own: Vec<_> = board.goals();
-        let own: Vec<_> = own
-            .iter()
-            .filter(|goal| goal.target.server == index)
-            .collect();
-        let listed = match remote.tasks() {
-            Ok(Some(listed)) => listed,
-            Ok(None) => {
-                for goal in &own {
-                    if let Some(id) = goal.id() {
-                        aborts.abort(&goal.target.scope, id);
-                    }
-                }
-                return Err(format!(
-                    "a server of the original lists no tasks; {} of this console were asked to stop",
-                    aborts.sent.len()
-                ));
-            }
-            Err(error) => return Err(error.to_string()),
+impl Stops {
+    pub(crate) fn new(names: impl Iterator<Item = String>) -> Self {
+        let undecided = |name| Decision {
+            name,
+            press: 0,
+            confirmed: false,
+            text: String::new(),
         };
-        let running: Vec<&ServerTask> = listed.tasks.iter().filter(|task| task.may_run).collect();
-        let is_sent = own.iter().any(|goal| goal.id().is_none());
-        if running.is_empty() && listed.gaps.is_empty() && !is_sent {
-            return Ok(match aborts.sent.len() {
-                0 => "nothing ran".to_owned(),
-                1 => "1 task has ended".to_owned(),
-                many => format!("{many} tasks have ended"),
-            });
+        Self {
+            state: Mutex::new(Presses {
+                pressed: 0,
+                by: String::new(),
+                at_ms: 0,
+                servers: names.map(undecided).collect(),
+            }),
+            decided: watch::Sender::new(0),
         }
-        for task in &running {
-            aborts.abort(&task.scope, &task.id);
+    }
+
+    /// Stop is pressed; returns the number of this press.
+    pub(crate) fn press(&self, by: &str) -> u64 {
+        let mut state = locked(&self.state);
+        state.pressed += 1;
+        by.clone_into(&mut state.by);
+        state.at_ms = now_ms();
+        state.pressed
+    }
+
+    /// Whether a server has something to decide.
+    pub(crate) fn are_under_way(&self) -> bool {
+        let state = locked(&self.state);
+        state
+            .servers
+            .iter()
+            .any(|server| server.press < state.pressed)
+    }
+
+    /// The last press, if this server has not decided for it.
+    pub(crate) fn undecided(&self, server: usize) -> Option<u64> {
+        let state = locked(&self.state);
+        let known = state.servers.get(server)?.press;
+        (known < state.pressed).then_some(state.pressed)
+    }
+
+    /// What a server has confirmed for a press, or why it has not.
+    pub(crate) fn decide(&self, server: usize, press: u64, told: Result<String, String>) {
+        let mut state = locked(&self.state);
+        if let Some(decision) = state.servers.get_mut(server) {
+            decision.press = press;
+            decision.confirmed = told.is_ok();
+            decision.text = cut::text(&told.unwrap_or_else(|why| why), 4 * cut::LINE);
         }
-        if Instant::now() >= deadline {
-            let names = running.iter().take(NAMED);
-            let names: Vec<String> = names
-                .map(|task| format!("{} {}", task.id, task.task()))
-                .collect();
-            let mut why = match running.len() {
-                0 if listed.gaps.is_empty() => "a goal of this console has no answer".to_owned(),
-                0 => listed.gaps.join("; "),
-                many => format!("{many} may still run: {}", names.join(", ")),
+        let all = state.servers.iter().map(|server| server.press).min();
+        // While the state is locked: a later decision must not be told before an earlier one.
+        self.decided.send_replace(all.unwrap_or_default());
+    }
+
+    /// As the topic shows it: `confirmed` is `null` where the last press is not decided.
+    pub(crate) fn shown(&self) -> Value {
+        self.told(None)
+    }
+
+    /// Waits until every server has decided for a press.
+    pub(crate) async fn answer(&self, press: u64) -> Value {
+        let mut decided = self.decided.subscribe();
+        // Fails only if the sender is gone, which `self` holds.
+        let _ = decided.wait_for(|decided| *decided >= press).await;
+        self.told(Some(press))
+    }
+
+    fn told(&self, press: Option<u64>) -> Value {
+        let state = locked(&self.state);
+        if state.pressed == 0 {
+            return json!({});
+        }
+        let press = press.unwrap_or(state.pressed);
+        let robot = |server: &Decision| {
+            let (confirmed, text) = match server.press >= press {
+                true => (Some(server.confirmed), server.text.as_str()),
+                false => (None, "no answer yet"),
             };
-            if let Some(failed) = aborts.failed {
-                why = format!("{why} ({failed})");
-            }
-            return Err(why);
-        }
-        thread::sleep(LOOK_AGAIN);
+            json!({ "robot": server.name, "confirmed": confirmed, "text": text })
+        };
+        let robots: Vec<Value> = state.servers.iter().map(robot).collect();
+        json!({ "by": state.by, "at_ms": state.at_ms, "robots": robots })
     }
 }
 
-type Key = (String, RemoteId);
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Sends an ABORT to each task, each on its own thread, because a server holds the answer until the task ends.
-struct Aborts {
-    connect: Connect,
-    sent: HashMap<Key, Abort>,
-    answers: (Sender<Answer>, Receiver<Answer>),
-    failed: Option<String>,
-}
-
-#[derive(PartialEq, Eq)]
-enum Abort {
-    UnderWay,
-    Answered,
-    Failed,
-}
-
-type Answer = (Key, Result<(), String>);
-
-impl Aborts {
-    /// Sends an ABORT, unless one is under way or answered.
-    fn abort(&mut self, scope: &str, id: &RemoteId) {
-        while let Ok((key, answer)) = self.answers.1.try_recv() {
-            let state = match answer {
-                Ok(()) => Abort::Answered,
-                Err(why) => {
-                    self.failed = Some(why);
-                    Abort::Failed
+    #[test]
+    fn decisions_at_the_same_time_are_told() {
+        let stops = Stops::new((0..8).map(|server| server.to_string()));
+        for _ in 0..500 {
+            let press = stops.press("one");
+            std::thread::scope(|scope| {
+                for server in 0..8 {
+                    let stops = &stops;
+                    scope.spawn(move || stops.decide(server, press, Ok(String::new())));
                 }
-            };
-            self.sent.insert(key, state);
-        }
-        let key = (scope.to_owned(), id.clone());
-        let under_way = self
-            .sent
-            .values()
-            .filter(|abort| **abort == Abort::UnderWay);
-        if under_way.count() >= MOST_ABORTS
-            || self
-                .sent
-                .get(&key)
-                .is_some_and(|abort| *abort != Abort::Failed)
-        {
-            return;
-        }
-        self.sent.insert(key.clone(), Abort::UnderWay);
-        let (connect, answers, of) = (
-            Arc::clone(&self.connect),
-            self.answers.0.clone(),
-            key.clone(),
-        );
-        let thread = thread::Builder::new().name("ztl-web-abort".to_owned());
-        let spawned = thread.spawn(move || {
-            let (scope, id) = &of;
-            let answer = connect(scope).and_then(|remote| {
-                let answer = remote.with_timeout(ABORT).send_abort(id);
-                answer.map(drop).map_err(|error| error.to_string())
             });
-            // Fails if the Stop has ended.
-            let _ = answers.send((of, answer));
-        });
-        if let Err(error) = spawned {
-            self.failed = Some(format!("no thread for an ABORT: {error}"));
-            self.sent.insert(key, Abort::Failed);
+            assert_eq!(*stops.decided.borrow(), press);
         }
     }
-}
 
-/// Aborts one task. Returns its state and text.
-///
-/// # Errors
-/// Why nothing is known of it.
-pub(crate) fn one(board: &Board, robot: &str, scope: &str, id: &RemoteId) -> Result<Value, String> {
-    let server = board.servers.iter().find(|server| server.name == robot);
-    let server = server.ok_or_else(|| format!("no robot '{robot}'"))?;
-    let remote = (server.connect)(scope)?;
-    let status = remote.with_timeout(PATIENCE).abort(id);
-    let status = status.map_err(|error| format!("it may still run: {error}"))?;
-    let text = match status.is_abort_rejected() {
-        true => "its handler cannot stop it".to_owned(),
-        false => status.text,
-    };
-    Ok(json!({ "state": status.state.name(), "text": text }))
+    #[test]
+    fn a_second_press_reopens_what_is_decided() {
+        let stops = Stops::new(["a", "b"].map(str::to_owned).into_iter());
+        assert_eq!(stops.shown(), json!({}));
+        assert!(!stops.are_under_way());
+        let first = stops.press("one");
+        stops.decide(0, first, Ok("nothing ran".to_owned()));
+        assert_eq!(
+            (stops.undecided(0), stops.undecided(1)),
+            (None, Some(first))
+        );
+        let second = stops.press("two");
+        assert_eq!(stops.undecided(0), Some(second));
+        assert_eq!(stops.shown()["robots"][0]["confirmed"], Value::Null);
+        stops.decide(1, first, Err("silent".to_owned()));
+        assert_eq!(*stops.decided.borrow(), first);
+        stops.decide(0, second, Ok(String::new()));
+        stops.decide(1, second, Err("silent".to_owned()));
+        assert!(!stops.are_under_way());
+        let shown = stops.shown();
+        assert_eq!(
+            (&shown["by"], &shown["robots"][1]["text"]),
+            (&json!("two"), &json!("silent"))
+        );
+    }
 }

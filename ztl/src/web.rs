@@ -86,6 +86,7 @@ impl Web {
                 name: name.to_owned(),
                 endpoint,
                 scope: remote.scope.clone(),
+                keys: remote.keys.clone(),
                 connect: Arc::new(connect),
             });
         }
