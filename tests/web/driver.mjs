@@ -4,6 +4,7 @@
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
+import { connect, createServer as createProxy } from 'node:net';
 import { createRequire } from 'node:module';
 import { createInterface } from 'node:readline';
 
@@ -33,12 +34,12 @@ async function outside(what) {
 // An error in the page ends the scenario.
 browser.on('weberror', (error) => { throw error.error(); });
 
-async function open([width, height] = SIZES.desk) {
+async function open([width, height] = SIZES.desk, where = url) {
   const page = await browser.newPage();
   await page.setViewportSize({ width, height });
   page.alerts = 0;
   page.on('dialog', (dialog) => { page.alerts += 1; dialog.dismiss(); });
-  await page.goto(url);
+  await page.goto(where);
   await page.locator('#connection[data-state=open]').waitFor();
   await page.locator('#component option').first().waitFor({ state: 'attached' });
   return page;
@@ -377,6 +378,44 @@ const scenarios = {
     await other.locator('#idle').waitFor();
     await other.locator('#ended-box summary').click();
     await saying(other, '#ended', 'ABORTED').waitFor();
+  },
+
+  // The network is cut while tasks run: when it is back, the page knows what became of them.
+  async cut() {
+    const links = new Set();
+    let isCut = false;
+    const proxy = createProxy((browserEnd) => {
+      const consoleEnd = connect(new URL(url).port, '127.0.0.1');
+      for (const [end, other] of [[browserEnd, consoleEnd], [consoleEnd, browserEnd]]) {
+        links.add(end);
+        end.on('error', () => {}).on('close', () => { links.delete(end); other.destroy(); });
+        end.pipe(other);
+      }
+      if (isCut) browserEnd.destroy();
+    });
+    await new Promise((done) => proxy.listen(0, '127.0.0.1', done));
+    const cut = () => {
+      isCut = true;
+      for (const end of links) end.destroy();
+    };
+    const page = await open(SIZES.phone, `http://127.0.0.1:${proxy.address().port}/`);
+    await start(page, 'test/sleep', '60');
+    const [, , id] = JSON.parse(await saying(page, '#running', 'test:sleep:60').getAttribute('data-key'));
+    await start(page, 'test/mark', 'x');
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    cut();
+    await saying(page, '#goals', 'sleep 60').getByText('UNKNOWN').waitFor();
+    await check(page, 'cut');
+    // One of them ends meanwhile.
+    await outside(`abort ${id}`);
+    isCut = false;
+    await page.locator('#connection[data-state=open]').waitFor();
+    await saying(page, '#goals', 'sleep 60').getByText('ABORTED').waitFor();
+    await saying(page, '#goals', 'mark x').getByText('running').waitFor();
+    await page.getByText('You operate.').waitFor();
+    await saying(page, '#goals', 'mark x').getByText('Abort', { exact: true }).click();
+    await saying(page, '#goals', 'mark x').getByText('ABORTED').waitFor();
+    proxy.close();
   },
 
   async encrypted() {

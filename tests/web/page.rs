@@ -262,6 +262,22 @@ fn what_a_closed_page_started_is_aborted_if_it_has_chosen_so() {
 }
 
 #[test]
+fn a_page_learns_what_became_of_its_goals_while_the_network_was_cut() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let mut driver = drive("cut", &console.url, &console);
+    let line = driver.wait_for("do: abort");
+    let id = line.trim().rsplit(' ').next().expect("an id");
+    let port = console.robot.port.to_string();
+    let aborted = Process::run(ztl().args(["abort", "-r", "127.0.0.1", "-p", &port, id]));
+    assert_eq!(aborted.code, Some(0), "{aborted:?}");
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+    assert_eq!(console.marks(), 1);
+}
+
+#[test]
 fn the_page_comes_over_tls() {
     let _busy = busy();
     let console = Console::of_one();

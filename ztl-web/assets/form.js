@@ -148,9 +148,10 @@ export class Form {
     goal.id = this.#bridge.goal(goal.action, { goal: text, not_after_ms: this.#console.now() + LATE }, {
       feedback: (told) => { goal.state = 'running'; goal.progress = told.progress; answered(); },
       result: (told) => { goal.state = told.state; goal.progress = told.text; goal.ended = true; answered(); },
+      open: () => { goal.state = 'running'; goal.progress = ''; goal.ended = false; answered(); },
       lost: () => {
         goal.state = 'UNKNOWN';
-        goal.progress = 'the connection was lost: if it runs, Now shows it; it is not sent again';
+        goal.progress = 'the connection was lost: it is not sent again, and Now shows whether it runs';
         goal.ended = true;
         answered();
       },

@@ -14,6 +14,10 @@ export class Bridge {
   #calls = new Map();
   #goals = new Map();
   #topics = new Map();
+  // Goals whose connection was lost. The console knows what became of them, unless it was started again.
+  #lostGoals = new Map();
+  // By this name, a secret, the console finds the goals of this page again.
+  #name = [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
   #prefix = [...crypto.getRandomValues(new Uint32Array(2))].map((word) => word.toString(36)).join('');
 
   constructor(url, onState) {
@@ -35,6 +39,7 @@ export class Bridge {
     this.#heard = performance.now();
     socket.onopen = () => {
       this.#pause = FIRST_PAUSE;
+      this.#resume();
       for (const topic of this.#topics.keys()) this.#send({ op: 'subscribe', topic });
       this.#onState(true);
     };
@@ -55,10 +60,30 @@ export class Bridge {
     this.#calls = new Map();
     this.#goals = new Map();
     for (const call of calls.values()) call.reject(new Error('the connection was lost before the answer'));
-    for (const goal of goals.values()) goal.lost();
+    for (const [id, goal] of goals) {
+      this.#lostGoals.set(id, goal);
+      goal.lost();
+    }
     this.#onState(false);
     setTimeout(() => this.#connect(), this.#pause);
     this.#pause = Math.min(this.#pause * 2, LONGEST_PAUSE);
+  }
+
+  // Learns what became of the goals whose connection was lost. Goals that are sent later wait behind this.
+  async #resume() {
+    const told = await this.call('/ztl/resume', { client: this.#name }).catch(() => null);
+    for (const { id, values } of told?.goals ?? []) {
+      const goal = this.#lostGoals.get(id);
+      if (goal === undefined) continue;
+      if (values.state === 'OPEN') {
+        this.#goals.set(id, goal);
+        goal.open();
+      } else {
+        goal.result(values);
+      }
+    }
+    // Of the others, nothing will be known.
+    if (told !== null) this.#lostGoals.clear();
   }
 
   #send(message) {
@@ -78,8 +103,10 @@ export class Bridge {
     } else if (message.op === 'action_feedback') {
       this.#goals.get(message.id)?.feedback(message.values);
     } else if (message.op === 'action_result') {
-      const goal = this.#goals.get(message.id);
+      // The result of a goal that is found again may come before the list of those that are.
+      const goal = this.#goals.get(message.id) ?? this.#lostGoals.get(message.id);
       this.#goals.delete(message.id);
+      this.#lostGoals.delete(message.id);
       goal?.result(message.result ? message.values : { state: 'NOT_STARTED', text: String(message.values), id: 0 });
     }
   }
