@@ -84,6 +84,7 @@ pub(crate) struct ConnectOptions {
 
 impl ConnectOptions {
     /// The keys of the options.
+    #[cfg(feature = "web")]
     pub(crate) const fn keys(&self) -> &KeyOptions {
         &self.keys
     }
