@@ -21,7 +21,7 @@ use crate::robots::Server;
 
 /// Between two looks at a server while a Stop is under way, while a page is open, and while nobody looks.
 const STOPPING: Duration = Duration::from_millis(20);
-const WATCHED: Duration = Duration::from_millis(40);
+const WATCHED: Duration = Duration::from_millis(50);
 const UNWATCHED: Duration = Duration::from_millis(250);
 /// Between two looks at a server of the original, which logs each as a mistake.
 const ORIGINAL: Duration = Duration::from_secs(2);
