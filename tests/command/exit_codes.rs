@@ -186,6 +186,8 @@ fn each_command_exits_with_the_documented_codes() {
             "subscribe",
         ),
         ("subscribe nobody", 2, "subscribe"),
+        ("web -c remotes.yaml -p TAKEN", 1, "web"),
+        ("web -c none.jsonl", 2, "web"),
     ] {
         let words = line.split(' ').map(|word| {
             let value = |(name, value): (&&str, &u16)| {
@@ -320,7 +322,7 @@ fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
     let on = format!("pty:{link}");
     let ends = [format!("pty:{link}2"), format!("pty:{other}")];
     let demo = reserve_port().to_string();
-    let all: [(&[&str], _, _); 7] = [
+    let all: [(&[&str], _, _); 8] = [
         (&["task-server", "-p", "0", "-s", SCOPE], "Registering", 1),
         (&["simple-server", "0", SCOPE], "Registering", 1),
         (&["serve", &file], "Serving", 0),
@@ -332,6 +334,11 @@ fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
         (&["device", "sim:gripper", "--on", &on], "Simulated", 0),
         (&["line", &ends[0], &ends[1]], "Seed", 0),
         (&["demo", "-p", &demo], "The gateway goes on serving", 0),
+        (
+            &["web", "-p", "0", "--task", "a", "localhost", "1", "/a"],
+            "http://",
+            0,
+        ),
     ];
     let command = |(words, says, code): (&[&str], _, _)| {
         let mut command = ztl();

@@ -1,14 +1,16 @@
 //! An INIT or its reply is lost: the client never resends it, and asks the server for the outcome.
 
+use std::io::{Read as _, Write as _};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
 use ztl_std::{
     ExecutableTask, RemoteTask, RequestError, State, TaskContext, TaskController, TaskError,
     TaskRequest, TaskServer, TriggerError,
 };
-use ztl_tests::lab::{PATIENCE, SCOPE, Server, until};
+use ztl_tests::lab::{PATIENCE, SCOPE, Server, port_of, until};
 
 /// The fault of the wire for the first INIT.
 #[derive(Clone, Copy, PartialEq)]
@@ -200,4 +202,76 @@ fn an_init_to_a_hanging_server_has_an_unknown_outcome() {
         let tasks = remote.ask_server("tasks").ok()??;
         tasks.contains("test:sleep:60").then_some(())
     });
+}
+
+/// Relays bytes between clients and a server. While it is `stalled`, nothing more arrives at the server, as when a network
+/// is down. Returns its port, and how many directions of connections are open.
+fn network(server: u16, stalled: &Arc<AtomicBool>) -> (u16, Arc<AtomicU32>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let (stalled, open) = (Arc::clone(stalled), Arc::new(AtomicU32::new(0)));
+    let counted = Arc::clone(&open);
+    std::thread::spawn(move || {
+        for client in listener.incoming() {
+            let (client, server) = (
+                client.unwrap(),
+                TcpStream::connect(("127.0.0.1", server)).unwrap(),
+            );
+            for (mut from, mut to, stalled) in [
+                (
+                    client.try_clone().unwrap(),
+                    server.try_clone().unwrap(),
+                    Arc::clone(&stalled),
+                ),
+                (server, client, Arc::default()),
+            ] {
+                counted.fetch_add(1, Ordering::SeqCst);
+                let counted = Arc::clone(&counted);
+                std::thread::spawn(move || {
+                    let mut bytes = [0; 4096];
+                    loop {
+                        while stalled.load(Ordering::SeqCst) {
+                            std::thread::sleep(Duration::from_millis(5));
+                        }
+                        match from.read(&mut bytes) {
+                            Ok(count @ 1..) if to.write_all(&bytes[..count]).is_ok() => {}
+                            _ => break,
+                        }
+                    }
+                    for stream in [from, to] {
+                        let _ = stream.shutdown(Shutdown::Both);
+                    }
+                    counted.fetch_sub(1, Ordering::SeqCst);
+                });
+            }
+        }
+    });
+    (port, open)
+}
+
+#[test]
+fn an_init_that_nobody_waits_for_does_not_arrive_later() {
+    let started = Arc::default();
+    let server = server(&started);
+    let stalled = Arc::new(AtomicBool::new(false));
+    let (port, open) = network(port_of(server.endpoint()), &stalled);
+    let remote = RemoteTask::connect(&format!("tcp://127.0.0.1:{port}"), "/lab").unwrap();
+    let mut remote = remote.with_timeout(PATIENCE);
+    remote.server_info(false).expect("an answer");
+    let mut remote = remote.with_timeout(Duration::from_millis(300));
+    stalled.store(true, Ordering::SeqCst);
+    // Longer than what the network holds.
+    let error = remote
+        .trigger("h", "c", &"long ".repeat(140_000))
+        .unwrap_err();
+    let unknown = matches!(error, TriggerError::Request(RequestError::NoAnswer { .. }));
+    assert!(unknown, "{error:?}");
+    drop(remote);
+    stalled.store(false, Ordering::SeqCst);
+    until("the end of what was sent", PATIENCE, || {
+        (open.load(Ordering::SeqCst) == 0).then_some(())
+    });
+    let mut remote = RemoteTask::connect(server.endpoint(), "/lab").unwrap();
+    remote.run("h", "c", "g", Some(PATIENCE)).expect("it ends");
+    assert_eq!(started.load(Ordering::SeqCst), 1);
 }

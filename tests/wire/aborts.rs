@@ -89,6 +89,29 @@ fn a_lost_answer_concerns_only_its_task() {
 }
 
 #[test]
+fn a_lost_connection_ends_the_wait() {
+    let socket = zmq::Context::new().socket(zmq::ROUTER).expect("a socket");
+    socket.set_linger(0).expect("an option");
+    socket.bind("tcp://127.0.0.1:*").expect("a free port");
+    let endpoint = socket
+        .get_last_endpoint()
+        .expect("it is bound")
+        .expect("UTF-8");
+    let server = std::thread::spawn(move || {
+        for _ in 0..3 {
+            socket.recv_multipart(0).expect("an ABORT");
+        }
+        // Its socket is closed.
+    });
+    let start = std::time::Instant::now();
+    let told = abort(&endpoint, PATIENCE, &tasks(3));
+    assert!(start.elapsed() < PATIENCE / 2, "{:?}", start.elapsed());
+    let lost = |outcome: &Result<_, _>| matches!(outcome, Err(RequestError::NoAnswer { .. }));
+    assert!(told.len() == 3 && told.values().all(lost), "{told:?}");
+    server.join().expect("three ABORTs");
+}
+
+#[test]
 fn without_a_server_nothing_was_sent() {
     let nobody = format!("tcp://127.0.0.1:{}", ztl_tests::lab::reserve_port());
     let mut tasks = tasks(3);

@@ -26,8 +26,10 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["npm", "echo npm $(npm --version) | grep '[0-9]'"],
     // Makes a tone for a stream.
     ["sox", "sox --version"],
-    // Shows the page of `ztl report`.
+    // Shows the pages of `ztl report` and `ztl web`.
     ["chromium", "chromium --version"],
+    // Makes a certificate for `ztl web --tls`.
+    ["openssl", "openssl version"],
     // Shells that complete our command.
     ["zsh", "zsh --version"],
     ["fish", "fish --version"],
@@ -211,7 +213,7 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     let works = || {
         succeeds(cmd!(
             sh,
-            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, mcap.reader, jsonschema'"
+            "{python} -c 'import ztl, zmq, oyaml, pytest, numpy, roslibpy, mcap.reader, jsonschema'"
         ))
     };
     let stamp = venv.join("requirements.stamp");
@@ -231,13 +233,18 @@ pub(crate) fn python(project: &Project) -> Result<PathBuf> {
     Ok(python)
 }
 
-/// Installs npm packages: of `examples/clients/client.mjs`, and of Foxglove's reader of recordings.
+/// Installs npm packages: of `examples/clients/client.mjs`, of Foxglove's reader of recordings, what drives and examines the
+/// page of `ztl web` and reads its QR codes, and a rosbridge client.
 pub(crate) fn javascript(project: &Project) -> Result<()> {
-    const PACKAGES: [&str; 4] = [
+    const PACKAGES: [&str; 8] = [
         "zeromq@6.8.0",
+        "roslib@2.1.0",
+        "axe-core@4.14.1",
+        "playwright-core@1.65.1",
         "@mcap/core@2.2.2",
         "@foxglove/schemas@2.1.0",
         "ajv@8.20.0",
+        "jsqr@1.4.0",
     ];
     let sh = &project.sh;
     let home = project.target.join("clients");

@@ -89,8 +89,8 @@ pub mod time;
 mod transport;
 
 pub use client::{
-    AbortOnDrop, BackgroundTask, DescribedComponent, Obstacle, RemoteTask, RequestError, RunError,
-    ServerInfo, Status, TriggerError, Triggered, WaitError,
+    AbortOnDrop, BackgroundTask, DescribedComponent, Obstacle, ParallelRequests, RemoteTask,
+    RequestError, RunError, ServerInfo, Status, TriggerError, Triggered, WaitError, server_answer,
 };
 #[cfg(feature = "config")]
 pub use client::{Description, SavedDescription, ServerTask, ServerTasks};

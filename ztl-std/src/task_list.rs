@@ -56,6 +56,8 @@ pub(crate) struct TaskList {
     pub(crate) tasks: Vec<ListedTask>,
     /// How many more tasks the server keeps; `None` if the answer does not say.
     pub(crate) more: Option<usize>,
+    /// How many tasks run in scopes that the client may not use.
+    pub(crate) elsewhere: usize,
     /// How many entries of the answer cannot be read. These tasks may run.
     #[serde(skip)]
     #[cfg_attr(
@@ -71,10 +73,17 @@ struct UncheckedList {
     tasks: Vec<Value>,
     #[serde(default)]
     more: Value,
+    #[serde(default)]
+    elsewhere: Value,
 }
 
 impl From<UncheckedList> for TaskList {
-    fn from(UncheckedList { tasks, more }: UncheckedList) -> Self {
+    fn from(list: UncheckedList) -> Self {
+        let UncheckedList {
+            tasks,
+            more,
+            elsewhere,
+        } = list;
         let listed = tasks.len();
         let read = |task| serde_json::from_value(task).ok();
         let tasks = tasks.into_iter().filter_map(read);
@@ -85,19 +94,21 @@ impl From<UncheckedList> for TaskList {
             unread: listed - tasks.len(),
             tasks,
             more: serde_json::from_value(more).ok(),
+            elsewhere: serde_json::from_value(elsewhere).unwrap_or(0),
         }
     }
 }
 
 impl TaskList {
-    /// Sorts the tasks and keeps as many as fit in a message.
-    pub(crate) fn of(mut tasks: Vec<ListedTask>) -> Self {
+    /// Sorts the tasks and keeps as many as fit in a message; `elsewhere` more run where the client may not look.
+    pub(crate) fn of(mut tasks: Vec<ListedTask>, elsewhere: usize) -> Self {
         tasks.sort_by_key(|task| (task.ended_ms, task.age_ms));
         let more = tasks.len().saturating_sub(MAX_TASKS);
         tasks.truncate(MAX_TASKS);
         Self {
             tasks,
             more: Some(more),
+            elsewhere,
             unread: 0,
         }
     }

@@ -16,6 +16,21 @@ pub fn now() -> Instant {
     Instant::from_micros(u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX))
 }
 
+/// The monotonic time since some moment in the past. On Linux it also counts the time for which the machine is suspended.
+#[must_use]
+pub fn since_boot() -> Duration {
+    #[cfg(target_os = "linux")]
+    {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+        // It is never negative.
+        Duration::try_from(time).unwrap_or_default()
+    }
+    #[cfg(not(target_os = "linux"))]
+    {
+        Duration::from_micros(now().as_micros())
+    }
+}
+
 /// A duration in whole milliseconds, for messages.
 #[must_use]
 pub fn millis(time: Duration) -> u64 {

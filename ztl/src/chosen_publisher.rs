@@ -34,7 +34,7 @@ pub(crate) struct Connected {
 
 impl ChosenPublisher {
     /// A publisher of a configuration file.
-    #[cfg(feature = "record")]
+    #[cfg(any(feature = "record", feature = "web"))]
     pub(crate) fn named(name: &str, remote: Remote) -> Self {
         Self {
             name: name.to_owned(),

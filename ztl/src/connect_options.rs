@@ -83,6 +83,12 @@ pub(crate) struct ConnectOptions {
 }
 
 impl ConnectOptions {
+    /// The keys of the options.
+    #[cfg(feature = "web")]
+    pub(crate) const fn keys(&self) -> &KeyOptions {
+        &self.keys
+    }
+
     /// Applies the options to a client. Keys that the configuration file has for its server go before those of the
     /// options.
     pub(crate) fn apply(

@@ -69,6 +69,8 @@ mod terminal;
 mod terminal_mode;
 mod tools;
 mod version;
+#[cfg(feature = "web")]
+mod web;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -122,6 +124,9 @@ enum ZtlCommand {
     Subscribe(subscribe::Subscribe),
     /// Publish values
     Publish(publish::Publish),
+    /// Serve a page on which people watch, start and stop the tasks of all robots
+    #[cfg(feature = "web")]
+    Web(web::Web),
     /// Record streams and tasks into an MCAP file
     #[cfg(feature = "record")]
     Record(record::Record),
@@ -184,6 +189,8 @@ fn main() -> ExitCode {
         ZtlCommand::Abort(abort) => abort.run(),
         ZtlCommand::Subscribe(subscribe) => subscribe.run(),
         ZtlCommand::Publish(publish) => publish.run(),
+        #[cfg(feature = "web")]
+        ZtlCommand::Web(web) => web.run(),
         #[cfg(feature = "record")]
         ZtlCommand::Record(record) => record.run(),
         #[cfg(feature = "record")]

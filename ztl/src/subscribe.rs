@@ -10,7 +10,7 @@ use serde_json::json;
 use tracing::Level;
 use ztl_pickle::{Kind, Pickle};
 use ztl_std::Subscriber;
-use ztl_std::publish::Heard;
+use ztl_std::publish::{Content, Heard};
 
 use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::KeyOptions;
@@ -178,7 +178,7 @@ impl Output {
     /// Shows a message. Returns whether it counts.
     fn show(&mut self, heard: &Heard) -> Result<bool, Box<dyn std::error::Error>> {
         match self {
-            Self::Text => match Content::of(heard) {
+            Self::Text => match heard.content() {
                 Content::Value(value) => {
                     line(format_args!(
                         "{} {}",
@@ -201,7 +201,7 @@ impl Output {
                     .len()
                     .saturating_mul(JSON.0)
                     .saturating_add(JSON.1);
-                let (key, value) = match Content::of(heard) {
+                let (key, value) = match heard.content() {
                     Content::Value(value) => match value.value().to_json(most) {
                         Ok(json) => ("value", json),
                         Err(error) => ("error", json!(error.to_string()).to_string()),
@@ -221,7 +221,7 @@ impl Output {
                 ));
             }
             Self::Raw(file) => {
-                let content = Content::of(heard);
+                let content = heard.content();
                 let bytes = match &content {
                     Content::Value(value) => data(value),
                     Content::Text(_) | Content::Bytes(_) => Some(heard.body.as_slice()),
@@ -246,30 +246,6 @@ impl Output {
     fn on_time(&mut self, missed: u64) {
         if let Self::Rate(rate) = self {
             rate.on_time(missed);
-        }
-    }
-}
-
-/// What a message contains.
-enum Content<'a> {
-    Value(Pickle),
-    /// Not a pickle, as the readings of a gateway that publishes them raw.
-    Text(&'a str),
-    Bytes(&'a [u8]),
-    /// A pickle that could run code, or exceeds a limit.
-    Refused(ztl_pickle::Error),
-}
-
-impl<'a> Content<'a> {
-    fn of(heard: &'a Heard) -> Self {
-        use ztl_pickle::Error::{Refused, TooLarge};
-        match heard.value() {
-            Ok(value) => Self::Value(value),
-            Err(error @ (Refused(_) | TooLarge { .. })) => Self::Refused(error),
-            Err(_) => match str::from_utf8(&heard.body) {
-                Ok(text) => Self::Text(text),
-                Err(_) => Self::Bytes(&heard.body),
-            },
         }
     }
 }

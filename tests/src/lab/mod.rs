@@ -26,7 +26,7 @@ pub use original::{
     ABORTED, ACCEPTED, Answer, COMPLETED, FAILED, OriginalClient, REJECTED, original_tool, python,
     run_python,
 };
-pub use peers::{Peer, javascript_packages, python27};
+pub use peers::{Peer, javascript_packages, node_packages, python27};
 pub use ports::reserve_port;
 pub use process::{Ended, Process, process_status, processor_time, signal};
 pub use random::{Random, number, seed};

@@ -162,8 +162,17 @@ fn home() -> PathBuf {
 /// When it is missing.
 #[track_caller]
 pub fn javascript_packages() -> PathBuf {
+    node_packages("zeromq")
+}
+
+/// The directory of the installed npm packages, one of which is `needed`.
+///
+/// # Panics
+/// When it is missing.
+#[track_caller]
+pub fn node_packages(needed: &str) -> PathBuf {
     let path = installed("ZTL_CLIENTS", "clients");
-    there(path.join("node_modules/zeromq"));
+    there(path.join("node_modules").join(needed));
     path
 }
 

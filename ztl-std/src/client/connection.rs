@@ -23,7 +23,8 @@ use crate::remote_id::RemoteId;
 use crate::time::now;
 use crate::transport::Transport;
 
-pub(super) use together::{ABORT, STATUS, TaskQuestion};
+pub use together::server_answer;
+pub(super) use together::{ABORT, Open, Question, STATUS};
 
 /// Default time limit for an answer, as in the original.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -40,8 +41,8 @@ const ENCRYPTION: usize = 8 + 8 + 16 + 1;
 /// Most bytes in the original's answer to an INIT per byte of the INIT: it quotes the goal as Python does.
 const QUOTED: usize = 4;
 
-/// Whether a request is still wanted; `None` if it always is.
-pub(super) type Wanted<'a> = Option<&'a dyn Fn() -> bool>;
+/// Whether a request may still be sent, and whether its answer is still wanted; `None` if both always are.
+pub(super) type Wanted<'a> = Option<(&'a dyn Fn() -> bool, &'a dyn Fn() -> bool)>;
 
 /// A connection to one server, and the rules that decide what is sent over it.
 pub(super) struct Connection {
@@ -109,6 +110,13 @@ impl Connection {
     /// Sets the keys and connects again.
     pub(super) fn set_keys(&mut self, own: KeyPair, server: PublicKey) -> Result<(), RequestError> {
         self.keys = Some((own, server));
+        self.socket = Some(self.open()?);
+        Ok(())
+    }
+
+    /// Sets the longest accepted answer in bytes and connects again.
+    pub(super) fn set_longest_answer(&mut self, bytes: usize) -> Result<(), RequestError> {
+        self.longest_answer = bytes;
         self.socket = Some(self.open()?);
         Ok(())
     }
@@ -203,13 +211,22 @@ impl Connection {
         })
     }
 
-    /// Asks what became of the last INIT.
-    pub(super) fn ask_outcome(&mut self) -> Result<ClientReply, Unanswered> {
+    /// Asks what became of the last INIT; `None` if that cannot be learnt.
+    pub(super) fn ask_outcome(&mut self) -> Option<Result<ClientReply, Unanswered>> {
+        if !matches!(self.client.server(), Server::Ours { .. }) {
+            return None;
+        }
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
-        match self.client.outcome(now(), &mut sink) {
-            Some(envelope) => self.exchange(None, envelope, &body),
-            None => Err(self.no_answer(Instant::now()).into()),
+        let envelope = self.client.outcome(now(), &mut sink)?;
+        Some(self.exchange(None, envelope, &body))
+    }
+
+    /// Whether the system discards what it has not delivered yet when the connection is closed, also because the process
+    /// ends. An INIT that nobody waits for any more must not arrive later.
+    pub(super) fn discard_unsent(&mut self, on: bool) {
+        if let Some(socket) = &mut self.socket {
+            socket.discard_unsent(on);
         }
     }
 
@@ -294,8 +311,12 @@ impl Connection {
         asked: &[u8],
     ) -> Result<ClientReply, Unanswered> {
         loop {
-            if self.ready(wanted, socket, Wait::ToSend)? != Ready::Yes {
-                return Err(self.not_connected(socket, start).into());
+            let ready = self.ready(wanted, socket, Wait::ToSend)?;
+            if ready != Ready::Yes {
+                return Err(Unanswered {
+                    not_wanted: ready == Ready::Unwanted,
+                    ..self.not_connected(socket, start).into()
+                });
             }
             if is_sent(socket.send(envelope, asked))? {
                 break;
@@ -308,7 +329,7 @@ impl Connection {
                 Ready::Unwanted => {
                     return Err(Unanswered {
                         can_ask_outcome: true,
-                        error: self.no_answer(start),
+                        ..self.no_answer(start).into()
                     });
                 }
             }
@@ -331,7 +352,7 @@ impl Connection {
         let late = self.client.handle_timeout(now());
         Err(Unanswered {
             can_ask_outcome: late == Late::AskOutcome,
-            error: self.no_answer(start),
+            ..self.no_answer(start).into()
         })
     }
 
@@ -393,7 +414,7 @@ impl Connection {
         }
     }
 
-    fn no_answer(&self, start: Instant) -> RequestError {
+    pub(super) fn no_answer(&self, start: Instant) -> RequestError {
         RequestError::NoAnswer {
             endpoint: self.endpoint.clone(),
             waited: start.elapsed(),
@@ -404,10 +425,14 @@ impl Connection {
     /// outcome can be learnt in another way.
     fn ready(&self, wanted: Wanted<'_>, socket: &mut Socket, wait: Wait) -> io::Result<Ready> {
         let sent = wait == Wait::ForAnswer;
-        loop {
-            let unwanted = wanted.is_some_and(|wanted| !wanted());
+        let unwanted = || match wanted {
+            Some((may_be_sent, _)) if !sent => !may_be_sent(),
             // Keep waiting: the original sends a task's id only in this reply, so leaving would lose the task.
-            if unwanted && !(sent && self.client.server() == Server::Original) {
+            Some((_, wanted)) => !wanted() && self.client.server() != Server::Original,
+            None => false,
+        };
+        loop {
+            if unwanted() {
                 return Ok(Ready::Unwanted);
             }
             let deadline = self.client.poll_timeout();
@@ -418,6 +443,8 @@ impl Connection {
                 Wait::ForAnswer => socket.can_receive(time)?,
             };
             match ready {
+                // Waiting may have taken long, above all if the process or the machine was suspended.
+                true if !sent && unwanted() => return Ok(Ready::Unwanted),
                 true => return Ok(Ready::Yes),
                 false if left.is_zero() => return Ok(Ready::Late),
                 false => {}
@@ -480,6 +507,8 @@ pub(super) struct Unanswered {
     pub(super) error: RequestError,
     /// Whether the server can be asked for the outcome.
     pub(super) can_ask_outcome: bool,
+    /// Whether nothing was sent because it was no longer wanted.
+    pub(super) not_wanted: bool,
 }
 
 impl From<RequestError> for Unanswered {
@@ -487,6 +516,7 @@ impl From<RequestError> for Unanswered {
         Self {
             error,
             can_ask_outcome: false,
+            not_wanted: false,
         }
     }
 }

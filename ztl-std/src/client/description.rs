@@ -47,16 +47,20 @@ impl RemoteTask {
         let Some(answer) = self.ask_server("probe")? else {
             return Ok(None);
         };
-        let description = Description::parse(&answer);
-        description
-            .map(Some)
-            .ok_or(RequestError::Undescribed { answer })
+        Description::read(answer).map(Some)
     }
 }
 
 impl Description {
     /// Reads the answer to `probe`, which is YAML in flow style. Skips unknown keys, and what is unreadable
     /// does not hide the rest.
+    ///
+    /// # Errors
+    /// [`RequestError::Undescribed`].
+    pub fn read(answer: String) -> Result<Self, RequestError> {
+        Self::parse(&answer).ok_or(RequestError::Undescribed { answer })
+    }
+
     pub(super) fn parse(answer: &str) -> Option<Self> {
         let root: Node = serde_yaml_ng::from_str(answer).ok()?;
         let offers = |handlers: &Node| -> Offers {

@@ -10,6 +10,7 @@ mod connection;
 #[cfg(feature = "config")]
 mod description;
 mod error;
+mod parallel_requests;
 mod remote_task;
 #[cfg(feature = "config")]
 mod saved_description;
@@ -21,11 +22,13 @@ mod tasks;
 pub use abort_on_drop::AbortOnDrop;
 pub use background::BackgroundTask;
 pub use components::DescribedComponent;
+pub use connection::server_answer;
 #[cfg(feature = "config")]
 pub use description::Description;
 #[cfg(feature = "publish")]
 pub(crate) use error::advice;
 pub use error::{RequestError, RunError, TriggerError, WaitError};
+pub use parallel_requests::ParallelRequests;
 pub use remote_task::RemoteTask;
 #[cfg(feature = "config")]
 pub use saved_description::SavedDescription;

@@ -1,6 +1,5 @@
 //! Tasks on one scope of one server.
 
-use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use tracing::info;
@@ -10,7 +9,9 @@ use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 use ztl_core::{Request, State};
 
-use super::connection::{ABORT, ClientReply, Connection, STATUS, TaskQuestion, Wanted};
+use super::connection::{
+    ABORT, ClientReply, Connection, Open, Question, STATUS, Wanted, server_answer,
+};
 use super::error::{RequestError, RunError, TriggerError, WaitError};
 use super::status::{ServerInfo, Status, Triggered};
 use crate::keys::{KeyPair, PublicKey};
@@ -85,6 +86,15 @@ impl RemoteTask {
         self
     }
 
+    /// Sets the longest accepted answer in bytes. A server that sends a longer one loses the connection. Default: 64 MiB.
+    ///
+    /// # Errors
+    /// If the system has no more files.
+    pub fn with_longest_answer(mut self, bytes: usize) -> Result<Self, RequestError> {
+        self.connection.set_longest_answer(bytes)?;
+        Ok(self)
+    }
+
     /// Sets how to speak to the server. Default: [`Transport::Native`].
     ///
     /// # Errors
@@ -139,7 +149,34 @@ impl RemoteTask {
         payload: &str,
         wanted: impl Fn() -> bool,
     ) -> Result<Triggered, TriggerError> {
-        self.trigger_with(Some(&wanted), payload)
+        self.trigger_with(Some((&wanted, &wanted)), payload)
+    }
+
+    /// As [`trigger_while`](Self::trigger_while), but the INIT is sent only while it `may_be_sent`, which is called
+    /// immediately before.
+    ///
+    /// # Errors
+    /// Those of [`trigger_while`](Self::trigger_while).
+    pub fn trigger_before(
+        &mut self,
+        payload: &str,
+        may_be_sent: impl Fn() -> bool,
+        wanted: impl Fn() -> bool,
+    ) -> Result<Triggered, TriggerError> {
+        self.trigger_with(Some((&may_be_sent, &wanted)), payload)
+    }
+
+    /// Asks again what became of the last INIT, after [`trigger`](Self::trigger) or a relative of it has got no answer.
+    /// `None` if that cannot be learnt: 50 s after the INIT, from a server of the original, or from one that was restarted.
+    ///
+    /// # Errors
+    /// Those of [`trigger`](Self::trigger). After [`RequestError::NoAnswer`], ask again.
+    pub fn ask_outcome(&mut self) -> Option<Result<Triggered, TriggerError>> {
+        let start = Instant::now();
+        let answer = self.connection.ask_outcome()?;
+        // Whatever happened to the question: the INIT was sent.
+        let answer = answer.map_err(|_| TriggerError::Request(self.connection.no_answer(start)));
+        Some(answer.and_then(started).map(|(task, _)| task))
     }
 
     fn trigger_with(
@@ -184,11 +221,12 @@ impl RemoteTask {
     ) -> Result<(Triggered, Option<Status>), TriggerError> {
         let length = self.init_length(payload);
         let connection = &mut self.connection;
+        let before = wanted.map(|(may_be_sent, _)| (may_be_sent, may_be_sent));
         let prepared = connection
-            .probe(wanted)
-            .and_then(|()| connection.make_room(wanted, length));
-        if let Some(wanted) = wanted
-            && !wanted()
+            .probe(before)
+            .and_then(|()| connection.make_room(before, length));
+        if let Some((may_be_sent, _)) = wanted
+            && !may_be_sent()
         {
             return Err(TriggerError::GivenUp);
         }
@@ -204,29 +242,21 @@ impl RemoteTask {
             })
             .map_err(TriggerError::Request)?;
         let scope = &self.scope;
+        connection.discard_unsent(true);
         let mut answer = connection.ask_while(wanted, |client, body| request(client, scope, body));
+        connection.discard_unsent(false);
         if let Err(unanswered) = &answer
             && unanswered.can_ask_outcome
         {
             // Only an answer settles the outcome. If the question cannot be sent, because the server hangs or is
             // gone, the outcome stays unknown: the INIT was sent.
-            let outcome = (0..OUTCOMES).find_map(|_| connection.ask_outcome().ok());
+            let outcome = (0..OUTCOMES).find_map(|_| connection.ask_outcome()?.ok());
             answer = outcome.map_or(answer, Ok);
         }
-        match answer.map_err(|unanswered| TriggerError::Request(unanswered.error))? {
-            ClientReply::NeverStarted => Err(TriggerError::NeverCame),
-            ClientReply::Accepted { id, ended, text } => {
-                let status = ended.map(|state| Status {
-                    state,
-                    text: text.clone(),
-                });
-                Ok((Triggered { id, reply: text }, status))
-            }
-            ClientReply::Rejected { id, text } => Err(TriggerError::Rejected { id, reason: text }),
-            ClientReply::Unclear(error) => Err(TriggerError::Request(error)),
-            ClientReply::Task(Status { text, .. }) | ClientReply::UnknownTask { text } => {
-                Err(TriggerError::Request(unexpected(text)))
-            }
+        match answer {
+            Ok(reply) => started(reply),
+            Err(unanswered) if unanswered.not_wanted => Err(TriggerError::GivenUp),
+            Err(unanswered) => Err(TriggerError::Request(unanswered.error)),
         }
     }
 
@@ -286,27 +316,22 @@ impl RemoteTask {
         tasks: &[(String, RemoteId)],
         mut told: impl FnMut(usize, Result<Status, RequestError>),
     ) {
-        let mut aborts = Vec::new();
+        let mut open = Open::new();
         for (at, (scope, id)) in tasks.iter().enumerate() {
             match scope::cannot_be_asked(scope) {
                 Some(mistake) => told(at, Err(RequestError::Scope(mistake))),
-                None => aborts.push((at, TaskQuestion::abort(scope, id))),
+                None => {
+                    let (scope, id) = (scope.clone(), id.clone());
+                    open.ask(at, Question::Abort { scope, id });
+                }
             }
         }
-        let mut ended = HashMap::new();
-        self.connection.ask_together(aborts, |at, asked, reply| {
-            let answer = reply.and_then(|reply| status_of(reply, asked.id));
-            let outcome = match (ended.remove(&at), answer) {
-                (None, Ok(answer)) if answer.state.is_final() => {
-                    ended.insert(at, answer);
-                    return Some(asked.then_status());
-                }
-                (None, answer) => answer,
-                (Some(answer), status) => after_abort(answer, status),
-            };
-            told(at, outcome);
-            None
-        });
+        while !open.is_empty() {
+            let answers = self.connection.converse_together(&mut open, Duration::MAX);
+            for (at, outcome) in answers {
+                told(at, outcome);
+            }
+        }
     }
 
     /// Sends an ABORT and returns its answer. The text says whether the ABORT stopped the task (`True` or
@@ -326,14 +351,8 @@ impl RemoteTask {
     pub fn ask_server(&mut self, question: &str) -> Result<Option<String>, RequestError> {
         let connection = &mut self.connection;
         let answer = connection.ask(|client, body| client.ask(now(), question, body));
-        match answer.map_err(|unanswered| unanswered.error)? {
-            ClientReply::Task(Status {
-                state: State::Completed,
-                text,
-            }) => Ok(Some(text)),
-            ClientReply::Unclear(error @ RequestError::Unreadable { .. }) => Err(error),
-            _ => Ok(None),
-        }
+        let answer = answer.map_err(|unanswered| unanswered.error);
+        server_answer(answer.and_then(|reply| status_of(reply, &RemoteId::from(0_i64))))
     }
 
     /// Checks whether the server would accept the INIT of this payload, as far as it told its longest message.
@@ -432,8 +451,27 @@ impl RemoteTask {
     }
 }
 
+/// The task in the reply to an INIT, and its status if it has ended.
+fn started(reply: ClientReply) -> Result<(Triggered, Option<Status>), TriggerError> {
+    match reply {
+        ClientReply::NeverStarted => Err(TriggerError::NeverCame),
+        ClientReply::Accepted { id, ended, text } => {
+            let status = ended.map(|state| Status {
+                state,
+                text: text.clone(),
+            });
+            Ok((Triggered { id, reply: text }, status))
+        }
+        ClientReply::Rejected { id, text } => Err(TriggerError::Rejected { id, reason: text }),
+        ClientReply::Unclear(error) => Err(TriggerError::Request(error)),
+        ClientReply::Task(Status { text, .. }) | ClientReply::UnknownTask { text } => {
+            Err(TriggerError::Request(unexpected(text)))
+        }
+    }
+}
+
 /// The status in the reply to a STATUS or an ABORT.
-fn status_of(reply: ClientReply, id: &RemoteId) -> Result<Status, RequestError> {
+pub(super) fn status_of(reply: ClientReply, id: &RemoteId) -> Result<Status, RequestError> {
     match reply {
         ClientReply::Task(status) => Ok(status),
         ClientReply::UnknownTask { text } => Err(RequestError::UnknownTask {
@@ -449,7 +487,7 @@ fn status_of(reply: ClientReply, id: &RemoteId) -> Result<Status, RequestError> 
 }
 
 /// What an ABORT came to: its answer has a final state, and the STATUS after it tells the result.
-fn after_abort(
+pub(super) fn after_abort(
     answer: Status,
     status: Result<Status, RequestError>,
 ) -> Result<Status, RequestError> {

@@ -64,6 +64,24 @@ impl Socket {
         }
     }
 
+    /// How many connections were lost. libzmq does not tell it.
+    pub(super) const fn lost(&self) -> u64 {
+        match self {
+            Self::Native(dialer) => dialer.lost(),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(_) => 0,
+        }
+    }
+
+    /// Whether closing the connection discards what the system has not delivered yet. libzmq cannot do that.
+    pub(super) fn discard_unsent(&mut self, on: bool) {
+        match self {
+            Self::Native(dialer) => dialer.discard_unsent(on),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(_) => {}
+        }
+    }
+
     /// Whether a message arrives within `limit`.
     pub(super) fn can_receive(&mut self, limit: Duration) -> io::Result<bool> {
         match self {

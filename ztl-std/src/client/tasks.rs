@@ -56,8 +56,32 @@ impl RemoteTask {
             Err(error) if error.nothing_was_sent() => return Err(error),
             described => described,
         };
+        let listing = self.ask_server("tasks");
+        let tasks = ServerTasks::merged(self.endpoint(), described, listing)?;
+        let known = match self.connection.server() {
+            Server::Ours { boot } => Some(boot),
+            _ => None,
+        };
+        Ok(tasks.map(|tasks| ServerTasks {
+            boot: tasks.boot.or(known),
+            ..tasks
+        }))
+    }
+}
+
+impl ServerTasks {
+    /// Merges a server's answers to `probe` and to `tasks`, which was asked after it; `None` if it knows neither, as the
+    /// original's.
+    ///
+    /// # Errors
+    /// If neither is readable.
+    pub fn merged(
+        endpoint: &str,
+        described: Result<Option<Description>, RequestError>,
+        listing: Result<Option<String>, RequestError>,
+    ) -> Result<Option<Self>, RequestError> {
         let mut gaps = Vec::new();
-        let listing = match self.ask_server("tasks") {
+        let listing = match listing {
             Ok(None) => match &described {
                 Ok(None) => return Ok(None),
                 Ok(Some(_)) => None,
@@ -91,11 +115,7 @@ impl RemoteTask {
         }
         let described = described.ok().flatten();
         let boot = described.as_ref().map(|described| described.boot);
-        let boot = boot.or(match self.connection.server() {
-            Server::Ours { boot } => Some(boot),
-            _ => None,
-        });
-        let mut tasks = merge(described, listing, self.endpoint(), gaps);
+        let mut tasks = merge(described, listing, endpoint, gaps);
         tasks.boot = boot;
         Ok(Some(tasks))
     }
@@ -114,6 +134,12 @@ fn merge(
     if running.is_none() && listing.is_none() && gaps.is_empty() {
         gaps.push(format!(
             "the server at {endpoint} does not tell which tasks run"
+        ));
+    }
+    let elsewhere = listing.as_ref().map_or(0, |listing| listing.elsewhere);
+    if elsewhere > 0 {
+        gaps.push(format!(
+            "{elsewhere} more run in scopes that this client may not use"
         ));
     }
     let list_unread = listing.as_ref().map_or(0, |listing| listing.unread);

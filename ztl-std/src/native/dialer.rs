@@ -59,6 +59,8 @@ pub(crate) struct Dialer<S = Dealer> {
     lookup: Option<Receiver<Option<SocketAddr>>>,
     /// What ended the last attempt to connect.
     obstacle: Option<Obstacle>,
+    /// Whether closing the connection discards what was not delivered.
+    discards: bool,
 }
 
 impl<S: Socket> Dialer<S> {
@@ -79,6 +81,7 @@ impl<S: Socket> Dialer<S> {
             piece: vec![0; PIECE].into_boxed_slice(),
             lookup: None,
             obstacle: None,
+            discards: false,
         })
     }
 
@@ -90,9 +93,16 @@ impl<S: Socket> Dialer<S> {
     }
 
     /// How many connections were lost after the handshake.
-    #[cfg(feature = "publish")]
     pub(crate) const fn lost(&self) -> u64 {
         self.lost
+    }
+
+    /// Whether closing the connection discards what the system has not delivered yet.
+    pub(crate) fn discard_unsent(&mut self, on: bool) {
+        self.discards = on;
+        if let Some(open) = &self.open {
+            open.stream.discard_unsent(on);
+        }
     }
 
     /// Connects if needed, at most for `limit`; returns whether a message can be sent.
@@ -220,6 +230,7 @@ impl<S: Socket> Dialer<S> {
             return Ok(());
         };
         stream.register(self.poll.registry(), Token(0))?;
+        stream.discard_unsent(self.discards);
         let mut out = Outbound::default();
         let inbound = Inbound::open(
             now() + HANDSHAKE,

@@ -198,6 +198,18 @@ impl Stream {
         UnixStream::connect(path).map(Self::Ipc)
     }
 
+    /// Whether closing it discards what the system has not delivered yet, instead of trying for minutes. It works
+    /// without, so errors are ignored.
+    pub(super) fn discard_unsent(&self, on: bool) {
+        #[cfg(unix)]
+        if let Self::Tcp(stream) = self {
+            let linger = on.then_some(std::time::Duration::ZERO);
+            let _ = rustix::net::sockopt::set_socket_linger(stream, linger);
+        }
+        #[cfg(not(unix))]
+        let _ = on;
+    }
+
     /// Reports when it can be read or written.
     pub(super) fn register(&mut self, registry: &Registry, token: Token) -> io::Result<()> {
         registry.register(

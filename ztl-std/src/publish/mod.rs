@@ -23,7 +23,7 @@ mod subscriber;
 mod tests;
 
 pub use publisher::{Publisher, PublisherBuilder};
-pub use subscriber::{Heard, Subscriber, SubscriberBuilder};
+pub use subscriber::{Content, Heard, Subscriber, SubscriberBuilder};
 
 /// The path of messages that have no other, like the original's.
 pub const PATH: &str = "/";

@@ -57,6 +57,19 @@ pub struct Heard {
     pub at: SystemTime,
 }
 
+/// What a message contains.
+#[derive(Debug, Clone)]
+pub enum Content<'a> {
+    /// A pickle.
+    Value(Pickle),
+    /// Not a pickle, as the readings of a gateway that publishes them raw.
+    Text(&'a str),
+    /// Neither a pickle nor text.
+    Bytes(&'a [u8]),
+    /// A pickle that could run code, or exceeds a limit.
+    Refused(ztl_pickle::Error),
+}
+
 impl Heard {
     /// The value in the message. Nothing in it is executed.
     ///
@@ -64,6 +77,20 @@ impl Heard {
     /// What is wrong with the pickle, or which object in it is refused.
     pub fn value(&self) -> Result<Pickle, ztl_pickle::Error> {
         Pickle::read(&self.body)
+    }
+
+    /// What the message contains, also if that is not a pickle.
+    #[must_use]
+    pub fn content(&self) -> Content<'_> {
+        use ztl_pickle::Error::{Refused, TooLarge};
+        match self.value() {
+            Ok(value) => Content::Value(value),
+            Err(error @ (Refused(_) | TooLarge { .. })) => Content::Refused(error),
+            Err(_) => match str::from_utf8(&self.body) {
+                Ok(text) => Content::Text(text),
+                Err(_) => Content::Bytes(&self.body),
+            },
+        }
     }
 }
 

@@ -220,7 +220,7 @@ impl Memory for ServerMemory {
         self.answer = match question {
             "tasks" => {
                 let tasks = self.tasks.list(now(), |scope| self.scope_name(scope));
-                TaskList::of(tasks.collect()).into_json()
+                TaskList::of(tasks.collect(), self.tasks.running_elsewhere()).into_json()
             }
             "describe" => self.describe(""),
             other => match other.strip_prefix("describe ") {

@@ -150,6 +150,13 @@ impl TaskTable {
         })
     }
 
+    /// How many tasks run that the client being served may not see.
+    pub(super) fn running_elsewhere(&self) -> usize {
+        let tasks = self.tasks.values().map(|slot| &slot.task);
+        let running = tasks.filter(|task| !task.state.is_final());
+        running.filter(|task| self.hides(task.extra)).count()
+    }
+
     /// Evicts the oldest ends until all bytes fit, but never `last`, which no client has been told yet.
     fn forget_surplus(&mut self, last: TaskId) {
         while self.goals + self.results + self.answers > self.limits.memory

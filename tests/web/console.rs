@@ -1,0 +1,132 @@
+//! A console and its robots.
+
+use std::fs;
+use std::process::Command;
+
+use ztl_tests::lab::{Process, SCOPE, Scratch, Server, node_packages, reserve_port, ztl};
+
+/// A robot whose tasks can be aborted: `test:echo`, `test:sleep`, and `test:mark`, which leaves a mark for each start.
+pub(crate) const ROBOT: &str = "\
+scopes:
+  /test:
+    test:
+      echo: echo
+      sleep: sleep
+      mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: '', at-once: 20}
+";
+
+/// A console for the robot `ours`, and for `gone`, which nobody serves.
+pub(crate) struct Console {
+    pub(crate) files: Scratch,
+    pub(crate) robot: Server,
+    pub(crate) process: Process,
+    pub(crate) url: String,
+    port: u16,
+    gone: u16,
+}
+
+/// Serves this configuration in a directory.
+pub(crate) fn robot(files: &Scratch, configuration: &str, port: u16) -> Server {
+    fs::write(files.path("robot.yaml"), configuration).expect("a file");
+    let mut command = ztl();
+    command.current_dir(files.path(""));
+    command.args(["serve", "robot.yaml", "-p", &port.to_string()]);
+    let process = Process::start(&mut command);
+    process.wait_for("Serving");
+    Server { process, port }
+}
+
+/// A console for these robots at a port.
+pub(crate) fn web(port: u16, robots: &[(&str, u16)], options: &[&str]) -> (Process, String) {
+    let mut command = ztl();
+    command.args(["web", "-c", "/dev/null", "-p", &port.to_string()]);
+    for (name, port) in robots {
+        command.args(["--task", name, "127.0.0.1", &port.to_string(), SCOPE]);
+    }
+    let process = Process::start(command.args(options));
+    let line = process.wait_for("://");
+    let link = line.split(' ').next_back().expect("a link").trim();
+    let url = link.to_owned();
+    (process, url)
+}
+
+impl Console {
+    pub(crate) fn new() -> Self {
+        let files = Scratch::new();
+        let [port, gone, at] = [(); 3].map(|()| reserve_port());
+        let robot = robot(&files, ROBOT, at);
+        let (process, url) = web(port, &[("ours", at), ("gone", gone)], &[]);
+        Self {
+            files,
+            robot,
+            process,
+            url,
+            port,
+            gone,
+        }
+    }
+
+    /// The console for one robot.
+    pub(crate) fn of_one() -> Self {
+        let mut console = Self::new();
+        console.process.kill();
+        let port = reserve_port();
+        let (process, url) = web(port, &[("ours", console.robot.port)], &[]);
+        Self {
+            process,
+            url,
+            port,
+            ..console
+        }
+    }
+
+    pub(crate) fn start_again(&mut self) {
+        let robots = [("ours", self.robot.port), ("gone", self.gone)];
+        self.process = web(self.port, &robots, &[]).0;
+    }
+
+    pub(crate) fn start_robot_again(&mut self) {
+        self.robot = robot(&self.files, ROBOT, self.robot.port);
+    }
+
+    /// How often `test:mark` was started.
+    pub(crate) fn marks(&self) -> usize {
+        marks(&self.files)
+    }
+
+    /// The address of its socket.
+    pub(crate) fn socket(&self) -> String {
+        format!("{}rosbridge", self.url.replace("http", "ws"))
+    }
+}
+
+/// The port in a console's link.
+#[track_caller]
+pub(crate) fn port(url: &str) -> u16 {
+    let digits = from_port(url);
+    let digits = digits.trim_matches(|c: char| !c.is_ascii_digit());
+    digits.parse().expect("a number")
+}
+
+/// How often the `test:mark` of a robot was started.
+pub(crate) fn marks(files: &Scratch) -> usize {
+    let marks = fs::read_to_string(files.path("marks"));
+    marks.unwrap_or_default().lines().count()
+}
+
+/// The part of a printed link from its port on.
+pub(crate) fn from_port(line: &str) -> String {
+    let (_, link) = line.split_once("://").expect("a link");
+    let (_, rest) = link.trim().split_once(':').expect("a port");
+    format!(":{rest}")
+}
+
+/// Node with the installed packages.
+pub(crate) fn node(script: &str) -> Command {
+    let mut command = Command::new("node");
+    let path = format!("{}/web/{script}", env!("CARGO_MANIFEST_DIR"));
+    command
+        .arg(path)
+        .env("ZTL_CLIENTS", node_packages("roslib"));
+    command
+}

@@ -1,0 +1,502 @@
+// Drives Chromium for one scenario of tests/web/page.rs: node driver.mjs SCENARIO URL DIRECTORY.
+// Prints `do: WHAT` when the test has to do something outside the browser, and waits for a line.
+
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { createServer } from 'node:http';
+import { connect, createServer as createProxy } from 'node:net';
+import { createRequire } from 'node:module';
+import { createInterface } from 'node:readline';
+
+const [scenario, url, directory] = process.argv.slice(2);
+const require = createRequire(`${process.env.ZTL_CLIENTS}/`);
+const { chromium } = require('playwright-core');
+const axe = readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8');
+const SIZES = { phone: [390, 844], tablet: [820, 1180], desk: [1440, 900] };
+const LIMIT = 20_000;
+
+const browser = await chromium.launchPersistentContext(`${directory}/profile`, {
+  executablePath: '/usr/bin/chromium',
+  headless: true,
+  hasTouch: true,
+  ignoreHTTPSErrors: true,
+  args: ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking',
+    '--disable-component-update', '--disable-sync', '--host-resolver-rules=MAP hostile.test 127.0.0.1'],
+});
+browser.setDefaultTimeout(LIMIT);
+const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
+
+async function outside(what) {
+  console.log(`do: ${what}`);
+  await lines.next();
+}
+
+// An error in the page ends the scenario.
+browser.on('weberror', (error) => { throw error.error(); });
+
+async function open([width, height] = SIZES.desk, where = url) {
+  const page = await browser.newPage();
+  await page.setViewportSize({ width, height });
+  page.alerts = 0;
+  page.on('dialog', (dialog) => { page.alerts += 1; dialog.dismiss(); });
+  await page.goto(where);
+  await page.locator('#connection[data-state=open]').waitFor();
+  await page.locator('#component option').first().waitFor({ state: 'attached' });
+  return page;
+}
+
+// Chooses a component of a robot, or any other of its scope: the text of the choice tells which.
+async function choose(page, text, robot = 'ours') {
+  const option = page.locator(`#component optgroup[label=${robot}] option`, { hasText: text }).first();
+  await option.waitFor({ state: 'attached' });
+  await page.locator('#component').selectOption(await option.getAttribute('value'));
+}
+
+// Starts a task of a component that is named as free text.
+async function start(page, component, goal) {
+  await choose(page, 'another of');
+  await page.locator('#other').fill(component);
+  await page.locator('#goal').fill(goal);
+  await page.locator('#start').click();
+}
+
+// Waits until a press counts again.
+const ready = (page) => page.locator('#start[aria-disabled=false]').waitFor();
+const isOff = async (page) => await page.locator('#start').getAttribute('aria-disabled') === 'true';
+
+const saying = (page, list, text) => page.locator(`${list} .card`, { hasText: text });
+
+// No violation of axe's rules, and nothing wider than the window.
+async function check(page, name) {
+  // The page's policy allows no script of others; the driver's own channel does.
+  const cdp = await browser.newCDPSession(page);
+  await cdp.send('Runtime.evaluate', { expression: axe });
+  const found = await cdp.send('Runtime.evaluate', {
+    expression: 'axe.run().then((r) => r.violations.map((v) => v.id + ": " + v.nodes.map((n) => n.html).join(" ")))',
+    awaitPromise: true, returnByValue: true,
+  });
+  assert.deepEqual(found.result.value, [], name);
+  const [inner, whole] = await page.evaluate(() => [innerWidth, document.documentElement.scrollWidth]);
+  assert.equal(whole, inner, `${name}: wider than the window`);
+  await page.screenshot({ path: `${process.env.ZTL_SCREENSHOTS ?? directory}/${name}.png` });
+}
+
+const scenarios = {
+  // Each part at each size, in light and dark, and by the keyboard.
+  async parts() {
+    for (const [name, size] of Object.entries(SIZES)) {
+      const page = await open(size);
+      await page.emulateMedia({ colorScheme: name === 'tablet' ? 'dark' : 'light' });
+      await start(page, 'test/echo', 'hello');
+      await saying(page, '#goals', 'COMPLETED: hello').waitFor();
+      await saying(page, '#goals', 'hello').getByText('Again').click();
+      assert.equal(await page.locator('#goal').inputValue(), 'hello');
+      await start(page, 'test/sleep', '60');
+      await saying(page, '#running', 'by operator at 127.0.0.1').waitFor();
+      await saying(page, '#robot-list', 'MISSING').waitFor();
+      await check(page, name);
+      await saying(page, '#running', 'test:sleep:60').getByText('Abort').click();
+      await saying(page, '#goals', 'ABORTED').waitFor();
+      await page.locator('#idle').waitFor();
+      // By keys: a goal with Enter, and Stop with Escape while the text field has the focus.
+      await page.locator('#goal').fill('50');
+      await ready(page);
+      await page.locator('#goal').press('Enter');
+      await saying(page, '#running', 'test:sleep:50').waitFor();
+      await page.locator('#goal').press('Escape');
+      await page.getByText('ours: confirmed: 1 task has ended').waitFor();
+      await page.getByText('gone: NOT CONFIRMED').waitFor();
+      await page.getByText('NOT every robot has confirmed').waitFor();
+      await saying(page, '#goals', 'sleep 50').getByText('ABORTED').waitFor();
+      await check(page, `${name}-stopped`);
+      await page.locator('#stopped-close').click();
+      await page.close();
+    }
+  },
+
+  // Text of robots and of goals is shown as it is.
+  async hostile() {
+    const page = await open();
+    const evil = '<img src=x onerror=alert(1)><script>alert(2)</script>"\'&\u202e';
+    await start(page, 'test/echo', evil);
+    await saying(page, '#goals', `COMPLETED: ${evil}`).waitFor();
+    await start(page, 'x/echo', 'W'.repeat(300));
+    await page.locator('#ended-box summary').click();
+    await saying(page, '#ended', '<img src=x').waitFor();
+    assert.equal(await page.locator('main img, main script').count(), 0);
+    assert.equal(page.alerts, 0);
+    await check(page, 'hostile');
+  },
+
+  // Two pages see the same, and a task of anybody can be aborted on each. One of them starts tasks.
+  async two() {
+    const [one, other] = [await open(), await open(SIZES.phone)];
+    await one.getByText('Nobody operates').waitFor();
+    await start(one, 'test/sleep', '60');
+    await one.getByText('You operate.').waitFor();
+    await other.getByText('operator at 127.0.0.1 operates.').waitFor();
+    await choose(other, 'another of');
+    await other.locator('#other').fill('test/sleep');
+    await other.locator('#goal').fill('61');
+    assert.ok(await isOff(other));
+    await other.locator('#goal').press('Enter');
+    await other.getByText('NOT SENT: operator at 127.0.0.1 operates').waitFor();
+    await check(other, 'not-operating');
+    await saying(other, '#running', 'test:sleep:60').getByText('Abort').click();
+    await saying(one, '#goals', 'ABORTED').waitFor();
+    await other.locator('#take-over').click();
+    await other.getByText('You operate.').waitFor();
+    await one.getByText('operator at 127.0.0.1 has taken over').waitFor();
+    assert.ok(await isOff(one));
+    await check(one, 'taken-over');
+    await other.locator('#start').click();
+    await saying(one, '#running', 'test:sleep:61').waitFor();
+    await one.locator('#stop').click();
+    await other.getByText('ours: confirmed: 1 task has ended').waitFor();
+    await saying(other, '#goals', 'ABORTED').waitFor();
+    // Whoever leaves does not operate any longer.
+    await other.close();
+    await one.getByText('Nobody operates').waitFor();
+  },
+
+  // One press starts one task: a double click, a double tap, and an Enter held in the field or on the button.
+  async presses() {
+    const page = await open();
+    await choose(page, 'another of');
+    await page.locator('#other').fill('test/mark');
+    const goals = async (count) => {
+      await page.locator('#running .card').nth(count - 1).waitFor();
+      await ready(page);
+      assert.equal(await page.locator('#goals .card').count(), count);
+    };
+    const goal = (text) => page.locator('#goal').fill(text);
+    await goal('click');
+    await page.locator('#start').dblclick();
+    await page.getByText('Presses that follow at once do not count').waitFor();
+    await goals(1);
+    await goal('tap');
+    const box = await page.locator('#start').boundingBox();
+    for (let tap = 0; tap < 3; tap += 1) await page.touchscreen.tap(box.x + 20, box.y + 20);
+    await goals(2);
+    for (const [count, where] of [[3, '#goal'], [4, '#start']]) {
+      await goal(where);
+      await page.locator(where).focus();
+      for (let repeat = 0; repeat < 15; repeat += 1) {
+        await page.keyboard.down('Enter');
+        await page.waitForTimeout(33);
+      }
+      await page.keyboard.up('Enter');
+      await goals(count);
+    }
+    // As a remote desktop repeats a held key: each time pressed and let go.
+    await goal('remote');
+    await page.locator('#goal').focus();
+    for (let repeat = 0; repeat < 45; repeat += 1) {
+      await page.keyboard.press('Enter');
+      await page.waitForTimeout(33);
+    }
+    await goals(5);
+    // The same goal twice, by two presses.
+    await page.locator('#start').click();
+    await goals(6);
+  },
+
+  // What was chosen stays chosen when it vanishes, and nothing else is started instead.
+  async gone() {
+    const page = await open();
+    const value = () => page.locator('#component').evaluate((select) => JSON.parse(select.value || 'null'));
+    assert.equal(await value(), null);
+    assert.ok(await isOff(page));
+    await choose(page, 'test mark', 'second');
+    const chosen = await value();
+    assert.equal(chosen.robot, 'second');
+    await ready(page);
+    const refused = async (why) => {
+      assert.deepEqual(await value(), chosen);
+      assert.ok(await isOff(page));
+      await page.locator('#goal').press('Enter');
+      await page.locator('#form-said', { hasText: why }).waitFor();
+    };
+    await outside('kill the second');
+    await page.getByText('second is missing.').waitFor();
+    await refused('NOT SENT: second is missing');
+    await outside('start the second without mark');
+    await page.getByText('test mark of second is gone').waitFor();
+    assert.equal(await page.locator('#component option:checked').textContent(), 'test mark (gone)');
+    await refused('NOT SENT: test mark of second is gone');
+    await check(page, 'gone');
+    await outside('start the second with mark');
+    await ready(page);
+    assert.deepEqual(await value(), chosen);
+    await page.locator('#start').click();
+    await saying(page, '#running', 'test:mark').waitFor();
+  },
+
+  // Each goal says until when it may start, by the console's clock, also if the clock of the browser is wrong.
+  async deadline() {
+    const page = await browser.newPage();
+    const sent = [];
+    page.on('websocket', (socket) => socket.on('framesent', ({ payload }) => sent.push(JSON.parse(payload))));
+    await page.addInitScript(() => {
+      const now = Date.now;
+      Date.now = () => now() + 3_600_000;
+    });
+    await page.goto(url);
+    await page.locator('#connection[data-state=open]').waitFor();
+    await start(page, 'test/echo', 'in time');
+    const before = Date.now();
+    await saying(page, '#goals', 'COMPLETED: in time').waitFor();
+    const goal = sent.find((message) => message.op === 'send_action_goal');
+    const ahead = goal.args.not_after_ms - before;
+    assert.ok(Number.isInteger(goal.args.not_after_ms) && ahead > 0 && ahead <= 5000, `${ahead} ms`);
+  },
+
+  // Goals that were kept, and the last ones, fill in the form and start nothing.
+  async ready() {
+    const page = await open();
+    await start(page, 'test/echo', 'kept');
+    await saying(page, '#goals', 'COMPLETED: kept').waitFor();
+    await page.getByLabel('Keep test/echo kept of ours').click();
+    for (let count = 0; count < 8; count += 1) {
+      await start(page, 'test/echo', `${count}`);
+      await saying(page, '#goals', `COMPLETED: ${count}`).waitFor();
+    }
+    await page.reload();
+    assert.deepEqual(await page.locator('#ready .fill .name').allTextContents(),
+      ['test/echo kept', ...[7, 6, 5, 4, 3, 2].map((count) => `test/echo ${count}`)]);
+    await page.locator('#ready .fill').first().click();
+    assert.equal(await page.locator('#goal').inputValue(), 'kept');
+    await ready(page);
+    assert.equal(await page.locator('#goals .card').count(), 0);
+    await page.locator('#goal').press('Enter');
+    await saying(page, '#goals', 'COMPLETED: kept').waitFor();
+  },
+
+  // Streams are heard while their part is open.
+  async streams() {
+    const page = await open();
+    assert.equal(await page.locator('#publishers .streams li').count(), 0);
+    await outside('nobody listens');
+    await page.locator('#publishers summary').click();
+    const stream = (topic) => page.locator('#publishers .streams li', { hasText: topic });
+    await stream('/lab/pose').getByText("{'x': ").waitFor();
+    await stream('/lab/pose').locator('svg').waitFor();
+    const points = () => stream('/lab/pose').locator('.line1').getAttribute('points');
+    while ((await points()).split(' ').length < 5) await page.waitForTimeout(50);
+    await stream('/lab/word').getByText('<b>hostile</b>').waitFor();
+    const width = () => stream('/lab/camera').locator('img').evaluate((picture) => picture.naturalWidth);
+    while (await width() !== 64) await page.waitForTimeout(50);
+    await check(page, 'streams');
+    await page.setViewportSize({ width: SIZES.phone[0], height: SIZES.phone[1] });
+    await page.emulateMedia({ colorScheme: 'dark' });
+    await stream('/lab/camera').scrollIntoViewIfNeeded();
+    await check(page, 'streams-phone');
+    await page.locator('#publishers summary').click();
+    await outside('nobody listens');
+  },
+
+  // The console keeps the tasks that have ended, for every page.
+  async past() {
+    const page = await open();
+    for (const [component, goal, end] of [['test/echo', 'one', 'COMPLETED'], ['test/sleep', 'x', 'REJECTED'], ['test/sleep', '60', 'ABORTED']]) {
+      await start(page, component, goal);
+      if (end === 'ABORTED') await saying(page, '#running', 'test:sleep:60').getByText('Abort').click();
+      await saying(page, '#goals', end).waitFor();
+    }
+    await outside('start a task');
+    const other = await open(SIZES.tablet);
+    await other.getByText('Tasks of the last hours').click();
+    await saying(other, '#past', 'test:echo:other').waitFor();
+    await saying(other, '#past', 'COMPLETED: one').getByText('by operator at 127.0.0.1').waitFor();
+    await other.locator('#past-filter').fill('abort');
+    await saying(other, '#past', 'COMPLETED: one').waitFor({ state: 'detached' });
+    await saying(other, '#past', 'ABORTED').waitFor();
+    assert.equal(await other.locator('#past .card').count(), 1);
+    await check(other, 'past');
+    await other.locator('#past-filter').fill('nothing like this');
+    await other.getByText('No task contains this.').waitFor();
+  },
+
+  // Whoever opens the page without its link is told what to do; so is a page whose console was started again.
+  async locked() {
+    const page = await open();
+    await outside('start the console again');
+    await page.getByText('No access: open the link again').waitFor();
+    await page.reload();
+    await page.getByText('Open the link again that ztl web printed').waitFor();
+    await check(page, 'locked');
+  },
+
+  // The page that operated goes on when the console is back.
+  async returns() {
+    const page = await open();
+    await start(page, 'test/mark', 'x');
+    await page.getByText('You operate.').waitFor();
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    await outside('kill the console');
+    await saying(page, '#goals', 'UNKNOWN').waitFor();
+    await page.getByText('You operate.').waitFor();
+    await page.locator('#goal').fill('y');
+    await ready(page);
+    await page.locator('#start').click();
+    await page.locator('#running .card').nth(1).waitFor();
+  },
+
+  // A page of one's own, with a button in a form.
+  async own() {
+    const page = await browser.newPage();
+    await page.goto(url);
+    assert.equal(await page.locator('p').evaluate((text) => getComputedStyle(text).color), 'rgb(255, 0, 0)');
+    await page.locator('button').dblclick();
+    await page.waitForLoadState();
+    const console_ = await browser.newPage();
+    await console_.goto(new URL('/console', url).href);
+    await saying(console_, '#running', 'by page at 127.0.0.1').waitFor();
+    assert.equal(await console_.locator('#running .card').count(), 1);
+    // A second press, when the first one is long over.
+    await console_.getByText(/started [1-9] s ago/).waitFor();
+    await page.locator('button').click();
+    await console_.locator('#running .card').nth(1).waitFor();
+    // Who operates by the console goes before.
+    await console_.locator('#component').selectOption({ label: 'test echo' });
+    await console_.locator('#start').click();
+    await console_.getByText('You operate.').waitFor();
+    await console_.getByText(/started [2-9] s ago/).first().waitFor();
+    await page.locator('button').click();
+    await page.getByText('NOT SENT: operator at 127.0.0.1 operates').waitFor();
+  },
+
+  // What a page started is aborted when it is closed, if it has chosen so.
+  async closed() {
+    const [one, other] = [await open(SIZES.tablet), await open()];
+    await start(one, 'test/sleep', '60');
+    await saying(other, '#running', 'test:sleep:60').waitFor();
+    await one.locator('#when-gone').check();
+    await one.locator('#connection[data-state=open]').waitFor();
+    await check(one, 'when-gone');
+    await one.close();
+    await other.locator('#idle').waitFor();
+    await other.locator('#ended-box summary').click();
+    await saying(other, '#ended', 'ABORTED').waitFor();
+  },
+
+  // The network is cut while tasks run: when it is back, the page knows what became of them.
+  async cut() {
+    const links = new Set();
+    let isCut = false;
+    const proxy = createProxy((browserEnd) => {
+      const consoleEnd = connect(new URL(url).port, '127.0.0.1');
+      for (const [end, other] of [[browserEnd, consoleEnd], [consoleEnd, browserEnd]]) {
+        links.add(end);
+        end.on('error', () => {}).on('close', () => { links.delete(end); other.destroy(); });
+        end.pipe(other);
+      }
+      if (isCut) browserEnd.destroy();
+    });
+    await new Promise((done) => proxy.listen(0, '127.0.0.1', done));
+    const cut = () => {
+      isCut = true;
+      for (const end of links) end.destroy();
+    };
+    const page = await open(SIZES.phone, `http://127.0.0.1:${proxy.address().port}/`);
+    await start(page, 'test/sleep', '60');
+    const [, , id] = JSON.parse(await saying(page, '#running', 'test:sleep:60').getAttribute('data-key'));
+    await start(page, 'test/mark', 'x');
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    cut();
+    await saying(page, '#goals', 'sleep 60').getByText('UNKNOWN').waitFor();
+    await check(page, 'cut');
+    // One of them ends meanwhile.
+    await outside(`abort ${id}`);
+    isCut = false;
+    await page.locator('#connection[data-state=open]').waitFor();
+    await saying(page, '#goals', 'sleep 60').getByText('ABORTED').waitFor();
+    await saying(page, '#goals', 'mark x').getByText('running').waitFor();
+    await page.getByText('You operate.').waitFor();
+    await saying(page, '#goals', 'mark x').getByText('Abort', { exact: true }).click();
+    await saying(page, '#goals', 'mark x').getByText('ABORTED').waitFor();
+    proxy.close();
+  },
+
+  async encrypted() {
+    const page = await open();
+    const [cookie] = await browser.cookies();
+    assert.deepEqual([page.url().slice(0, 8), cookie.secure], ['https://', true]);
+    await start(page, 'test/echo', 'hidden');
+    await saying(page, '#goals', 'COMPLETED: hidden').waitFor();
+  },
+
+  // The console and the server are killed and return. Nothing starts twice.
+  async killed() {
+    const page = await open();
+    await start(page, 'test/mark', 'x');
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    await outside('kill the console');
+    await page.locator('#connection[data-state=lost]').waitFor();
+    await saying(page, '#goals', 'UNKNOWN').waitFor();
+    await page.keyboard.press('Escape');
+    await page.getByText('NOT SENT: no connection').waitFor();
+    await outside('start the console');
+    await page.locator('#connection[data-state=open]').waitFor();
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    assert.equal(await page.locator('#running .card').count(), 1);
+    await outside('kill the server');
+    await saying(page, '#robot-list', 'MISSING').waitFor();
+    await saying(page, '#running', 'the robot is missing: last known').waitFor();
+    await outside('start the server');
+    await saying(page, '#robot-list', 'there for').waitFor();
+    await page.locator('#idle').waitFor();
+    await start(page, 'test/echo', 'again');
+    await saying(page, '#goals', 'COMPLETED: again').waitFor();
+  },
+
+  // A page of another origin reaches nothing, also if its name leads to this machine: DNS rebinding.
+  async origin() {
+    const server = createServer((_, answer) => answer.setHeader('content-type', 'text/html').end('<title>hostile</title>'));
+    await new Promise((done) => server.listen(0, '127.0.0.1', done));
+    const page = await browser.newPage();
+    await page.goto(`http://127.0.0.1:${server.address().port}/`);
+    const connect = (where) => page.evaluate((at) => new Promise((done) => {
+      const socket = new WebSocket(at);
+      socket.onopen = () => done('open');
+      socket.onerror = () => done('refused');
+    }), where);
+    assert.equal(await connect(`${url.replace('http', 'ws')}rosbridge`), 'refused');
+    const fetched = await page.evaluate((where) => fetch(where).then(() => 'read', () => 'refused'), url);
+    assert.equal(fetched, 'refused');
+    await page.setContent(`<iframe src="${url}"></iframe>`);
+    await page.locator('iframe').waitFor();
+    assert.equal(await page.frameLocator('iframe').locator('#stop').count(), 0);
+    const rebound = new URL(url);
+    rebound.hostname = 'hostile.test';
+    assert.equal((await page.goto(rebound.href)).status(), 403);
+    assert.equal(await connect(`ws://${rebound.host}/rosbridge`), 'refused');
+    server.close();
+  },
+
+  // A watcher's page shows everything and stops everything. It starts nothing.
+  async watcher() {
+    const page = await open(SIZES.phone);
+    await page.getByText('connected, as a watcher').waitFor();
+    assert.equal(page.url(), new URL('/', url).href);
+    const [cookie] = await browser.cookies();
+    assert.deepEqual([cookie.httpOnly, cookie.sameSite], [true, 'Strict']);
+    assert.equal(await page.locator('#start').isVisible(), false);
+    await outside('start a task');
+    await saying(page, '#running', 'test:sleep:60').waitFor();
+    await check(page, 'watcher');
+    await saying(page, '#running', 'test:sleep:60').getByText('Abort').click();
+    await page.locator('#idle').waitFor();
+    await page.keyboard.press('Escape');
+    await page.getByText('ours: confirmed: nothing ran').waitFor();
+    await page.getByText('watcher at 127.0.0.1').waitFor();
+  },
+};
+
+try {
+  await scenarios[scenario]();
+  console.log('passed');
+} finally {
+  await browser.close();
+}
+process.exit(0);

@@ -1,0 +1,12 @@
+//! `ztl web` with real clients: Chromium at three sizes, roslib, roslibpy, and requests of strangers.
+
+mod client;
+mod clients;
+mod console;
+mod figures;
+mod gate;
+mod goals;
+mod page;
+mod robot;
+mod socket;
+mod stops;

@@ -1,0 +1,210 @@
+// The page: shows what the topics say, and sends goals, aborts and Stop. It uses nothing but /rosbridge.
+
+import { at, card, element, setText, showAll, span } from './elements.js';
+import { Form, NOTHING } from './form.js';
+import { Operator } from './operator.js';
+import { Past } from './past.js';
+import { Bridge } from './rosbridge.js';
+import { Streams } from './streams.js';
+
+// How long ago a Stop may have ended that a page shows which was not there.
+const RECENT = 10_000;
+// How often the console's clock is asked for.
+const CLOCK = 10_000;
+
+let robots = [];
+let tasks = { tasks: [], gaps: [] };
+let closedStop = sessionStorage.getItem('closed-stop');
+// The console's wall clock, and this browser's monotonic clock when the console told it. The wall clock of this
+// browser may be wrong, or be set while the page is open.
+let clock = null;
+
+const bridge = new Bridge(`${location.protocol.replace('http', 'ws')}//${location.host}/rosbridge`, onState);
+const operator = new Operator(bridge);
+const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
+const streams = new Streams(bridge, now);
+const past = new Past(bridge);
+
+// The console's wall clock. Behind by what the answer took to come, never ahead.
+function now() {
+  return clock === null ? Date.now() : Math.round(clock.ms + performance.now() - clock.at);
+}
+
+async function askClock() {
+  const told = await bridge.call('/ztl/robots', {});
+  clock = { ms: told.now_ms, at: performance.now() };
+  return told;
+}
+
+function onState(open) {
+  at('connection').dataset.state = open ? 'open' : 'lost';
+  if (open) {
+    greet().catch(() => {});
+  } else {
+    operator.gone();
+    askWhy();
+  }
+  show();
+}
+
+async function greet() {
+  await operator.welcome(await askClock());
+  chooseWhenGone();
+  // Only now: whether a Stop is old depends on the console's clock.
+  bridge.subscribe('/ztl/stop', showStop);
+  show();
+}
+
+// What happens to the goals of this page when it is closed, or loses its connection: they go on, or are aborted.
+function chooseWhenGone() {
+  const abort = at('when-gone').checked;
+  bridge.call('/ztl/when_gone', { abort }).catch((error) => {
+    at('when-gone').checked = false;
+    setText(at('form-said'), `NOT CHOSEN: ${error.message}`);
+  });
+}
+at('when-gone').addEventListener('change', chooseWhenGone);
+
+// A socket does not tell why it was refused; a file does.
+async function askWhy() {
+  const answer = await fetch('/style.css', { cache: 'no-store' }).catch(() => null);
+  if (answer?.status === 401) setText(at('connection'), 'No access: open the link again that ztl web printed');
+}
+
+bridge.subscribe('/ztl/robots', (told) => {
+  robots = told.robots;
+  operator.see(told.operator);
+  form.offer(robots);
+  streams.offer(told.publishers);
+  show();
+});
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); show(); });
+setInterval(show, 1000);
+setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
+
+function show() {
+  showConnection();
+  showRobots();
+  showTasks();
+  form.show();
+  streams.show();
+}
+
+function showConnection() {
+  const missing = robots.filter((robot) => robot.health === 'missing').length;
+  const words = [operator.mayOperate ? 'connected' : 'connected, as a watcher'];
+  const running = tasks.tasks.filter((task) => task.runs).length;
+  if (running) words.push(`${running} running`);
+  if (missing) words.push(`${missing} of ${robots.length} missing`);
+  const lost = 'No connection to the console: what is shown is old';
+  const said = at('connection');
+  if (bridge.isOpen) setText(said, words.join(' · '));
+  else if (!said.textContent.startsWith('No ')) setText(said, lost);
+}
+
+// A goal was sent: what was confirmed before says nothing of it.
+function started() {
+  at('stopped').hidden = true;
+}
+
+function ago(ms) {
+  return span(now() - ms);
+}
+
+function showRobots() {
+  const words = { there: 'there', missing: 'MISSING', unknown: 'not asked yet' };
+  showAll(at('robot-list'), robots, (robot) => robot.name, () => card(['name', '', 'quiet'], []), (made, robot) => {
+    const [name, health, text] = made.lines;
+    setText(name, robot.name);
+    health.className = { there: 'good', missing: 'bad' }[robot.health] ?? 'quiet';
+    const since = robot.health === 'unknown' ? '' : ` for ${ago(robot.since_ms)}`;
+    setText(health, words[robot.health] + since);
+    setText(text, [robot.endpoint, robot.text].filter(Boolean).join('\n'));
+  });
+}
+
+function showTasks() {
+  const missing = new Set(robots.filter((robot) => robot.health === 'missing').map((robot) => robot.name));
+  const key = (task) => JSON.stringify([task.robot, task.scope, task.id]);
+  const buttons = [['Abort', (made, button) => abort(made.task, button)]];
+  const update = (made, task) => {
+    const [name, text, about] = made.lines;
+    made.task = task;
+    setText(name, task.task || `task ${task.id}`);
+    const said = task.text === NOTHING ? '' : task.text;
+    setText(text, task.runs ? said : `${task.state} ${said}`);
+    const since = task.started_ms === null ? '' : `started ${ago(task.started_ms)} ago`;
+    const stale = missing.has(task.robot) ? 'the robot is missing: last known' : '';
+    const by = task.by ? `by ${task.by}` : '';
+    setText(about, [`${task.robot} ${task.scope} ${task.id}`, by, since, stale].filter(Boolean).join(' · '));
+    for (const button of made.buttons) {
+      button.disabled = !bridge.isOpen || 'busy' in button.dataset;
+      button.setAttribute('aria-label', `Abort ${task.task || task.id} of ${task.robot}`);
+    }
+  };
+  const running = tasks.tasks.filter((task) => task.runs);
+  const ended = tasks.tasks.filter((task) => !task.runs);
+  const lines = ['name', '', 'quiet'];
+  showAll(at('running'), running, key, () => card(lines, buttons), update);
+  showAll(at('ended'), ended, key, () => card(lines, []), update);
+  at('ended-box').hidden = ended.length === 0;
+  at('idle').hidden = running.length > 0;
+  setText(at('idle'), missing.size || tasks.gaps.length ? 'No running task is known.' : 'No task is running.');
+  showAll(at('gaps'), tasks.gaps, (gap) => JSON.stringify(gap), () => element('li', 'bad'),
+    (made, gap) => setText(made, `${gap.robot}: ${gap.text}`));
+}
+
+function abort(task, button) {
+  button.dataset.busy = '';
+  show();
+  const done = (text) => {
+    delete button.dataset.busy;
+    setText(at('abort-said'), text);
+    show();
+  };
+  bridge.call('/ztl/abort', { robot: task.robot, scope: task.scope, id: task.id }).then(
+    (told) => done(`task ${task.id}: ${told.state}, ${told.text}`),
+    (error) => done(`task ${task.id}: ${error.message}`),
+  );
+}
+
+function stop() {
+  closedStop = null;
+  at('stopped').hidden = false;
+  setText(at('stopped-title'), 'Stop: sent, no robot has confirmed yet');
+  at('confirmations').replaceChildren();
+  bridge.call('/ztl/stop', {}).then(showStop, (error) => {
+    setText(at('stopped-title'), `Stop: ${error.message}. No robot has confirmed. Use the stop of the robot itself.`);
+    at('confirmations').replaceChildren();
+  });
+}
+
+function showStop(told) {
+  if (!told.robots || String(told.at_ms) === closedStop) return;
+  const waits = told.robots.some((robot) => robot.confirmed === null);
+  if (!waits && at('stopped').hidden && now() - told.at_ms > RECENT) return;
+  const all = told.robots.every((robot) => robot.confirmed);
+  at('stopped').hidden = false;
+  at('stopped').dataset.at = told.at_ms;
+  const time = new Date(told.at_ms).toLocaleTimeString();
+  const title = waits ? 'Stop under way' : all ? 'Stopped: every robot has confirmed' : 'NOT every robot has confirmed';
+  setText(at('stopped-title'), `${title} (${told.by}, ${time})`);
+  showAll(at('confirmations'), told.robots, (robot) => robot.robot, () => element('li'), (made, robot) => {
+    made.className = robot.confirmed ? 'good' : robot.confirmed === null ? 'quiet' : 'bad';
+    const word = robot.confirmed ? 'confirmed' : robot.confirmed === null ? 'waiting' : 'NOT CONFIRMED';
+    setText(made, `${robot.robot}: ${word}: ${robot.text}`);
+  });
+}
+
+at('stop').addEventListener('click', stop);
+at('stopped-close').addEventListener('click', () => {
+  closedStop = at('stopped').dataset.at;
+  sessionStorage.setItem('closed-stop', closedStop);
+  at('stopped').hidden = true;
+  at('stop').focus();
+});
+addEventListener('keydown', (event) => {
+  if (event.key !== 'Escape' || event.repeat) return;
+  event.preventDefault();
+  stop();
+});

@@ -1,0 +1,225 @@
+// Do: one press starts one task, of the component that the person has chosen and of no other.
+
+import { at, card, element, setText, short, showAll } from './elements.js';
+import { Ready } from './ready.js';
+
+const KEPT_GOALS = 20;
+const OTHER = '*';
+// What a server says of a task without progress or result.
+export const NOTHING = 'None';
+// A press that follows sooner belongs to the one before: a double click, or a key that is held on a remote desktop.
+const SAME_PRESS = 600;
+// Longest wait for the answer to a goal until the next press counts.
+const ANSWER = 1000;
+// How long after the press a goal may be sent on to its robot. What comes later is refused there.
+const LATE = 5000;
+
+export class Form {
+  #bridge;
+  #console;
+  // The component for which the form stands, also while no robot has it: { robot, action, handler, component }; the
+  // last two are missing for the choice of any other of its scope.
+  #chosen = null;
+  #robots = [];
+  #goals = [];
+  #pressed = -Infinity;
+  #quiet = -Infinity;
+  #answered = true;
+  #ready;
+
+  // The console tells its clock (now) and why nothing may be started (whyNot), and hears of a start (started).
+  constructor(bridge, console) {
+    this.#bridge = bridge;
+    this.#console = console;
+    this.#ready = new Ready((goal) => this.#fill(goal));
+    at('component').addEventListener('change', () => {
+      const value = at('component').value;
+      this.#chosen = value ? JSON.parse(value) : null;
+      setText(at('form-said'), '');
+      this.show();
+    });
+    at('other').addEventListener('input', () => this.show());
+    at('form').addEventListener('submit', (event) => { event.preventDefault(); this.#press(); });
+    at('form').addEventListener('keydown', (event) => {
+      if (event.key === 'Enter' && event.repeat) event.preventDefault();
+    });
+    at('start').addEventListener('click', (event) => {
+      // A double click, by the browser's own measure.
+      if (event.detail < 2) return;
+      event.preventDefault();
+      this.#ignore();
+    });
+  }
+
+  // Shows what the robots offer now.
+  offer(robots) {
+    this.#robots = robots;
+    this.show();
+  }
+
+  show() {
+    this.#showChoices();
+    const why = this.#whyNot();
+    at('start').setAttribute('aria-disabled', String(why !== '' || this.#isLocked()));
+    const said = at('form-said').textContent;
+    setText(at('why-not'), said === `NOT SENT: ${why}` ? '' : why);
+    this.#showGoals();
+    this.#ready.show();
+  }
+
+  #isLocked() {
+    const now = performance.now();
+    return now < this.#quiet || (!this.#answered && now - this.#pressed < ANSWER);
+  }
+
+  // Why a press starts nothing now; empty if it does.
+  #whyNot() {
+    const why = this.#console.whyNot();
+    if (why) return why;
+    if (!this.#chosen) return 'Choose a component.';
+    const robot = this.#robots.find((one) => one.name === this.#chosen.robot);
+    if (!robot) return `${this.#chosen.robot} is gone.`;
+    if (robot.health === 'missing') return `${robot.name} is missing.`;
+    if (!this.#choices().some((choice) => same(choice, this.#chosen))) {
+      return `${label(this.#chosen)} of ${robot.name} is gone. Choose again, or wait until it is back.`;
+    }
+    if (this.#chosen.handler === undefined && !at('other').value.trim()) return 'Name a handler and a component.';
+    return '';
+  }
+
+  // One choice for each component that a robot tells, and one for any other of its scope.
+  #choices() {
+    return this.#robots.flatMap((robot) => robot.scopes.flatMap((scope) => {
+      const base = { robot: robot.name, action: scope.action };
+      const named = Object.entries(scope.handlers ?? {})
+        .flatMap(([handler, components]) => components.map((component) => ({ ...base, handler, component })))
+        .filter((choice) => choice.handler !== OTHER && choice.component !== OTHER);
+      return [...named, base];
+    }));
+  }
+
+  // What was chosen stays chosen, also when it is gone. Nothing else is ever chosen for the person.
+  #showChoices() {
+    const select = at('component');
+    const all = this.#choices();
+    const gone = this.#chosen !== null && !all.some((choice) => same(choice, this.#chosen));
+    const names = new Set(this.#robots.map((robot) => robot.name));
+    if (gone) names.add(this.#chosen.robot);
+    const make = (name) => (name === '' ? element('option', '', 'choose …') : element('optgroup'));
+    showAll(select, ['', ...names], (name) => name, make, (made, name) => {
+      if (name === '') {
+        made.value = '';
+        return;
+      }
+      made.label = name;
+      const own = all.filter((choice) => choice.robot === name);
+      if (gone && this.#chosen.robot === name) own.push(this.#chosen);
+      showAll(made, own, JSON.stringify, () => element('option'), (option, choice) => {
+        option.value = JSON.stringify(choice);
+        setText(option, gone && choice === this.#chosen ? `${label(choice)} (gone)` : label(choice));
+      });
+    });
+    const value = this.#chosen ? JSON.stringify(this.#chosen) : '';
+    if (select.value !== value) select.value = value;
+    select.classList.toggle('gone', gone);
+    at('other-box').hidden = this.#chosen === null || this.#chosen.handler !== undefined;
+  }
+
+  #press() {
+    const now = performance.now();
+    if (this.#isLocked()) {
+      this.#ignore();
+      return;
+    }
+    const why = this.#whyNot();
+    if (why) {
+      setText(at('form-said'), `NOT SENT: ${why}`);
+      this.show();
+      return;
+    }
+    const { action, handler, component } = this.#chosen;
+    const name = handler === undefined ? at('other').value.trim() : `${handler}/${component}`;
+    const text = at('goal').value;
+    const goal = { chosen: this.#chosen, action: `${action}/${name}`, name, text, state: 'sent', progress: '', ended: false };
+    const answered = () => {
+      if (goal === this.#goals[0]) this.#answered = true;
+      this.show();
+    };
+    goal.id = this.#bridge.goal(goal.action, { goal: text, not_after_ms: this.#console.now() + LATE }, {
+      feedback: (told) => { goal.state = 'running'; goal.progress = told.progress; answered(); },
+      result: (told) => { goal.state = told.state; goal.progress = told.text; goal.ended = true; answered(); },
+      open: () => { goal.state = 'running'; goal.progress = ''; goal.ended = false; answered(); },
+      lost: () => {
+        goal.state = 'UNKNOWN';
+        goal.progress = 'the connection was lost: it is not sent again, and Now shows whether it runs';
+        goal.ended = true;
+        answered();
+      },
+    });
+    if (goal.id === undefined) {
+      setText(at('form-said'), 'NOT SENT: no connection');
+      return;
+    }
+    this.#pressed = now;
+    this.#quiet = now + SAME_PRESS;
+    this.#answered = false;
+    this.#goals = [goal, ...this.#goals].slice(0, KEPT_GOALS);
+    this.#ready.used({ chosen: this.#chosen, name, text });
+    setText(at('form-said'), '');
+    this.#console.started();
+    this.show();
+    this.#showSoon();
+  }
+
+  // As long as presses follow each other, none of them counts.
+  #ignore() {
+    this.#quiet = performance.now() + SAME_PRESS;
+    setText(at('form-said'), 'Presses that follow at once do not count.');
+    this.#showSoon();
+  }
+
+  #showSoon() {
+    setTimeout(() => this.show(), SAME_PRESS + 1);
+    setTimeout(() => this.show(), ANSWER + 1);
+  }
+
+  #fill(goal) {
+    this.#chosen = goal.chosen;
+    at('goal').value = goal.text;
+    at('other').value = goal.name;
+    setText(at('form-said'), '');
+    this.show();
+    at('goal').focus();
+  }
+
+  #showGoals() {
+    at('goals-box').hidden = this.#goals.length === 0;
+    const cancel = (made) => {
+      made.goal.progress = 'abort sent';
+      if (!this.#bridge.cancel(made.goal.id, made.goal.action)) made.goal.progress = 'abort NOT SENT: no connection';
+      this.#showGoals();
+    };
+    const make = () => card(['name', '', 'quiet'], [['Abort', cancel], ['Again', (made) => this.#fill(made.goal)]]);
+    showAll(at('goals'), this.#goals, (goal) => goal.id, make, (made, goal) => {
+      made.goal = goal;
+      const [name, said, about] = made.lines;
+      setText(name, short(`${goal.name} ${goal.text}`));
+      said.className = goal.state === 'COMPLETED' ? 'good' : goal.ended ? 'bad' : '';
+      setText(said, short([goal.state, goal.progress].filter((text) => text && text !== NOTHING).join(': ')));
+      setText(about, goal.chosen.robot);
+      const [abort, again] = made.buttons;
+      abort.hidden = goal.ended;
+      again.hidden = !goal.ended;
+      abort.setAttribute('aria-label', `Abort ${goal.name} ${goal.text}`);
+      again.setAttribute('aria-label', `Again ${goal.name} ${goal.text}: fill in the form`);
+    });
+  }
+}
+
+function same(one, other) {
+  return JSON.stringify(one) === JSON.stringify(other);
+}
+
+function label(choice) {
+  return choice.handler === undefined ? `another of ${choice.action} …` : `${choice.handler} ${choice.component}`;
+}

@@ -1,0 +1,393 @@
+//! What is known of all robots: the watchers and goals write it, every socket shows it.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+use serde_json::{Value, json};
+use tokio::sync::watch;
+use ztl_std::{Offers, RemoteId, State};
+
+use crate::aborts::AbortRequest;
+use crate::clients::Clients;
+use crate::goal::Goal;
+use crate::operator::{Client, Operator};
+use crate::past::Past;
+use crate::robots::{ConfiguredScope, Server};
+use crate::stop::Stops;
+use crate::streams::{Publisher, Streams};
+
+/// Most tasks of one server that are shown.
+const SHOWN: usize = 200;
+/// Most aborts that wait for the thread of a server.
+const WAITING: usize = 1000;
+
+/// A message that many sockets share: the value of a topic, as JSON.
+pub(crate) type Shared = Arc<str>;
+
+/// The topics, each with its newest value.
+pub(crate) struct Topics {
+    pub(crate) robots: watch::Sender<Shared>,
+    pub(crate) tasks: watch::Sender<Shared>,
+    pub(crate) stop: watch::Sender<Shared>,
+}
+
+pub(crate) struct Board {
+    pub(crate) servers: Vec<Server>,
+    pub(crate) topics: Topics,
+    pub(crate) operator: Operator,
+    pub(crate) streams: Arc<Streams>,
+    pub(crate) past: Past,
+    seen: Mutex<Vec<Seen>>,
+    goals: Mutex<Goals>,
+    /// How many sockets are open.
+    pub(crate) sockets: AtomicUsize,
+    pub(crate) stops: Stops,
+    pub(crate) clients: Clients,
+    /// What the thread of each server is to do.
+    posts: Vec<Post>,
+    /// Held while a topic is written, so that an older value never replaces a newer one.
+    publishing: Mutex<()>,
+}
+
+/// What the thread of a server is to do besides looking.
+struct Post {
+    wake: SyncSender<()>,
+    aborts: Mutex<Vec<AbortRequest>>,
+}
+
+/// The goals of this console that have not ended.
+#[derive(Default)]
+struct Goals {
+    next: u64,
+    open: BTreeMap<u64, Arc<Goal>>,
+}
+
+/// What a watcher knows of its server.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Seen {
+    pub(crate) health: Health,
+    /// Wall clock in ms: since when the health is so.
+    pub(crate) since_ms: u64,
+    /// The version, or why the server is missing.
+    pub(crate) text: String,
+    pub(crate) scopes: BTreeMap<String, Offers>,
+    /// Whether the server lists its tasks.
+    pub(crate) lists: bool,
+    pub(crate) tasks: Vec<Task>,
+    /// Why more tasks than these may run.
+    pub(crate) gaps: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Health {
+    /// Not asked yet.
+    #[default]
+    Unknown,
+    There,
+    Missing,
+}
+
+/// A task as it is shown.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct Task {
+    pub(crate) robot: String,
+    pub(crate) scope: String,
+    pub(crate) id: RemoteId,
+    /// `handler:component:goal`.
+    pub(crate) task: String,
+    pub(crate) state: String,
+    pub(crate) text: String,
+    pub(crate) runs: bool,
+    /// Wall clock in ms; `null` if the server does not tell it.
+    pub(crate) started_ms: Option<u64>,
+    /// Who started it, if this console did.
+    pub(crate) by: Option<String>,
+}
+
+impl Board {
+    /// The board, and for each server what wakes its thread.
+    pub(crate) fn new(
+        servers: Vec<Server>,
+        publishers: Vec<Publisher>,
+    ) -> (Self, Vec<Receiver<()>>) {
+        // A thread that is woken twice looks once.
+        let (wakes, woken): (Vec<_>, Vec<_>) = servers.iter().map(|_| sync_channel(1)).unzip();
+        let post = |wake| Post {
+            wake,
+            aborts: Mutex::default(),
+        };
+        let topic = || watch::Sender::new(Shared::from("{}"));
+        let board = Self {
+            seen: Mutex::new(vec![Seen::default(); servers.len()]),
+            stops: Stops::new(servers.iter().map(|server| server.name.clone())),
+            posts: wakes.into_iter().map(post).collect(),
+            servers,
+            topics: Topics {
+                robots: topic(),
+                tasks: topic(),
+                stop: topic(),
+            },
+            operator: Operator::new(),
+            past: Past::default(),
+            streams: Arc::new(Streams::new(publishers)),
+            goals: Mutex::default(),
+            sockets: AtomicUsize::new(0),
+            clients: Clients::default(),
+            publishing: Mutex::default(),
+        };
+        board.publish();
+        (board, woken)
+    }
+
+    /// Whether somebody looks.
+    pub(crate) fn is_watched(&self) -> bool {
+        self.sockets.load(Ordering::Relaxed) > 0
+    }
+
+    /// Stop is pressed: aborts everything on every server. Returns the number of this press.
+    pub(crate) fn press_stop(&self, by: &str) -> u64 {
+        let press = self.stops.press(by);
+        // What was not sent yet is never sent.
+        for goal in self.goals() {
+            goal.give_up();
+        }
+        for post in &self.posts {
+            post.wake();
+        }
+        self.publish_stop();
+        press
+    }
+
+    pub(crate) fn publish_stop(&self) {
+        let _publishing = locked(&self.publishing);
+        set(&self.topics.stop, &self.stops.shown());
+    }
+
+    /// Aborts a task.
+    ///
+    /// # Errors
+    /// If too many aborts wait.
+    pub(crate) fn abort(&self, server: usize, request: AbortRequest) -> Result<(), String> {
+        let post = self.posts.get(server).ok_or("no such server")?;
+        let mut aborts = locked(&post.aborts);
+        if aborts.len() >= WAITING {
+            return Err(format!("{WAITING} aborts wait: try again"));
+        }
+        aborts.push(request);
+        drop(aborts);
+        post.wake();
+        Ok(())
+    }
+
+    /// What the thread of a server is to abort.
+    pub(crate) fn take_aborts(&self, server: usize) -> Vec<AbortRequest> {
+        let post = self.posts.get(server);
+        post.map_or_else(Vec::new, |post| std::mem::take(&mut *locked(&post.aborts)))
+    }
+
+    /// What is known of a server.
+    pub(crate) fn seen(&self, server: usize) -> Seen {
+        locked(&self.seen).get(server).cloned().unwrap_or_default()
+    }
+
+    /// What a scope of a server offers, if the server has told that.
+    pub(crate) fn offers(&self, server: usize, scope: &str) -> Option<Offers> {
+        let seen = locked(&self.seen);
+        seen.get(server)?.scopes.get(scope).cloned()
+    }
+
+    /// Replaces what is known of a server.
+    pub(crate) fn set_seen(&self, server: usize, now: Seen) {
+        self.past.on_listed(&now.tasks);
+        let mut seen = locked(&self.seen);
+        let known = seen.get_mut(server).filter(|known| **known != now);
+        if let Some(known) = known {
+            *known = now;
+            drop(seen);
+            self.publish();
+        }
+    }
+
+    /// Lets a client operate if nobody does.
+    ///
+    /// # Errors
+    /// Why it may not start tasks.
+    pub(crate) fn begins_to_operate(&self, client: &Client) -> Result<(), String> {
+        if self.operator.begin(client)? {
+            self.publish();
+        }
+        Ok(())
+    }
+
+    /// Lets a client operate instead of another, which `args` may name.
+    ///
+    /// # Errors
+    /// Why it does not.
+    pub(crate) fn take_over(&self, client: &Client, args: &Value) -> Result<Value, String> {
+        let from = match args.get("from") {
+            None => None,
+            Some(from) => Some(from.as_u64().ok_or("expected {\"from\": NUMBER} or {}")?),
+        };
+        self.operator.take_over(client, from)?;
+        self.publish();
+        Ok(json!({ "operator": self.operator.now() }))
+    }
+
+    /// A client is gone: nobody operates if it did.
+    pub(crate) fn client_left(&self, client: &Client) {
+        if self.operator.leave(client) {
+            self.publish();
+        }
+    }
+
+    /// Adds a goal; `None` if `most` are open.
+    pub(crate) fn add_goal(&self, goal: &Arc<Goal>, most: usize) -> Option<u64> {
+        let mut goals = locked(&self.goals);
+        if goals.open.len() >= most {
+            return None;
+        }
+        goals.next += 1;
+        let number = goals.next;
+        goals.open.insert(number, Arc::clone(goal));
+        Some(number)
+    }
+
+    pub(crate) fn remove_goal(&self, number: u64) {
+        let goal = locked(&self.goals).open.remove(&number);
+        if let Some(goal) = goal
+            && let (Some(server), Some(id)) = (self.servers.get(goal.target.server), goal.id())
+        {
+            let key = (server.name.clone(), goal.target.scope.clone(), id.clone());
+            self.past.on_goal(key, &goal.by);
+        }
+        self.publish();
+    }
+
+    pub(crate) fn goals(&self) -> Vec<Arc<Goal>> {
+        locked(&self.goals).open.values().cloned().collect()
+    }
+
+    /// The open goals of a server.
+    pub(crate) fn goals_at(&self, server: usize) -> Vec<Arc<Goal>> {
+        let goals = locked(&self.goals);
+        let own = goals
+            .open
+            .values()
+            .filter(|goal| goal.target.server == server);
+        own.cloned().collect()
+    }
+
+    /// Writes the topics anew; a topic that has not changed wakes nobody.
+    pub(crate) fn publish(&self) {
+        let _publishing = locked(&self.publishing);
+        let seen = locked(&self.seen).clone();
+        let goals = self.goals();
+        set(&self.topics.robots, &self.robots(&seen));
+        set(&self.topics.tasks, &self.tasks(&seen, &goals));
+    }
+
+    fn robots(&self, seen: &[Seen]) -> Value {
+        let robot = |(server, seen): (&Server, &Seen)| {
+            let scope = |configured: &ConfiguredScope| {
+                json!({
+                    "scope": configured.scope,
+                    "action": configured.prefix,
+                    "handlers": seen.scopes.get(&configured.scope),
+                })
+            };
+            json!({
+                "name": server.name,
+                "endpoint": server.endpoint,
+                "health": seen.health,
+                "since_ms": seen.since_ms,
+                "text": seen.text,
+                "lists_tasks": seen.lists,
+                "scopes": server.scopes.iter().map(scope).collect::<Vec<_>>(),
+            })
+        };
+        let robots: Vec<Value> = self.servers.iter().zip(seen).map(robot).collect();
+        json!({
+            "robots": robots,
+            "operator": self.operator.now(),
+            "publishers": self.streams.names(),
+        })
+    }
+
+    fn tasks(&self, seen: &[Seen], goals: &[Arc<Goal>]) -> Value {
+        let mut tasks = Vec::new();
+        let mut gaps = Vec::new();
+        for (index, (server, seen)) in self.servers.iter().zip(seen).enumerate() {
+            let mut own: Vec<&Arc<Goal>> = goals
+                .iter()
+                .filter(|goal| goal.target.server == index && goal.id().is_some())
+                .collect();
+            for task in seen.tasks.iter().take(SHOWN) {
+                let mut task = task.clone();
+                let of_it = |goal: &&Arc<Goal>| {
+                    goal.target.scope == task.scope && goal.id() == Some(&task.id)
+                };
+                if let Some(at) = own.iter().position(of_it) {
+                    let goal = own.swap_remove(at);
+                    task.by = task.runs.then(|| goal.by.clone());
+                }
+                tasks.push(task);
+            }
+            // A server of the original lists nothing: there, the goals of this console are all that is known.
+            let unlisted = own.into_iter().filter(|_| !seen.lists);
+            tasks.extend(unlisted.filter_map(|goal| unlisted_task(goal, &server.name)));
+            let more = seen.tasks.len().saturating_sub(SHOWN);
+            let mut why = seen.gaps.clone();
+            if more > 0 {
+                why.push(format!("{more} more tasks are not shown"));
+            }
+            gaps.extend(
+                why.into_iter()
+                    .map(|text| json!({ "robot": server.name, "text": text })),
+            );
+        }
+        json!({ "tasks": tasks, "gaps": gaps })
+    }
+}
+
+/// A goal of this console as a task, for a server that lists none.
+fn unlisted_task(goal: &Goal, robot: &str) -> Option<Task> {
+    let target = &goal.target;
+    Some(Task {
+        robot: robot.to_owned(),
+        scope: target.scope.clone(),
+        id: goal.id()?.clone(),
+        task: format!("{}:{}:{}", target.handler, target.component, goal.goal),
+        state: State::Accepted.name().to_owned(),
+        text: String::new(),
+        runs: true,
+        started_ms: None,
+        by: Some(goal.by.clone()),
+    })
+}
+
+impl Post {
+    fn wake(&self) {
+        // Fails if it is woken already.
+        let _ = self.wake.try_send(());
+    }
+}
+
+/// Sets a topic if its value changes.
+pub(crate) fn set(topic: &watch::Sender<Shared>, value: &Value) {
+    let text = value.to_string();
+    topic.send_if_modified(|known| {
+        let changed = **known != *text;
+        if changed {
+            *known = text.into();
+        }
+        changed
+    });
+}
+
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

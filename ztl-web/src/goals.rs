@@ -1,0 +1,232 @@
+//! Runs goals, each on a thread of its own, so that neither a cancel nor another goal waits for it.
+
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use serde::Serialize;
+use ztl_std::{RemoteId, RemoteTask, State, TriggerError, Triggered, encoded};
+
+use crate::aborts::AbortRequest;
+use crate::board::Board;
+use crate::clock::now_ms;
+use crate::cut;
+use crate::goal::Goal;
+use crate::robots::Target;
+
+/// Most goals of all clients at a time; each has a thread.
+const MOST: usize = 128;
+/// How long after its arrival a goal may be sent to its robot, in ms. The client can demand less.
+pub(crate) const LATEST_MS: u64 = 5000;
+/// After the last moment at which a goal may be sent, how long its answer may take. A task of which nobody heard until then
+/// is aborted.
+const ANSWER_MS: u64 = 5000;
+/// Between two questions what became of a goal.
+const ASK_AGAIN: Duration = Duration::from_millis(200);
+
+/// Why a goal was not sent.
+pub(crate) const TOO_LATE: &str = "too late, not sent";
+
+/// The result of a goal.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct Outcome {
+    /// A final state, `UNKNOWN` if nobody can tell it, or `NOT_STARTED` if nothing runs.
+    pub(crate) state: &'static str,
+    pub(crate) text: String,
+    /// The task's id; 0 without one.
+    pub(crate) id: RemoteId,
+}
+
+/// What a client is told of its goal.
+pub(crate) enum News {
+    Progress(String),
+    Ended(Outcome),
+}
+
+/// Tells the client.
+pub(crate) type Tell = Box<dyn Fn(News) + Send + Sync>;
+
+/// Starts a goal. `tell` is called from another thread; its last news is the outcome.
+///
+/// # Errors
+/// Why nothing was started.
+pub(crate) fn start(goal: &Arc<Goal>, board: &Arc<Board>, tell: Tell) -> Result<(), String> {
+    let Some(number) = board.add_goal(goal, MOST) else {
+        return Err(format!("{MOST} goals are open: wait for one to end"));
+    };
+    // After the goal is known: a Stop that begins now cancels it.
+    if board.stops.are_under_way() {
+        board.remove_goal(number);
+        return Err("a Stop is under way: send the goal again when it has ended".to_owned());
+    }
+    let (goal, on) = (Arc::clone(goal), Arc::clone(board));
+    let spawned = thread::Builder::new()
+        .name("ztl-web-goal".to_owned())
+        .spawn(move || {
+            let outcome = run(&goal, &on, &tell);
+            goal.settle();
+            goal.end();
+            on.remove_goal(number);
+            tell(News::Ended(outcome));
+        });
+    spawned.map(drop).map_err(|error| {
+        board.remove_goal(number);
+        format!("no thread for the goal: {error}")
+    })
+}
+
+/// Aborts the task, or keeps it from starting. The outcome follows from the goal's own thread.
+///
+/// # Errors
+/// If too many aborts are under way.
+pub(crate) fn cancel(goal: &Arc<Goal>, board: &Board) -> Result<(), String> {
+    goal.give_up();
+    // Without an id, the goal's thread aborts as soon as it knows one.
+    match goal.id() {
+        Some(id) => abort(goal, id, board),
+        None => Ok(()),
+    }
+}
+
+fn abort(goal: &Arc<Goal>, id: &RemoteId, board: &Board) -> Result<(), String> {
+    let request = AbortRequest::of_goal(goal, id);
+    board.abort(goal.target.server, request)
+}
+
+fn run(goal: &Arc<Goal>, board: &Board, tell: &Tell) -> Outcome {
+    let Target { server, scope, .. } = &goal.target;
+    let Some(server) = board.servers.get(*server) else {
+        return Outcome::not_started("no such server".to_owned());
+    };
+    let mut remote = match server.remote(scope) {
+        Ok(remote) => remote,
+        Err(why) => return Outcome::not_started(why),
+    };
+    let id = match init(goal, &mut remote, tell) {
+        Ok(task) => task.id,
+        Err(TriggerError::GivenUp) if goal.is_late() => {
+            return Outcome::not_started(format!("{TOO_LATE}: the robot was not reached in time"));
+        }
+        Err(error) => return Outcome::of_init(error),
+    };
+    goal.set_id(id.clone());
+    board.publish();
+    if goal.is_cancelled()
+        && let Err(why) = abort(goal, &id, board)
+    {
+        tracing::error!("task {id} was not aborted: {why}");
+    }
+    let mut told = None;
+    let ended = remote.wait_with(&id, None, |answer| {
+        if let Ok(status) = answer
+            && !status.state.is_final()
+            && told.as_ref() != Some(&status.text)
+        {
+            tell(News::Progress(cut::text(&status.text, cut::PROGRESS)));
+            told = Some(status.text.clone());
+        }
+        answer.is_ok() || !goal.is_left()
+    });
+    match ended {
+        Ok(status) => Outcome {
+            state: status.state.name(),
+            text: cut::text(&status.text, cut::RESULT),
+            id,
+        },
+        Err(error) => Outcome::unknown(error.to_string(), id),
+    }
+}
+
+/// Sends the INIT, unless it is too late or not wanted any more. If it is not answered, asks what became of it until that
+/// is certain or cannot be learnt, and gives it up, so that what has started is aborted.
+fn init(goal: &Goal, remote: &mut RemoteTask, tell: &Tell) -> Result<Triggered, TriggerError> {
+    let Target {
+        handler, component, ..
+    } = &goal.target;
+    let payload = encoded(handler, component, &goal.goal);
+    let may_be_sent = || !goal.is_cancelled() && !goal.is_late();
+    let in_time = || now_ms() <= goal.not_after_ms.saturating_add(ANSWER_MS);
+    let wanted = || !goal.is_cancelled() && in_time();
+    let mut started = remote.trigger_before(&payload, may_be_sent, wanted);
+    while let Err(TriggerError::Request(error)) = &started
+        && !error.nothing_was_sent()
+    {
+        let why = "no answer: asking what became of it; if it has started, it is aborted";
+        if !goal.is_cancelled() {
+            goal.give_up();
+            tell(News::Progress(why.to_owned()));
+        }
+        match remote.ask_outcome() {
+            Some(answer) => started = answer,
+            None => break,
+        }
+        if started.is_err() {
+            thread::sleep(ASK_AGAIN);
+        }
+    }
+    if !in_time() {
+        goal.give_up();
+    }
+    started
+}
+
+impl Outcome {
+    fn not_started(text: String) -> Self {
+        Self {
+            state: "NOT_STARTED",
+            text,
+            id: RemoteId::from(0_i64),
+        }
+    }
+
+    fn unknown(text: String, id: RemoteId) -> Self {
+        Self {
+            state: "UNKNOWN",
+            text: cut::text(&text, cut::RESULT),
+            id,
+        }
+    }
+
+    /// What an INIT without an accepted task means.
+    fn of_init(error: TriggerError) -> Self {
+        match error {
+            TriggerError::Rejected { id, reason } => Self {
+                state: State::Rejected.name(),
+                text: cut::text(&reason, cut::RESULT),
+                id,
+            },
+            TriggerError::NeverCame | TriggerError::GivenUp => Self::not_started(error.to_string()),
+            TriggerError::Request(error) if error.nothing_was_sent() => {
+                Self::not_started(error.to_string())
+            }
+            TriggerError::Request(error) => Self::unknown(error.to_string(), RemoteId::from(0_i64)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ztl_std::RequestError;
+
+    use super::*;
+
+    #[test]
+    fn a_lost_answer_is_unknown_and_never_failed() {
+        let endpoint = || "tcp://robot:1".to_owned();
+        let waited = Duration::from_secs(2);
+        let lost = RequestError::NoAnswer {
+            endpoint: endpoint(),
+            waited,
+        };
+        let unsent = RequestError::NotConnected {
+            endpoint: endpoint(),
+            waited,
+            obstacle: None,
+        };
+        let state = |error| Outcome::of_init(error).state;
+        assert_eq!(state(TriggerError::Request(lost)), "UNKNOWN");
+        assert_eq!(state(TriggerError::Request(unsent)), "NOT_STARTED");
+        assert_eq!(state(TriggerError::GivenUp), "NOT_STARTED");
+        assert_eq!(state(TriggerError::NeverCame), "NOT_STARTED");
+    }
+}

@@ -1,0 +1,85 @@
+//! The web console: what all robots do, and a Stop for all of them, in a browser and for any rosbridge client.
+//!
+//! [`serve`] watches each server, and sends it ABORTs, on a thread of its own (`server_thread`), starts goals on threads
+//! (`goals`), and tells every socket (`socket`) what changed on the `board`. The page in `assets/` is one
+//! rosbridge client among others.
+
+mod aborts;
+mod board;
+mod clients;
+mod clock;
+mod cut;
+mod gate;
+mod goal;
+mod goals;
+mod http;
+mod operator;
+mod own_page;
+mod past;
+mod picture;
+mod places;
+mod robots;
+mod rosbridge;
+mod server_thread;
+mod socket;
+mod stop;
+mod streams;
+mod tls;
+mod tokens;
+
+use std::io;
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+pub use robots::{Connect, Robot};
+pub use streams::{Connect as ConnectPublisher, Publisher};
+pub use tls::Tls;
+pub use tokens::Tokens;
+
+/// What [`serve`] needs.
+pub struct Options {
+    /// Where browsers connect.
+    pub listener: TcpListener,
+    /// The robots, as the configuration names them.
+    pub robots: Vec<Robot>,
+    /// Publishers whose streams the page can show.
+    pub publishers: Vec<Publisher>,
+    /// What browsers must show. Without `hosts`, a request of this machine to one of its loopback names needs none.
+    pub tokens: Tokens,
+    /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
+    pub hosts: Vec<String>,
+    /// A page of one's own instead of the console's, which is then at `/console`.
+    pub page: Option<PathBuf>,
+    /// The certificate and key of `https`; without it, connections are not encrypted.
+    pub tls: Option<Tls>,
+}
+
+/// Serves the console until the process ends.
+///
+/// # Errors
+/// If the system has no more threads or files.
+pub fn serve(options: Options) -> io::Result<()> {
+    let Options {
+        listener,
+        robots,
+        publishers,
+        tokens,
+        hosts,
+        page,
+        tls,
+    } = options;
+    let page = page.map(own_page::OwnPage::new);
+    let (console, woken) = board::Board::new(robots::group(robots), publishers);
+    let console = Arc::new(console);
+    for (server, woken) in woken.into_iter().enumerate() {
+        server_thread::spawn(&console, server, woken)?;
+    }
+    streams::spawn(&console.streams)?;
+    listener.set_nonblocking(true)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let gate = gate::Gate::new(tokens, hosts, listener.local_addr()?.port());
+    runtime.block_on(http::accept(listener, console, gate, page, tls))
+}

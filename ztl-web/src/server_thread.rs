@@ -1,0 +1,515 @@
+//! The thread of a server: asks what it offers and which tasks run, and sends it ABORTs, at the same time over one
+//! connection. So an ABORT never waits for an answer, and a server that hangs delays no other.
+
+use std::collections::{HashMap, HashSet};
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use ztl_std::{
+    Description, ParallelRequests, RemoteId, RequestError, ServerTask, ServerTasks, State, Status,
+    server_answer,
+};
+
+use crate::aborts::{AbortRequest, Aborts, Key};
+use crate::board::{Board, Health, Seen, Task};
+use crate::clock::now_ms;
+use crate::cut;
+use crate::robots::Server;
+
+/// Between two looks at a server while a Stop is under way, while a page is open, and while nobody looks.
+const STOPPING: Duration = Duration::from_millis(20);
+const WATCHED: Duration = Duration::from_millis(50);
+const UNWATCHED: Duration = Duration::from_millis(250);
+/// Between two looks at a server of the original, which logs each as a mistake.
+const ORIGINAL: Duration = Duration::from_secs(2);
+/// Between two attempts to make a client.
+const NO_CLIENT: Duration = Duration::from_millis(500);
+/// How long an answer may take. Also how soon a server that returns is seen.
+const PATIENCE: Duration = Duration::from_millis(900);
+/// The same while an ABORT is under way: a device may answer nothing else for 1.5 s.
+const PATIENCE_FOR_ABORTS: Duration = Duration::from_millis(1700);
+/// How long an answer is waited for until the next look at what has to be sent.
+const TURN: Duration = Duration::from_millis(10);
+/// How long a robot may take to stop its tasks until it counts as not confirmed.
+const STOP_LIMIT: Duration = Duration::from_secs(4);
+/// Ended tasks that are kept for each server.
+const ENDED: usize = 20;
+/// Most tasks that a message names.
+const NAMED: usize = 5;
+
+/// Starts the thread of a server. It looks for work when it is woken.
+pub(crate) fn spawn(board: &Arc<Board>, index: usize, woken: Receiver<()>) -> io::Result<()> {
+    let board = Arc::clone(board);
+    let thread = thread::Builder::new().name("ztl-web-server".to_owned());
+    let run = move || {
+        if let Some(of) = board.servers.get(index) {
+            let mut server = ServerThread::new(&board, index, of);
+            loop {
+                server.turn(&woken);
+            }
+        }
+    };
+    thread.spawn(run).map(drop)
+}
+
+/// What was asked.
+#[derive(Debug)]
+enum Asked {
+    Probe,
+    Tasks,
+    Abort(Key),
+}
+
+type Answer = Result<Status, RequestError>;
+
+/// The questions to a server that are under way.
+struct Look {
+    /// When they were asked.
+    at: Instant,
+    /// Whether all goals that were sent to this server had an answer then, so that the list shows what they started.
+    settled: bool,
+    probe: Option<Answer>,
+    tasks: Option<Answer>,
+}
+
+/// A press of Stop for which this server has not decided yet.
+struct Stopping {
+    press: u64,
+    /// When this thread heard of it. Only a list that was asked for later counts.
+    at: Instant,
+    /// The tasks that were sent an ABORT, and how many of them have ended.
+    asked: HashSet<Key>,
+    ended: usize,
+}
+
+struct ServerThread<'b> {
+    board: &'b Board,
+    index: usize,
+    of: &'b Server,
+    requests: Option<ParallelRequests<Asked>>,
+    look: Option<Look>,
+    next_look: Instant,
+    /// Whether it does not list its tasks, as a server of the original.
+    is_original: bool,
+    boot: Option<u32>,
+    /// Every task that runs, as far as it is known, with its name.
+    running: Vec<(Key, String)>,
+    aborts: Aborts,
+    stop: Option<Stopping>,
+}
+
+impl<'b> ServerThread<'b> {
+    fn new(board: &'b Board, index: usize, of: &'b Server) -> Self {
+        Self {
+            board,
+            index,
+            of,
+            requests: None,
+            look: None,
+            next_look: Instant::now(),
+            is_original: false,
+            boot: None,
+            running: Vec::new(),
+            aborts: Aborts::default(),
+            stop: None,
+        }
+    }
+
+    fn turn(&mut self, woken: &Receiver<()>) {
+        if self
+            .requests
+            .as_ref()
+            .is_none_or(ParallelRequests::is_empty)
+        {
+            let wait = self.next_work().saturating_duration_since(Instant::now());
+            // Fails if there is nothing but the time.
+            let _ = woken.recv_timeout(wait);
+        }
+        for request in self.board.take_aborts(self.index) {
+            self.aborts.add(request, Instant::now());
+        }
+        self.begin_stop();
+        self.send();
+        self.receive();
+        self.end_stop();
+    }
+
+    fn next_work(&self) -> Instant {
+        // Without a client, ABORTs wait for the next attempt, too.
+        let aborts = self.requests.as_ref().and(self.aborts.next_due());
+        aborts.map_or(self.next_look, |due| due.min(self.next_look))
+    }
+
+    /// Stop was pressed: everything that is known to run is sent an ABORT at once.
+    fn begin_stop(&mut self) {
+        let press = self.board.stops.undecided(self.index);
+        let begins = self.stop.is_none() && press.is_some();
+        if begins && let Some(press) = press {
+            let now = Instant::now();
+            self.stop = Some(Stopping {
+                press,
+                at: now,
+                asked: HashSet::new(),
+                ended: 0,
+            });
+            self.next_look = now;
+        }
+        if self.stop.is_some() {
+            for goal in self.board.goals_at(self.index) {
+                if let Some(id) = goal.id() {
+                    let request = AbortRequest::of_goal(&goal, id);
+                    self.stop_task((goal.target.scope.clone(), id.clone()), request);
+                }
+            }
+        }
+        if begins {
+            self.stop_running();
+        }
+    }
+
+    /// During a Stop, sends an ABORT to every task that is known to run.
+    fn stop_running(&mut self) {
+        if self.stop.is_none() {
+            return;
+        }
+        let running: Vec<Key> = self.running.iter().map(|(key, _)| key.clone()).collect();
+        for key in running {
+            self.stop_task(key.clone(), AbortRequest::of_stop(key));
+        }
+    }
+
+    /// Sends an ABORT to a task that this Stop has not asked yet.
+    fn stop_task(&mut self, key: Key, request: AbortRequest) {
+        if let Some(stop) = &mut self.stop
+            && stop.asked.insert(key)
+        {
+            self.aborts.add(request, Instant::now());
+        }
+    }
+
+    fn send(&mut self) {
+        let now = Instant::now();
+        if self.requests.is_none() {
+            if now < self.next_look {
+                return;
+            }
+            match self.of.remote("$ztl") {
+                Ok(remote) => self.requests = Some(remote.into_parallel()),
+                Err(why) => {
+                    self.next_look = now + NO_CLIENT;
+                    self.set_missing(why);
+                }
+            }
+        }
+        let Some(requests) = &mut self.requests else {
+            return;
+        };
+        for key in self.aborts.take_due(now) {
+            let (scope, id) = &key;
+            if let Err(error) = requests.abort(Asked::Abort(key.clone()), scope, id) {
+                self.aborts.on_answer(&key, Err(error), now);
+            }
+        }
+        // The original answers one request after the other: a question would wait for the ABORTs.
+        let busy = self.is_original && self.aborts.are_under_way();
+        if self.look.is_none() && now >= self.next_look && !busy {
+            let goals = self.board.goals_at(self.index);
+            self.look = Some(Look {
+                at: now,
+                settled: goals.iter().all(|goal| goal.is_settled()),
+                probe: None,
+                tasks: None,
+            });
+            requests.ask_server(Asked::Probe, "probe");
+            requests.ask_server(Asked::Tasks, "tasks");
+        }
+    }
+
+    fn receive(&mut self) {
+        let Some(requests) = &mut self.requests else {
+            return;
+        };
+        let mut answers = match requests.is_empty() {
+            true => return,
+            false => requests.wait(TURN),
+        };
+        let patience = match self.aborts.are_under_way() {
+            true => PATIENCE_FOR_ABORTS,
+            false => PATIENCE,
+        };
+        if answers.is_empty()
+            && self
+                .look
+                .as_ref()
+                .is_some_and(|look| look.at.elapsed() > patience)
+        {
+            answers = requests.give_up();
+        }
+        for (asked, answer) in answers {
+            match asked {
+                Asked::Abort(key) => self.on_abort(&key, answer),
+                Asked::Probe => self.on_look(|look| look.probe = Some(answer)),
+                Asked::Tasks => self.on_look(|look| look.tasks = Some(answer)),
+            }
+        }
+    }
+
+    fn on_abort(&mut self, key: &Key, answer: Answer) {
+        if let Some(Ok(status)) = self.aborts.on_answer(key, answer, Instant::now())
+            && status.state.is_final()
+            && let Some(stop) = &mut self.stop
+            && stop.asked.contains(key)
+        {
+            stop.ended += 1;
+        }
+    }
+
+    fn on_look(&mut self, note: impl FnOnce(&mut Look)) {
+        let Some(mut look) = self.look.take() else {
+            return;
+        };
+        note(&mut look);
+        match look {
+            Look {
+                at,
+                settled,
+                probe: Some(probe),
+                tasks: Some(tasks),
+            } => self.on_answers((at, settled), probe, tasks),
+            look => self.look = Some(look),
+        }
+    }
+
+    fn on_answers(&mut self, (at, settled): (Instant, bool), probe: Answer, tasks: Answer) {
+        let described =
+            server_answer(probe).and_then(|answer| answer.map(Description::read).transpose());
+        let listed =
+            ServerTasks::merged(&self.of.endpoint, described.clone(), server_answer(tasks));
+        let pause = match &listed {
+            Ok(None) => ORIGINAL,
+            _ if self.stop.is_some() => STOPPING,
+            _ if self.board.is_watched() => WATCHED,
+            _ => UNWATCHED,
+        };
+        // A slow server gets a rest, too.
+        self.next_look = (at + pause).max(Instant::now() + pause / 2);
+        match listed {
+            Err(error) => self.set_missing(error.to_string()),
+            Ok(None) => {
+                self.is_original = true;
+                self.running.clear();
+                let known = self.board.seen(self.index);
+                self.board.set_seen(
+                    self.index,
+                    Seen {
+                        since_ms: since(&known, Health::There),
+                        health: Health::There,
+                        text: "a server of the original: it does not tell what it offers or does"
+                            .to_owned(),
+                        gaps: vec![
+                            "it does not list its tasks: others than these may run".to_owned(),
+                        ],
+                        ..Seen::default()
+                    },
+                );
+            }
+            Ok(Some(listed)) => {
+                self.is_original = false;
+                self.on_list(described.ok().flatten(), &listed);
+                self.confirm(at, settled);
+            }
+        }
+    }
+
+    fn set_missing(&mut self, why: String) {
+        let known = self.board.seen(self.index);
+        self.board.set_seen(
+            self.index,
+            Seen {
+                since_ms: since(&known, Health::Missing),
+                health: Health::Missing,
+                text: cut::text(&why, 2 * cut::LINE),
+                ..known
+            },
+        );
+    }
+
+    /// The server has told what it offers and which tasks run.
+    fn on_list(&mut self, described: Option<Description>, listed: &ServerTasks) {
+        let known = self.board.seen(self.index);
+        let started = match listed.boot == self.boot {
+            true => starts(&known),
+            false => HashMap::new(),
+        };
+        self.boot = listed.boot;
+        let mut seen = Seen {
+            since_ms: since(&known, Health::There),
+            health: Health::There,
+            text: known.text.clone(),
+            scopes: known.scopes.clone(),
+            lists: true,
+            tasks: Vec::new(),
+            gaps: listed.gaps.clone(),
+        };
+        if let Some(described) = described {
+            seen.text = cut::text(&format!("ztl {}", described.version), cut::LINE);
+            let missing = self.of.scopes.iter().map(|of| &of.scope);
+            let missing = missing.filter(|scope| !described.scopes.contains_key(*scope));
+            seen.gaps.extend(missing.map(|scope| {
+                format!("it does not serve {scope}, or this console may not use it: its tasks cannot be seen")
+            }));
+            let scopes = described.scopes.into_iter();
+            let ours =
+                scopes.filter(|(scope, _)| self.of.scopes.iter().any(|of| of.scope == *scope));
+            seen.scopes = ours
+                .map(|(scope, offers)| (scope, cut::offers(offers)))
+                .collect();
+        }
+        let running = || listed.tasks.iter().filter(|task| task.may_run);
+        self.running = running()
+            .map(|task| {
+                (
+                    (task.scope.clone(), task.id.clone()),
+                    cut::text(task.task(), cut::LINE),
+                )
+            })
+            .collect();
+        let shown = |task: &&ServerTask| {
+            task.scope.len() <= cut::NAME && task.id.as_str().len() <= cut::NAME
+        };
+        let hidden = running().filter(|task| !shown(task)).count();
+        if hidden > 0 {
+            seen.gaps.push(format!(
+                "{hidden} run whose scope or id is too long to be shown"
+            ));
+        }
+        let ended = listed.tasks.iter().filter(|task| !task.may_run).take(ENDED);
+        let now = now_ms();
+        seen.tasks = running()
+            .chain(ended)
+            .filter(shown)
+            .map(|task| shown_task(&self.of.name, task, now, &started))
+            .collect();
+        seen.gaps.truncate(NAMED);
+        for gap in &mut seen.gaps {
+            *gap = cut::text(gap, cut::LINE);
+        }
+        drop(started);
+        self.board.set_seen(self.index, seen);
+        self.stop_running();
+    }
+
+    /// A server confirms a Stop by a list without running tasks that was asked for after the press, and after every goal of
+    /// this console had an answer: such a goal can start nothing later.
+    fn confirm(&mut self, asked_at: Instant, settled: bool) {
+        let Some(stop) = &self.stop else {
+            return;
+        };
+        let is_complete = self.board.seen(self.index).gaps.is_empty();
+        if asked_at >= stop.at && settled && self.running.is_empty() && is_complete {
+            let text = match stop.asked.len() {
+                0 => "nothing ran".to_owned(),
+                1 => "1 task has ended".to_owned(),
+                many => format!("{many} tasks have ended"),
+            };
+            self.decide(Ok(text));
+        }
+    }
+
+    /// Decides what cannot be confirmed.
+    fn end_stop(&mut self) {
+        let Some(stop) = &self.stop else {
+            return;
+        };
+        let goals = self.board.goals_at(self.index);
+        let settled = goals.iter().all(|goal| goal.is_settled());
+        let is_late = stop.at.elapsed() >= STOP_LIMIT;
+        if self.is_original {
+            let waits = stop.asked.iter().any(|key| self.aborts.contains(key));
+            if is_late || (settled && !waits) {
+                let (asked, ended) = (stop.asked.len(), stop.ended);
+                self.decide(Err(format!(
+                    "a server of the original lists no tasks; {asked} of this console were asked to stop, {ended} of them have ended"
+                )));
+            }
+            return;
+        }
+        if !is_late {
+            return;
+        }
+        let seen = self.board.seen(self.index);
+        let mut why = Vec::new();
+        if seen.health != Health::There {
+            why.push(seen.text);
+        }
+        if !settled {
+            why.push("a goal of this console has no answer: it may still start".to_owned());
+        }
+        if !self.running.is_empty() {
+            let names = self.running.iter().take(NAMED);
+            let names: Vec<String> = names
+                .map(|((_, id), task)| format!("{id} {task}"))
+                .collect();
+            why.push(format!(
+                "{} may still run: {}",
+                self.running.len(),
+                names.join(", ")
+            ));
+        }
+        why.extend(seen.gaps);
+        if why.is_empty() {
+            why.push("its list of tasks came too late".to_owned());
+        }
+        self.decide(Err(why.join("; ")));
+    }
+
+    fn decide(&mut self, told: Result<String, String>) {
+        if let Some(stop) = self.stop.take() {
+            self.board.stops.decide(self.index, stop.press, told);
+            self.board.publish_stop();
+        }
+    }
+}
+
+/// Since when the health is so.
+fn since(known: &Seen, health: Health) -> u64 {
+    match known.health == health {
+        true => known.since_ms,
+        false => now_ms(),
+    }
+}
+
+type Starts<'a> = HashMap<(&'a str, &'a RemoteId), u64>;
+
+/// When the known tasks started: computed once for each, because the age in each answer differs by its travel time.
+fn starts(known: &Seen) -> Starts<'_> {
+    let tasks = known.tasks.iter();
+    tasks
+        .filter_map(|task| Some(((task.scope.as_str(), &task.id), task.started_ms?)))
+        .collect()
+}
+
+fn shown_task(robot: &str, task: &ServerTask, now: u64, started: &Starts<'_>) -> Task {
+    let listed = task.listed.as_ref();
+    let state = listed.map(|listed| match State::from_code(i64::from(listed.state)) {
+        _ if task.may_run && listed.ended_ms.is_some() => "MAY RUN".to_owned(),
+        Some(state) => state.name().to_owned(),
+        None => listed.state.to_string(),
+    });
+    let computed = listed.map(|listed| now.saturating_sub(listed.age_ms));
+    let known = started.get(&(task.scope.as_str(), &task.id)).copied();
+    Task {
+        robot: robot.to_owned(),
+        scope: task.scope.clone(),
+        id: task.id.clone(),
+        task: cut::text(task.task(), cut::LINE),
+        state: state.unwrap_or_default(),
+        text: listed.map_or_else(String::new, |listed| cut::text(&listed.text, cut::LINE)),
+        runs: task.may_run,
+        started_ms: known.or(computed),
+        by: None,
+    }
+}

@@ -1,0 +1,461 @@
+//! One client's socket: reads its messages, and writes answers and what it subscribed to.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use axum::extract::ws::{Message, WebSocket};
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt as _, StreamExt as _};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::time::{interval, timeout};
+use ztl_std::RemoteId;
+
+use crate::aborts::AbortRequest;
+use crate::board::{Board, Shared};
+use crate::clients::Client;
+use crate::clock::now_ms;
+use crate::gate::Role;
+use crate::goal::Goal;
+use crate::goals::{self, LATEST_MS, News, TOO_LATE};
+use crate::rosbridge::{self, GoalArgs, Incoming};
+use crate::streams::Listener;
+use crate::{operator, robots};
+
+/// Answers that wait to be written.
+const QUEUE: usize = 256;
+/// How long a client may take to receive a message.
+const WRITE: Duration = Duration::from_secs(10);
+/// How long a client may be silent, although it is pinged.
+const SILENCE: Duration = Duration::from_secs(60);
+/// How often a client is pinged, and told the state of the robots even if nothing changed.
+const BEAT: Duration = Duration::from_secs(2);
+/// Most Stops and single aborts of a socket whose answers it waits for.
+const ANSWERS: usize = 64;
+/// Messages and goals in a second, and how many at once.
+const MESSAGES: (f64, f64) = (50.0, 100.0);
+const GOAL_RATE: (f64, f64) = (10.0, 20.0);
+/// Longest id of a client's goal.
+const ID: usize = 256;
+
+/// What is written to a client, or what it wants to hear.
+pub(crate) enum Out {
+    Text(String),
+    Subscribe(Topic, bool),
+    /// A publisher's streams.
+    Listen(usize, bool),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Topic {
+    Robots,
+    Tasks,
+    Stop,
+}
+
+impl Topic {
+    fn of(name: &str) -> Result<Self, String> {
+        match name {
+            "/ztl/robots" => Ok(Self::Robots),
+            "/ztl/tasks" => Ok(Self::Tasks),
+            "/ztl/stop" => Ok(Self::Stop),
+            _ => Err(format!(
+                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop and /ztl/streams/PUBLISHER"
+            )),
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Robots => "/ztl/robots",
+            Self::Tasks => "/ztl/tasks",
+            Self::Stop => "/ztl/stop",
+        }
+    }
+}
+
+/// Serves a socket until it closes.
+pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr, role: Role) {
+    let (write, read) = socket.split();
+    let (out, queue) = mpsc::channel(QUEUE);
+    board.sockets.fetch_add(1, Ordering::Relaxed);
+    let client = Arc::<Client>::default();
+    client.attach(out.clone());
+    let mut reader = Reader {
+        board: Arc::clone(&board),
+        who: board.operator.client(role, address),
+        out,
+        client,
+        has_started: false,
+        answers: Arc::new(Semaphore::new(ANSWERS)),
+        aborts_when_gone: false,
+        messages: Rate::new(MESSAGES),
+        goal_rate: Rate::new(GOAL_RATE),
+    };
+    tokio::select! {
+        () = reader.read(read) => {}
+        () = written(write, queue, &board) => {}
+    }
+    board.sockets.fetch_sub(1, Ordering::Relaxed);
+    reader.leave();
+}
+
+/// Writes until the client is gone.
+async fn written(
+    mut to: SplitSink<WebSocket, Message>,
+    mut queue: mpsc::Receiver<Out>,
+    board: &Board,
+) {
+    let mut robots = board.topics.robots.subscribe();
+    let mut tasks = board.topics.tasks.subscribe();
+    let mut stop = board.topics.stop.subscribe();
+    let (mut on_robots, mut on_tasks, mut on_stop) = (false, false, false);
+    let mut listener = Listener::new(&board.streams);
+    let mut beat = interval(BEAT);
+    let told = |topic: Topic, value: &Shared| {
+        let text = rosbridge::publish(topic.name(), value);
+        vec![Message::from(text)]
+    };
+    loop {
+        let messages = tokio::select! {
+            biased;
+            Ok(()) = stop.changed(), if on_stop => told(Topic::Stop, &stop.borrow_and_update()),
+            out = queue.recv() => match out {
+                None => return,
+                Some(Out::Text(text)) => vec![Message::from(text)],
+                Some(Out::Listen(publisher, on)) => listener.listen(publisher, on),
+                Some(Out::Subscribe(topic, on)) => {
+                    let (flag, topic_of) = match topic {
+                        Topic::Robots => (&mut on_robots, &mut robots),
+                        Topic::Tasks => (&mut on_tasks, &mut tasks),
+                        Topic::Stop => (&mut on_stop, &mut stop),
+                    };
+                    *flag = on;
+                    let value = topic_of.borrow_and_update();
+                    // Nobody has pressed Stop yet: there is nothing to tell.
+                    match on && **value != *"{}" {
+                        true => told(topic, &value),
+                        false => Vec::new(),
+                    }
+                }
+            },
+            Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
+            Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
+            messages = listener.changed() => messages,
+            _ = beat.tick() => {
+                let mut messages = vec![Message::Ping(Vec::new().into())];
+                if on_robots {
+                    messages.extend(told(Topic::Robots, &robots.borrow_and_update()));
+                }
+                messages
+            }
+        };
+        for message in messages {
+            match timeout(WRITE, to.send(message)).await {
+                Ok(Ok(())) => {}
+                _ => return,
+            }
+        }
+    }
+}
+
+/// Reads what a client wants.
+struct Reader {
+    board: Arc<Board>,
+    who: operator::Client,
+    out: mpsc::Sender<Out>,
+    client: Arc<Client>,
+    /// Whether a goal came over this socket.
+    has_started: bool,
+    /// Limits the answers that come later.
+    answers: Arc<Semaphore>,
+    /// Whether its goals are aborted when it is gone.
+    aborts_when_gone: bool,
+    messages: Rate,
+    goal_rate: Rate,
+}
+
+impl Reader {
+    async fn read(&mut self, mut from: SplitStream<WebSocket>) {
+        while let Ok(Some(Ok(message))) = timeout(SILENCE, from.next()).await {
+            let answer = match &message {
+                Message::Text(text) => self.on_message(text.as_str()),
+                // Some clients send their text as bytes.
+                Message::Binary(bytes) => match std::str::from_utf8(bytes) {
+                    Ok(text) => self.on_message(text),
+                    Err(_) => Some(Out::Text(rosbridge::error("expected JSON in UTF-8"))),
+                },
+                Message::Close(_) => return,
+                Message::Ping(_) | Message::Pong(_) => None,
+            };
+            if let Some(answer) = answer
+                && self.out.send(answer).await.is_err()
+            {
+                return;
+            }
+        }
+    }
+
+    fn on_message(&mut self, text: &str) -> Option<Out> {
+        let error = |text: &str| Some(Out::Text(rosbridge::error(text)));
+        let message = match serde_json::from_str(text) {
+            Ok(message) => message,
+            Err(wrong) => return error(&format!("cannot read the message: {wrong}")),
+        };
+        // What stops something is never limited.
+        let stops = match &message {
+            Incoming::CancelActionGoal { .. } => true,
+            Incoming::CallService { service, .. } => {
+                matches!(service.as_str(), "/ztl/stop" | "/ztl/abort")
+            }
+            _ => false,
+        };
+        if !self.messages.allows() && !stops {
+            return match message {
+                Incoming::SendActionGoal { id, action, .. } => {
+                    let why = "too many messages: send fewer";
+                    Some(Out::Text(rosbridge::goal_refused(&id, &action, why)))
+                }
+                _ => error("too many messages: send fewer"),
+            };
+        }
+        match message {
+            Incoming::SendActionGoal {
+                id,
+                action,
+                args,
+                feedback,
+            } => {
+                let started = self.start(&id, &action, args, feedback);
+                let why = started.err()?;
+                Some(Out::Text(rosbridge::goal_refused(&id, &action, &why)))
+            }
+            Incoming::CancelActionGoal { id, action } => {
+                let why = self.cancel(&id, &action).err()?;
+                error(&why)
+            }
+            Incoming::CallService { id, service, args } => self.call(id, service, args),
+            Incoming::Subscribe { topic } => Some(self.subscribe(&topic, true)),
+            Incoming::Unsubscribe { topic } => Some(self.subscribe(&topic, false)),
+        }
+    }
+
+    fn subscribe(&self, topic: &str, on: bool) -> Out {
+        match (self.board.streams.find(topic), Topic::of(topic)) {
+            (Some(publisher), _) => Out::Listen(publisher, on),
+            (None, Ok(topic)) => Out::Subscribe(topic, on),
+            (None, Err(why)) => Out::Text(rosbridge::error(&why)),
+        }
+    }
+
+    fn start(
+        &mut self,
+        id: &str,
+        action: &str,
+        args: GoalArgs,
+        feedback: bool,
+    ) -> Result<(), String> {
+        if id.len() > ID {
+            return Err(format!("the id is longer than {ID} bytes"));
+        }
+        if !self.goal_rate.allows() {
+            return Err("too many goals: send fewer".to_owned());
+        }
+        let now = now_ms();
+        let not_after = args.not_after_ms.map_or(u64::MAX, |ms| ms as u64);
+        if now > not_after {
+            return Err(format!(
+                "{TOO_LATE}: it arrived {} ms after its time",
+                now - not_after
+            ));
+        }
+        let not_after = not_after.min(now + LATEST_MS);
+        let offers = |server, scope: &str| self.board.offers(server, scope);
+        let target = robots::find(&self.board.servers, offers, action)?;
+        self.board.begins_to_operate(&self.who)?;
+        let by = self.who.by.clone();
+        let goal = Arc::new(Goal::new(target, args.goal, by, not_after));
+        self.client.begin(id, action, &goal)?;
+        self.has_started = true;
+        let (client, key, action) = (Arc::clone(&self.client), id.to_owned(), action.to_owned());
+        let tell = move |news| match news {
+            News::Progress(text) if feedback => client.progress(&key, &action, &text),
+            News::Progress(_) => {}
+            News::Ended(outcome) => client.end(&key, &outcome),
+        };
+        goals::start(&goal, &self.board, Box::new(tell)).inspect_err(|_| self.client.forget(id))
+    }
+
+    fn cancel(&self, id: &str, action: &str) -> Result<(), String> {
+        let goal = self.client.goal(id);
+        let goal = goal.ok_or_else(|| format!("no goal '{id}' of '{action}' is open"))?;
+        goals::cancel(&goal, &self.board)
+    }
+
+    fn call(&mut self, id: Option<Value>, service: String, args: Value) -> Option<Out> {
+        let told = match service.as_str() {
+            "/ztl/robots" => self.newest(Topic::Robots),
+            "/ztl/tasks" => self.newest(Topic::Tasks),
+            "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
+            "/ztl/when_gone" => self.when_gone(&args),
+            "/ztl/past" => self.board.past.find(args),
+            "/ztl/operate" => self.board.take_over(&self.who, &args),
+            "/ztl/resume" => self.resume(&args),
+            "/ztl/stop" => match self.stop(id.clone()) {
+                Ok(()) => return None,
+                Err(why) => Err(why),
+            },
+            "/ztl/abort" => match self.abort(id.clone(), args) {
+                Ok(()) => return None,
+                Err(why) => Err(why),
+            },
+            _ => Err(format!(
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
+            )),
+        };
+        Some(Out::Text(rosbridge::service_response(
+            id.as_ref(),
+            &service,
+            told,
+        )))
+    }
+
+    /// The value of a topic, and what this client may do.
+    fn newest(&self, topic: Topic) -> Result<Value, String> {
+        let topic = match topic {
+            Topic::Robots => &self.board.topics.robots,
+            Topic::Tasks => &self.board.topics.tasks,
+            Topic::Stop => &self.board.topics.stop,
+        };
+        let value = topic.borrow().clone();
+        let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
+        if let Some(members) = value.as_object_mut() {
+            let operates = self.who.role == Role::Operator;
+            members.insert("may_operate".to_owned(), json!(operates));
+            members.insert("client".to_owned(), json!(self.who.number));
+            members.insert("now_ms".to_owned(), json!(now_ms()));
+        }
+        Ok(value)
+    }
+
+    fn when_gone(&mut self, args: &Value) -> Result<Value, String> {
+        let abort = args.get("abort").and_then(Value::as_bool);
+        self.aborts_when_gone = abort.ok_or("expected {\"abort\": true} or {\"abort\": false}")?;
+        Ok(json!({ "abort": self.aborts_when_gone }))
+    }
+
+    /// The client has a name, by which it finds its goals again.
+    fn resume(&mut self, args: &Value) -> Result<Value, String> {
+        let name = args.get("client").and_then(Value::as_str);
+        let name = name.ok_or("expected {\"client\": a secret name}")?;
+        if self.has_started {
+            return Err("resume before the first goal of a socket".to_owned());
+        }
+        self.client = self.board.clients.named(name)?;
+        Ok(self.client.attach(self.out.clone()))
+    }
+
+    /// Aborts everything. The answer follows when all is decided.
+    fn stop(&self, id: Option<Value>) -> Result<(), String> {
+        let press = self.board.press_stop(&self.who.by);
+        let board = Arc::clone(&self.board);
+        let told = async move { Ok(board.stops.answer(press).await) };
+        self.answer_later(id, "/ztl/stop", told)
+    }
+
+    /// Aborts one task. The answer follows when it is known.
+    fn abort(&self, id: Option<Value>, args: Value) -> Result<(), String> {
+        #[derive(Deserialize)]
+        struct Named {
+            robot: String,
+            scope: String,
+            id: RemoteId,
+        }
+        let wrong = |error| format!("expected robot, scope and id of a task: {error}");
+        let named: Named = serde_json::from_value(args).map_err(wrong)?;
+        let mut servers = self.board.servers.iter();
+        let server = servers.position(|server| server.name == named.robot);
+        let server = server.ok_or_else(|| format!("no robot '{}'", named.robot))?;
+        let (told, telling) = oneshot::channel();
+        let request = AbortRequest::told((named.scope, named.id), told);
+        self.board.abort(server, request)?;
+        let told = async {
+            telling
+                .await
+                .unwrap_or_else(|_| Err("it may still run".to_owned()))
+        };
+        self.answer_later(id, "/ztl/abort", told)
+    }
+
+    /// Answers a call when the answer is known. Neither a thread nor the client's other messages wait for it.
+    fn answer_later(
+        &self,
+        id: Option<Value>,
+        service: &'static str,
+        told: impl Future<Output = Result<Value, String>> + Send + 'static,
+    ) -> Result<(), String> {
+        let place = Arc::clone(&self.answers).try_acquire_owned();
+        let place = place.map_err(|_| {
+            format!("it was sent, but {ANSWERS} answers are awaited already: no answer will follow")
+        })?;
+        let out = self.out.clone();
+        tokio::spawn(async move {
+            tokio::select! {
+                told = told => {
+                    let answer = rosbridge::service_response(id.as_ref(), service, told);
+                    // Fails if the client is gone.
+                    let _ = out.send(Out::Text(answer)).await;
+                }
+                () = out.closed() => {}
+            }
+            drop(place);
+        });
+        Ok(())
+    }
+
+    /// The client is gone: leaves or aborts what it started, as it has chosen.
+    fn leave(&self) {
+        self.board.client_left(&self.who);
+        for goal in self.client.leave(&self.out) {
+            if self.aborts_when_gone
+                && let Err(error) = goals::cancel(&goal, &self.board)
+            {
+                tracing::error!("a goal of a client that is gone was not aborted: {error}");
+            }
+        }
+    }
+}
+
+/// A limit on how often.
+struct Rate {
+    a_second: f64,
+    at_once: f64,
+    left: f64,
+    at: Instant,
+}
+
+impl Rate {
+    fn new((a_second, at_once): (f64, f64)) -> Self {
+        Self {
+            a_second,
+            at_once,
+            left: at_once,
+            at: Instant::now(),
+        }
+    }
+
+    fn allows(&mut self) -> bool {
+        let now = Instant::now();
+        let earned = now.duration_since(self.at).as_secs_f64() * self.a_second;
+        self.left = (self.left + earned).min(self.at_once);
+        self.at = now;
+        let allowed = self.left >= 1.0;
+        if allowed {
+            self.left -= 1.0;
+        }
+        allowed
+    }
+}

@@ -1,0 +1,41 @@
+//! The console's certificate and key, for `https`.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls::ServerConfig;
+use tokio_rustls::rustls::crypto::ring;
+use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+
+/// A certificate and its key.
+#[derive(Clone)]
+pub struct Tls(pub(crate) TlsAcceptor);
+
+impl Tls {
+    /// Reads PEM files: the certificate, with those of its issuers after it, and its key.
+    ///
+    /// # Errors
+    /// What is wrong with which file.
+    pub fn read(certificate: &Path, key: &Path) -> Result<Self, String> {
+        let wrong = |file: &Path, why: &dyn std::fmt::Display| format!("{}: {why}", file.display());
+        let chain = CertificateDer::pem_file_iter(certificate)
+            .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+            .map_err(|error| wrong(certificate, &error))?;
+        if chain.is_empty() {
+            return Err(wrong(certificate, &"no certificate: expected PEM"));
+        }
+        let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, &error))?;
+        let mut config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
+            .with_safe_default_protocol_versions()
+            .and_then(|builder| {
+                builder
+                    .with_no_client_auth()
+                    .with_single_cert(chain, secret)
+            })
+            .map_err(|error| wrong(certificate, &error))?;
+        config.alpn_protocols = vec![b"http/1.1".to_vec()];
+        Ok(Self(TlsAcceptor::from(Arc::new(config))))
+    }
+}

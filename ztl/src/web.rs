@@ -1,0 +1,222 @@
+//! `ztl web`: the web console.
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+
+use qrcode::render::unicode::Dense1x2;
+use qrcode::{EcLevel, QrCode};
+use tracing::Level;
+use ztl_std::RemoteTask;
+use ztl_std::keys::exposure;
+use ztl_web::{Options, Publisher, Robot, Tls, Tokens, serve};
+
+use crate::chosen_publisher::ChosenPublisher;
+use crate::connect_options::ConnectOptions;
+use crate::exit::{Done, Misuse};
+use crate::option_values::port;
+use crate::remotes_options::RemotesOptions;
+use crate::terminal::{drawn_line, error_line, is_live, line, size};
+use crate::{log, signals};
+
+/// The original's port.
+const PORT: u16 = 1060;
+
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Exit codes: 0 ended by Ctrl-C, 1 the console cannot run, 2 wrong options.\n\n\
+    Everything that the page does goes over /rosbridge, for any rosbridge client (docs/web.md)."
+)]
+pub(crate) struct Web {
+    #[command(flatten)]
+    remotes: RemotesOptions,
+
+    #[command(flatten)]
+    connecting: ConnectOptions,
+
+    /// Port of the console; 0 chooses a free one
+    #[arg(short, long, default_value_t = PORT, value_parser = port)]
+    port: u16,
+
+    /// Address to serve at; for any other than 127.0.0.1 and ::1, the printed links are needed
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    bind: IpAddr,
+
+    /// A name under which browsers reach this machine, besides its addresses (repeatable). Everybody then needs the
+    /// printed links. Also needed behind a proxy
+    #[arg(long, value_name = "NAME")]
+    host: Vec<String>,
+
+    /// A page of one's own, with forms as for the original's ztl_web; the console's is then at /console
+    #[arg(short, long, value_name = "PAGE.html")]
+    serve: Option<PathBuf>,
+
+    /// Keep the tokens of the links in this file, so that open pages go on when the console is started again
+    #[arg(long, value_name = "FILE")]
+    tokens: Option<PathBuf>,
+
+    /// PEM files of a certificate and its key: serve https
+    #[arg(long, value_names = ["CERT", "KEY"], num_args = 2)]
+    tls: Option<Vec<PathBuf>>,
+}
+
+impl Web {
+    pub(crate) fn run(self) -> Done {
+        signals::catch()?;
+        log::init(Level::WARN);
+        let remotes = self.remotes.read()?;
+        let mut robots = Vec::new();
+        for name in remotes.task_names() {
+            let remote = remotes
+                .task(name)
+                .map_err(|wrong| Misuse(wrong.to_string()))?;
+            let (endpoint, of_server) = (remote.endpoint(), remote.keys.clone());
+            let (options, at) = (self.connecting.clone(), endpoint.clone());
+            let connect = move |scope: &str| {
+                let client = RemoteTask::connect(&at, scope).map_err(|error| error.to_string())?;
+                let client = options.apply(client, of_server.as_ref());
+                client.map_err(|error| error.to_string())
+            };
+            // A missing key is a mistake of now, not of the first task.
+            connect(&remote.scope).map_err(Misuse)?;
+            robots.push(Robot {
+                name: name.to_owned(),
+                endpoint,
+                scope: remote.scope.clone(),
+                keys: remote.keys.clone(),
+                connect: Arc::new(connect),
+            });
+        }
+        if robots.is_empty() {
+            let file = self.remotes.path();
+            let why = format!(
+                "no robots: give --task NAME HOST PORT SCOPE, or `remotes:` in {}",
+                file.display()
+            );
+            return Err(Misuse(why).into());
+        }
+        let tls = match self.tls.as_deref() {
+            Some([certificate, key]) => Some(Tls::read(certificate, key).map_err(Misuse)?),
+            _ => None,
+        };
+        let mut publishers = Vec::new();
+        for name in remotes.publisher_names() {
+            let publisher = remotes
+                .publisher(name)
+                .map_err(|wrong| Misuse(wrong.to_string()))?;
+            let (named, publisher, options) =
+                (name.to_owned(), publisher.clone(), self.connecting.clone());
+            let connect = move || {
+                let publisher = ChosenPublisher::named(&named, publisher.clone());
+                let connected = publisher.connect(&[], options.keys());
+                connected
+                    .map(|connected| connected.subscriber)
+                    .map_err(|error| error.to_string())
+            };
+            // As above.
+            connect().map_err(Misuse)?;
+            publishers.push(Publisher {
+                name: name.to_owned(),
+                connect: Arc::new(connect),
+            });
+        }
+        let place = (self.bind, self.port);
+        let listener = TcpListener::bind(place).map_err(|error| {
+            format!("cannot serve at {} port {}: {error}", self.bind, self.port)
+        })?;
+        let address = listener.local_addr()?;
+        let tokens = match &self.tokens {
+            None => Tokens::random()?,
+            Some(path) => {
+                let tokens = Tokens::kept(path);
+                if let Some(exposure) = exposure(path) {
+                    error_line(format_args!("ztl: warning: {exposure}"));
+                }
+                tokens.map_err(|error| Misuse(format!("{}: {error}", path.display())))?
+            }
+        };
+        let at = format!(
+            "http{}://{}",
+            if tls.is_some() { "s" } else { "" },
+            self.place(address)
+        );
+        if self.bind.is_loopback() && self.host.is_empty() {
+            line(format_args!("{at}/"));
+        } else {
+            for (who, token) in [
+                ("watchers", &tokens.watcher),
+                ("operators", &tokens.operator),
+            ] {
+                show_link(who, &format!("{at}/?token={token}"))?;
+            }
+        }
+        let (ending, end) = channel();
+        let failing = ending.clone();
+        signals::then(move || drop(ending.send(None)));
+        std::thread::Builder::new()
+            .name("ztl-web".to_owned())
+            .spawn(move || {
+                let options = Options {
+                    listener,
+                    robots,
+                    publishers,
+                    tokens,
+                    hosts: self.host,
+                    page: self.serve,
+                    tls,
+                };
+                drop(failing.send(serve(options).err()));
+            })?;
+        match end.recv()? {
+            Some(error) => Err(error.into()),
+            None => Ok(signals::exit_code_or(ExitCode::SUCCESS)),
+        }
+    }
+
+    /// What browsers call the console: its host and port.
+    fn place(&self, address: SocketAddr) -> String {
+        match self.host.first() {
+            Some(name) => format!("{name}:{}", address.port()),
+            None => SocketAddr::new(reachable(self.bind), address.port()).to_string(),
+        }
+    }
+}
+
+/// The address of this machine at which others reach what is bound to `bind`; without a network, `bind`.
+fn reachable(bind: IpAddr) -> IpAddr {
+    // An address for documentation: it is only looked up by which interface it would be reached, nothing is sent.
+    let far: IpAddr = match bind {
+        IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
+        IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
+    };
+    let own = || {
+        let socket = UdpSocket::bind((bind, 0))?;
+        socket.connect((far, 9))?;
+        io::Result::Ok(socket.local_addr()?.ip())
+    };
+    match bind.is_unspecified() {
+        true => own().unwrap_or(bind),
+        false => bind,
+    }
+}
+
+/// Prints a link; on a terminal, also as a QR code for phones.
+fn show_link(who: &str, link: &str) -> Result<(), String> {
+    line(format_args!("{who}: {link}"));
+    if !is_live() {
+        return Ok(());
+    }
+    let code = QrCode::with_error_correction_level(link, EcLevel::L);
+    let code = code.map_err(|error| format!("no QR code for {link}: {error}"))?;
+    let drawn = code.render::<Dense1x2>().build();
+    if drawn.lines().all(|row| row.chars().count() <= size().0) {
+        for row in drawn.lines() {
+            // Black on white, whatever the colours of the terminal are.
+            drawn_line(&format!("\x1b[30;47m{row}\x1b[0m"));
+        }
+    }
+    Ok(())
+}
