@@ -183,7 +183,7 @@ fn a_second_press_reaches_what_started_after_the_first_one() {
 }
 
 #[test]
-fn a_thousand_presses_need_no_thread_and_delay_no_other_client() {
+fn a_thousand_presses_and_aborts_need_no_thread_and_delay_no_other() {
     let silent = Scripted::start(|_| None);
     let (console, mut client) = console(silent.port);
     for number in 0..1000 {
@@ -197,6 +197,13 @@ fn a_thousand_presses_need_no_thread_and_delay_no_other_client() {
             .contains("answers are awaited"),
         "{refused}"
     );
+    let task = |number: u32| json!({ "robot": "ours", "scope": SCOPE, "id": number });
+    for number in 1..=1000 {
+        client.ask(&format!("a{number}"), "/ztl/abort", &task(number));
+    }
+    let refused = client.answer("a1000");
+    let why = refused["values"].as_str().expect("why");
+    assert!(why.contains("not sent: 64 aborts are under way"), "{why}");
     let threads = process_status(console.id(), "Threads:");
     assert!(threads < 10, "{threads}");
     assert!(!told(&client.answer("0")["values"])[0].0);

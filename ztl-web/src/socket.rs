@@ -10,7 +10,7 @@ use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt as _, StreamExt as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
 use tokio::time::{interval, timeout};
 use ztl_std::RemoteId;
 
@@ -33,7 +33,7 @@ const WRITE: Duration = Duration::from_secs(10);
 const SILENCE: Duration = Duration::from_secs(60);
 /// How often a client is pinged, and told the state of the robots even if nothing changed.
 const BEAT: Duration = Duration::from_secs(2);
-/// Most Stops and single aborts of a socket whose answers it waits for.
+/// Most Stops, and most single aborts, of a socket whose answers it waits for.
 const ANSWERS: usize = 64;
 /// Messages and goals in a second, and how many at once.
 const MESSAGES: (f64, f64) = (50.0, 100.0);
@@ -90,7 +90,8 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
         out,
         client,
         has_started: false,
-        answers: Arc::new(Semaphore::new(ANSWERS)),
+        stops: Arc::new(Semaphore::new(ANSWERS)),
+        aborts: Arc::new(Semaphore::new(ANSWERS)),
         aborts_when_gone: false,
         messages: Rate::new(MESSAGES),
         goal_rate: Rate::new(GOAL_RATE),
@@ -170,8 +171,9 @@ struct Reader {
     client: Arc<Client>,
     /// Whether a goal came over this socket.
     has_started: bool,
-    /// Limits the answers that come later.
-    answers: Arc<Semaphore>,
+    /// Limit the answers that come later.
+    stops: Arc<Semaphore>,
+    aborts: Arc<Semaphore>,
     /// Whether its goals are aborted when it is gone.
     aborts_when_gone: bool,
     messages: Rate,
@@ -275,10 +277,11 @@ impl Reader {
         let not_after = not_after.min(now + LATEST_MS);
         let offers = |server, scope: &str| self.board.offers(server, scope);
         let target = robots::find(&self.board.servers, offers, action)?;
-        self.board.begins_to_operate(&self.who)?;
         let by = self.who.by.clone();
         let goal = Arc::new(Goal::new(target, args.goal, by, not_after));
         self.client.begin(id, action, &goal)?;
+        let operates = self.board.begins_to_operate(&self.who);
+        operates.inspect_err(|_| self.client.forget(id))?;
         self.has_started = true;
         let (client, key, action) = (Arc::clone(&self.client), id.to_owned(), action.to_owned());
         let tell = move |news| match news {
@@ -361,9 +364,14 @@ impl Reader {
     /// Aborts everything. The answer follows when all is decided.
     fn stop(&self, id: Option<Value>) -> Result<(), String> {
         let press = self.board.press_stop(&self.who.by);
+        let place = Arc::clone(&self.stops).try_acquire_owned();
+        let place = place.map_err(|_| {
+            format!("it was sent, but {ANSWERS} answers are awaited already: no answer will follow")
+        })?;
         let board = Arc::clone(&self.board);
         let told = async move { Ok(board.stops.answer(press).await) };
-        self.answer_later(id, "/ztl/stop", told)
+        self.answer_later(id, "/ztl/stop", place, told);
+        Ok(())
     }
 
     /// Aborts one task. The answer follows when it is known.
@@ -379,15 +387,17 @@ impl Reader {
         let mut servers = self.board.servers.iter();
         let server = servers.position(|server| server.name == named.robot);
         let server = server.ok_or_else(|| format!("no robot '{}'", named.robot))?;
+        let place = Arc::clone(&self.aborts).try_acquire_owned();
+        let place = place.map_err(|_| format!("not sent: {ANSWERS} aborts are under way"))?;
         let (told, telling) = oneshot::channel();
         let request = AbortRequest::told((named.scope, named.id), told);
         self.board.abort(server, request)?;
         let told = async {
-            telling
-                .await
-                .unwrap_or_else(|_| Err("it may still run".to_owned()))
+            let told = telling.await;
+            told.unwrap_or_else(|_| Err("it may still run".to_owned()))
         };
-        self.answer_later(id, "/ztl/abort", told)
+        self.answer_later(id, "/ztl/abort", place, told);
+        Ok(())
     }
 
     /// Answers a call when the answer is known. Neither a thread nor the client's other messages wait for it.
@@ -395,12 +405,9 @@ impl Reader {
         &self,
         id: Option<Value>,
         service: &'static str,
+        place: OwnedSemaphorePermit,
         told: impl Future<Output = Result<Value, String>> + Send + 'static,
-    ) -> Result<(), String> {
-        let place = Arc::clone(&self.answers).try_acquire_owned();
-        let place = place.map_err(|_| {
-            format!("it was sent, but {ANSWERS} answers are awaited already: no answer will follow")
-        })?;
+    ) {
         let out = self.out.clone();
         tokio::spawn(async move {
             tokio::select! {
@@ -413,7 +420,6 @@ impl Reader {
             }
             drop(place);
         });
-        Ok(())
     }
 
     /// The client is gone: leaves or aborts what it started, as it has chosen.
