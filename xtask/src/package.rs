@@ -60,13 +60,15 @@ pub(crate) fn check_foreign(project: &Project) -> Result<()> {
             println!("SKIPPED: {target}: rustup has not installed its standard library");
             continue;
         }
-        // Replaces the compilation of libzmq, which needs a foreign compiler; nothing is linked.
-        let zmq = format!("target.{target}.zmq.rustc-link-lib=['zmq']");
-        let check = project
+        let mut check = project
             .cargo("check --package")
             .args([PACKAGE, "--target", target]);
-        let check = check.args(["--config", &zmq, "--target-dir"]);
-        let check = check.arg(project.target.join("foreign"));
+        // Replaces the compilation of code in C, which needs a foreign compiler; nothing is linked.
+        for links in ["zmq", "ring_core_0_17_14_"] {
+            let library = format!("target.{target}.{links}.rustc-link-lib=['{links}']");
+            check = check.args(["--config", &library]);
+        }
+        let check = check.arg("--target-dir").arg(project.target.join("foreign"));
         check.env("RUSTFLAGS", "-D warnings").run()?;
     }
     Ok(())
