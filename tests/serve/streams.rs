@@ -383,7 +383,7 @@ fn a_program_runs_only_while_someone_subscribes() {
     let left = Instant::now();
     drop(third);
     dies(process);
-    assert!(left.elapsed() >= Duration::from_millis(400));
+    assert!(left.elapsed() >= Duration::from_secs(1));
     assert_eq!(shown(&mut other), "'other'");
     assert_eq!(robot.lines("starts").len(), 1);
     let mut again = robot.subscribe("/robot/sound");

@@ -185,7 +185,7 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
         server.endpoint()
     ));
     let handle = server.handle();
-    signals::leave_at_the_second_after(move || processes.kill());
+    signals::leave_at_the_second_after(processes.killer());
     let served = served(config);
     let stop_streams = streams.as_ref().map(Streams::stopper);
     Service::ready(handle.clone(), move || served.clone())?.stops(move || {
