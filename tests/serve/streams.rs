@@ -353,7 +353,7 @@ fn a_program_that_ends_is_started_again_after_longer_and_longer_pauses() {
 #[test]
 fn a_program_runs_only_while_someone_subscribes() {
     let robot = Robot::new(
-        "sound: {shell: 'echo $$ >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 400 ms}
+        "sound: {shell: 'echo $$ >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 1 s}
         other: {shell: 'while sleep 0.02; do echo other; done', frame: line}",
     );
     // Who hears another stream does not start it.
@@ -373,7 +373,7 @@ fn a_program_runs_only_while_someone_subscribes() {
     drop(second);
     // Longer than it waits for others.
     let start = Instant::now();
-    while start.elapsed() < Duration::from_millis(800) {
+    while start.elapsed() < Duration::from_millis(2000) {
         assert_eq!(shown(&mut third), "'on'");
     }
     let starts = robot.lines("starts");
@@ -659,4 +659,33 @@ fn streams_need_a_port_to_publish_at() {
             .contains("--scope names the only scope of a file"),
         "{ended:?}"
     );
+}
+
+/// Several at once, so that the machine is busy when they end.
+#[test]
+fn a_server_that_stops_regularly_leaves_its_watchdog_nothing_to_do() {
+    let fast = "run: [sh, -c, 'while :; do seq 100; sleep 0.05; done'], frame: line";
+    let text = format!(
+        "scopes: {{/r: {{h: {{c: {{run: [sleep, '60']}}}}}}}}\nstreams: {{/r: {{one: {{{fast}, rate: 100 Hz}}, two: {{{fast}}}}}}}\n"
+    );
+    for _ in 0..3 {
+        let rigs: Vec<_> = (0..5)
+            .map(|_| Rig::of_file(&text, &["--publish", "0"]))
+            .collect();
+        for rig in &rigs {
+            let endpoint = rig.server.endpoint();
+            let mut remote = ztl_std::RemoteTask::connect(&endpoint, "/r").expect("an address");
+            remote.trigger("h", "c", "").expect("taken");
+        }
+        for rig in &rigs {
+            rig.server.process.signal("TERM");
+        }
+        for rig in rigs {
+            let Rig { server, scratch } = rig;
+            let ended = server.process.end(PATIENCE);
+            assert_eq!(ended.code, Some(143), "{ended:?}");
+            assert!(!ended.stderr.contains("ERROR"), "{ended:?}");
+            drop(scratch);
+        }
+    }
 }
