@@ -661,31 +661,35 @@ fn streams_need_a_port_to_publish_at() {
     );
 }
 
-/// Several at once, so that the machine is busy when they end.
+/// A program that closes its output is stopped by its stop rule.
 #[test]
-fn a_server_that_stops_regularly_leaves_its_watchdog_nothing_to_do() {
-    let fast = "run: [sh, -c, 'while :; do seq 100; sleep 0.05; done'], frame: line";
-    let text = format!(
-        "scopes: {{/r: {{h: {{c: {{run: [sleep, '60']}}}}}}}}\nstreams: {{/r: {{one: {{{fast}, rate: 100 Hz}}, two: {{{fast}}}}}}}\n"
+fn a_program_that_closes_its_output_is_stopped_and_started_again() {
+    let robot = Robot::new(
+        "quiet: {shell: 'trap \"echo stopped >> stops; exit\" INT; echo value; exec >&-; while :; do sleep 0.02; done', frame: line, abort: INT, latest: true}",
     );
-    for _ in 0..3 {
-        let rigs: Vec<_> = (0..5)
-            .map(|_| Rig::of_file(&text, &["--publish", "0"]))
-            .collect();
-        for rig in &rigs {
-            let endpoint = rig.server.endpoint();
-            let mut remote = ztl_std::RemoteTask::connect(&endpoint, "/r").expect("an address");
-            remote.trigger("h", "c", "").expect("taken");
-        }
-        for rig in &rigs {
-            rig.server.process.signal("TERM");
-        }
-        for rig in rigs {
-            let Rig { server, scratch } = rig;
-            let ended = server.process.end(PATIENCE);
-            assert_eq!(ended.code, Some(143), "{ended:?}");
-            assert!(!ended.stderr.contains("ERROR"), "{ended:?}");
-            drop(scratch);
-        }
-    }
+    let said = "Stream /robot/quiet has ended, and begins again in 500 ms: it closed its output, ran on and was stopped";
+    robot.rig.server.process.wait_for(said);
+    assert_eq!(robot.rig.written("stops"), "stopped");
+    assert_eq!(shown(&mut robot.subscribe("/robot/quiet")), "'value'");
+}
+
+/// Otherwise it may read of programs as if they were left behind.
+#[test]
+fn the_watchdog_ends_before_a_server_that_stops_regularly() {
+    let text = "
+scopes: {/r: {h: {c: {run: [sleep, '60']}}}}
+streams: {/r: {s: {shell: 'while sleep 0.02; do echo 1; done', frame: line}}}
+";
+    let rig = Rig::of_file(text, &["--publish", "0"]);
+    let mut remote =
+        ztl_std::RemoteTask::connect(&rig.server.endpoint(), "/r").expect("an address");
+    remote.trigger("h", "c", "").expect("taken");
+    let watchdog = rig.watchdog();
+    rig.server.process.signal("TERM");
+    let Rig { server, scratch } = rig;
+    let ended = server.process.end(PATIENCE);
+    assert!(!lives(watchdog));
+    assert_eq!(ended.code, Some(143), "{ended:?}");
+    assert!(!ended.stderr.contains("ERROR"), "{ended:?}");
+    drop(scratch);
 }
