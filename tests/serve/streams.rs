@@ -1,5 +1,6 @@
 //! Programs whose output is published as streams.
 
+use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -687,8 +688,13 @@ streams: {/r: {s: {shell: 'while sleep 0.02; do echo 1; done', frame: line}}}
     let watchdog = rig.watchdog();
     rig.server.process.signal("TERM");
     let Rig { server, scratch } = rig;
+    // Looks without a pause: a watchdog that the server has not waited for ends soon after it.
+    let start = Instant::now();
+    while lives(server.process.id()) {
+        assert!(start.elapsed() < PATIENCE);
+    }
+    assert!(!Path::new(&format!("/proc/{watchdog}")).exists());
     let ended = server.process.end(PATIENCE);
-    assert!(!lives(watchdog));
     assert_eq!(ended.code, Some(143), "{ended:?}");
     assert!(!ended.stderr.contains("ERROR"), "{ended:?}");
     drop(scratch);
