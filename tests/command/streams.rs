@@ -147,8 +147,13 @@ fn what_does_not_come_in_time_is_an_error() {
         ended.stderr.contains("0 of 1 subscribers came in time"),
         "{ended:?}"
     );
+    // After 2 s it says what it waits for.
+    let mut absent = Process::start(&mut subscribe(1, &[]));
+    absent.wait_for("ztl: no publisher at tcp://127.0.0.1:1 yet; ");
+    absent.kill();
     let ended = Process::run(&mut subscribe(1, &["-n", "1", "-t", "200ms"]));
     assert_eq!(ended.code, Some(1), "{ended:?}");
+    assert!(!ended.stderr.contains("yet"), "{ended:?}");
     assert!(
         ended.stderr.contains("the publisher is not connected"),
         "{ended:?}"

@@ -13,18 +13,6 @@ use ztl_tests::lab::{PATIENCE, Process, Scratch, python, reserve_port, signal, u
 
 use crate::rig::{Rig, dies, end, kill, lives, progress, start, told, trigger};
 
-/// The watchdog of a server.
-#[track_caller]
-fn watchdog(rig: &Rig) -> u32 {
-    until("a watchdog", PATIENCE, || {
-        let mut watchdogs = rig.children().into_iter().filter(|child| {
-            let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
-            line.is_ok_and(|line| line.contains("serve-watchdog"))
-        });
-        watchdogs.next()
-    })
-}
-
 #[test]
 fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
     let mut rig = Rig::new(
@@ -91,10 +79,10 @@ fn the_watchdog_finds_a_program_that_is_just_starting() {
 fn a_repeatedly_killed_watchdog_is_replaced_while_the_server_idles() {
     let mut rig = Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     for _ in 0..5 {
-        let before = watchdog(&rig);
+        let before = rig.watchdog();
         kill(before);
         until("another watchdog", PATIENCE, || {
-            (watchdog(&rig) != before).then_some(())
+            (rig.watchdog() != before).then_some(())
         });
     }
     trigger(&mut rig.remote(), "go", "");
@@ -114,7 +102,7 @@ fn a_killed_or_unresponsive_watchdog_is_replaced() {
     let mut remote = rig.remote();
     trigger(&mut remote, "go", "");
     let process = rig.process("pid");
-    let first = watchdog(&rig);
+    let first = rig.watchdog();
     // It is the same program as its server, and runs under the same filter when an old kernel is simulated.
     let of = |process: u32| {
         let status = std::fs::read_to_string(format!("/proc/{process}/status"));
@@ -137,7 +125,7 @@ fn a_killed_or_unresponsive_watchdog_is_replaced() {
         .wait_for("The watchdog has been restarted.");
 
     // A suspended watchdog is noticed once its pipe is full, and delays no client.
-    let second = watchdog(&rig);
+    let second = rig.watchdog();
     signal(second, "STOP");
     let long = "x".repeat(50_000);
     until("another watchdog", PATIENCE, || {
@@ -146,7 +134,7 @@ fn a_killed_or_unresponsive_watchdog_is_replaced() {
     });
     until("another watchdog", PATIENCE, || {
         rig.run("many", "");
-        (watchdog(&rig) != second).then_some(())
+        (rig.watchdog() != second).then_some(())
     });
     assert!(lives(process));
     rig.server.process.kill();
@@ -159,11 +147,11 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
         let mut rig = Rig::new("go: {run: [sh, -c, 'exec sleep 60']}");
         let mut remote = rig.remote();
         // The more watchdogs end in a row, the longer the pause before the next.
-        let mut last = watchdog(&rig);
+        let mut last = rig.watchdog();
         for _ in 0..5 {
             kill(last);
             last = until("another watchdog", PATIENCE, || {
-                Some(watchdog(&rig)).filter(|now| *now != last)
+                Some(rig.watchdog()).filter(|now| *now != last)
             });
         }
         kill(last);
@@ -194,7 +182,7 @@ fn a_watchdog_ignores_every_signal_it_can() {
     );
     trigger(&mut rig.remote(), "go", "");
     let process = rig.process("pid");
-    let first = watchdog(&rig);
+    let first = rig.watchdog();
     for name in [
         "HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE", "TSTP", "TTIN", "TTOU",
     ] {
@@ -202,7 +190,7 @@ fn a_watchdog_ignores_every_signal_it_can() {
     }
     // A signal takes effect before the watchdog confirms anything else.
     assert_eq!(rig.run("other", ""), (Completed, String::new()));
-    assert_eq!(watchdog(&rig), first);
+    assert_eq!(rig.watchdog(), first);
     rig.server.process.kill();
     dies(process);
 }
@@ -280,7 +268,7 @@ fn a_suspended_watchdog_stops_programs_after_the_server_dies() {
     let mut rig = Rig::new("go: {run: [sh, -c, 'echo $$ > pid; exec sleep 60']}");
     trigger(&mut rig.remote(), "go", "");
     let process = rig.process("pid");
-    signal(watchdog(&rig), "STOP");
+    signal(rig.watchdog(), "STOP");
     rig.server.process.kill();
     dies(process);
 }
@@ -290,7 +278,7 @@ fn a_suspended_watchdog_is_replaced_before_another_program_starts() {
     let mut rig = Rig::new("go: {run: [sh, -c, 'exec sleep 60'], at-once: 9}");
     let mut remote = rig.remote();
     trigger(&mut remote, "go", "");
-    let first = watchdog(&rig);
+    let first = rig.watchdog();
     signal(first, "STOP");
     until("the program is started", PATIENCE, || {
         remote.trigger("p", "go", "").ok()

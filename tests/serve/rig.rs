@@ -89,6 +89,18 @@ impl Rig {
         })
     }
 
+    /// The watchdog of the server.
+    #[track_caller]
+    pub fn watchdog(&self) -> u32 {
+        until("a watchdog", PATIENCE, || {
+            let mut watchdogs = self.children().into_iter().filter(|child| {
+                let line = std::fs::read_to_string(format!("/proc/{child}/cmdline"));
+                line.is_ok_and(|line| line.contains("serve-watchdog"))
+            });
+            watchdogs.next()
+        })
+    }
+
     /// The server's child processes, including its watchdog.
     pub fn children(&self) -> Vec<u32> {
         let threads = format!("/proc/{}/task", self.server.process.id());

@@ -1,5 +1,6 @@
 //! Programs whose output is published as streams.
 
+use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -353,7 +354,7 @@ fn a_program_that_ends_is_started_again_after_longer_and_longer_pauses() {
 #[test]
 fn a_program_runs_only_while_someone_subscribes() {
     let robot = Robot::new(
-        "sound: {shell: 'echo $$ >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 400 ms}
+        "sound: {shell: 'echo $$ >> starts; while sleep 0.02; do echo on; done', frame: line, when-watched: 1 s}
         other: {shell: 'while sleep 0.02; do echo other; done', frame: line}",
     );
     // Who hears another stream does not start it.
@@ -373,7 +374,7 @@ fn a_program_runs_only_while_someone_subscribes() {
     drop(second);
     // Longer than it waits for others.
     let start = Instant::now();
-    while start.elapsed() < Duration::from_millis(800) {
+    while start.elapsed() < Duration::from_millis(2000) {
         assert_eq!(shown(&mut third), "'on'");
     }
     let starts = robot.lines("starts");
@@ -383,7 +384,7 @@ fn a_program_runs_only_while_someone_subscribes() {
     let left = Instant::now();
     drop(third);
     dies(process);
-    assert!(left.elapsed() >= Duration::from_millis(400));
+    assert!(left.elapsed() >= Duration::from_secs(1));
     assert_eq!(shown(&mut other), "'other'");
     assert_eq!(robot.lines("starts").len(), 1);
     let mut again = robot.subscribe("/robot/sound");
@@ -659,4 +660,42 @@ fn streams_need_a_port_to_publish_at() {
             .contains("--scope names the only scope of a file"),
         "{ended:?}"
     );
+}
+
+/// A program that closes its output is stopped by its stop rule.
+#[test]
+fn a_program_that_closes_its_output_is_stopped_and_started_again() {
+    let robot = Robot::new(
+        "quiet: {shell: 'trap \"echo stopped >> stops; exit\" INT; echo value; exec >&-; while :; do sleep 0.02; done', frame: line, abort: INT, latest: true}",
+    );
+    let said = "Stream /robot/quiet has ended, and begins again in 500 ms: it closed its output, ran on and was stopped";
+    robot.rig.server.process.wait_for(said);
+    assert_eq!(robot.rig.written("stops"), "stopped");
+    assert_eq!(shown(&mut robot.subscribe("/robot/quiet")), "'value'");
+}
+
+/// Otherwise it may read of programs as if they were left behind.
+#[test]
+fn the_watchdog_ends_before_a_server_that_stops_regularly() {
+    let text = "
+scopes: {/r: {h: {c: {run: [sleep, '60']}}}}
+streams: {/r: {s: {shell: 'while sleep 0.02; do echo 1; done', frame: line}}}
+";
+    let rig = Rig::of_file(text, &["--publish", "0"]);
+    let mut remote =
+        ztl_std::RemoteTask::connect(&rig.server.endpoint(), "/r").expect("an address");
+    remote.trigger("h", "c", "").expect("taken");
+    let watchdog = rig.watchdog();
+    rig.server.process.signal("TERM");
+    let Rig { server, scratch } = rig;
+    // Looks without a pause: a watchdog that the server has not waited for ends soon after it.
+    let start = Instant::now();
+    while lives(server.process.id()) {
+        assert!(start.elapsed() < PATIENCE);
+    }
+    assert!(!Path::new(&format!("/proc/{watchdog}")).exists());
+    let ended = server.process.end(PATIENCE);
+    assert_eq!(ended.code, Some(143), "{ended:?}");
+    assert!(!ended.stderr.contains("ERROR"), "{ended:?}");
+    drop(scratch);
 }

@@ -19,6 +19,7 @@ use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
 use crate::program::processes::ProcessRegistry;
 use crate::reader::{ComponentContext, ConfigReader};
+use crate::stream::read::cannot_have_streams;
 use crate::stream::{StreamConfig, Streams};
 
 /// How many tasks may run or wait in all, unless the file says otherwise.
@@ -114,13 +115,22 @@ impl Config {
     }
 
     /// Gives all scopes this name: for a file that has only one.
-    pub fn rename_scopes(&mut self, name: &str) {
+    ///
+    /// # Errors
+    /// If there are streams, which cannot have this scope: why.
+    pub fn rename_scopes(&mut self, name: &str) -> Result<(), String> {
+        if !self.streams.is_empty()
+            && let Some(mistake) = cannot_have_streams(name)
+        {
+            return Err(mistake);
+        }
         for scope in &mut self.scopes {
             name.clone_into(&mut scope.name);
         }
         for stream in &mut self.streams {
             name.clone_into(&mut Arc::make_mut(stream).scope);
         }
+        Ok(())
     }
 
     /// The number of streams of each scope that has any.
@@ -369,14 +379,7 @@ impl<'d> ConfigReader<'d> {
 
     /// How long a client may be silent.
     fn silence(&mut self, node: &'d Node) -> Option<Duration> {
-        let silence = self.time(node, Duration::MAX)?;
-        if silence < Duration::from_secs(1) {
-            let message =
-                "this must be at least 1s, better 5s: a client that waits asks every second";
-            self.yaml.wrong(node, message);
-            return None;
-        }
-        Some(silence)
+        self.at_least_a_second(node, "a client that waits asks every second; better 5s")
     }
 }
 

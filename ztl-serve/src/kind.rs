@@ -131,6 +131,8 @@ pub(crate) enum StopReason {
     Replaced(TaskId),
     /// The task has reached its time limit.
     Limit,
+    /// The program has closed its output and runs on, so that a stream gets nothing more.
+    Closed,
     /// The server stops.
     Server,
 }
@@ -141,7 +143,7 @@ impl StopReason {
         Outcome::Aborted(match self {
             Self::Server => "the server was stopped before it began".to_owned(),
             Self::Replaced(by) => format!("replaced by task {by} before it began"),
-            Self::Client | Self::Limit => "aborted before it began".to_owned(),
+            Self::Client | Self::Limit | Self::Closed => "aborted before it began".to_owned(),
         })
     }
 }

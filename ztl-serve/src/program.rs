@@ -40,6 +40,8 @@ use watchdog::protocol::{Charge, Ending};
 const CONFIRM: Duration = Duration::from_millis(1200);
 /// Most bytes that are read of a pipe at a time, so that other programs get their turn.
 const READ: usize = 16 * 1024;
+/// The same for a stream, whose frames may be very short, so that the turns of others come soon.
+const STREAM_READ: usize = 4 * 1024;
 /// Most reads after a program's end, because processes that it left behind may keep writing.
 const LAST_READS: usize = 64;
 
@@ -336,12 +338,17 @@ impl ProgramJob {
         let mut buffer = [0; READ];
         let mut actions = Vec::new();
         let mut any = false;
-        if let Some(bytes) = read(&mut running.out, &mut buffer) {
-            match self.program.result {
-                ResultKind::Stream => effects.push(Effect::Output(bytes.to_vec())),
-                _ => running.run.handle_output(bytes, &mut actions),
+        let is_stream = self.program.result == ResultKind::Stream;
+        let was_open = running.out.is_some();
+        let most = if is_stream { STREAM_READ } else { READ };
+        if let Some(bytes) = read(&mut running.out, buffer.get_mut(..most).unwrap_or_default()) {
+            match is_stream {
+                true => effects.push(Effect::Output(bytes.to_vec())),
+                false => running.run.handle_output(bytes, &mut actions),
             }
             any = true;
+        } else if is_stream && was_open && running.out.is_none() {
+            running.run.on_closed_output(Instant::now());
         }
         if let Some(bytes) = read(&mut running.err, &mut buffer) {
             let log = |line: &str| debug!(target: LOG, "From {name}: {line}");

@@ -75,6 +75,17 @@ impl<'d> ConfigReader<'d> {
         Some(time)
     }
 
+    /// A time that must not be less than a second, and why.
+    pub(crate) fn at_least_a_second(&mut self, node: &'d Node, why: &str) -> Option<Duration> {
+        let time = self.time(node, Duration::MAX)?;
+        if time < Duration::from_secs(1) {
+            self.yaml
+                .wrong(node, format!("this must be at least 1s: {why}"));
+            return None;
+        }
+        Some(time)
+    }
+
     /// Adds a warning: the file can be served, but perhaps not as intended.
     pub(crate) fn warn(&mut self, node: &'d Node, message: String) {
         let message = format!("warning: {message}");

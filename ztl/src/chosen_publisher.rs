@@ -1,6 +1,7 @@
 //! Which publisher to subscribe to: one of the configuration file, or an address.
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use ztl_std::keys::PublicKey;
 use ztl_std::remotes::{Remote, usual_path};
@@ -30,6 +31,50 @@ pub(crate) struct Connected {
     /// The key that it has to prove.
     pub(crate) key: Option<PublicKey>,
     pub(crate) subscriber: Subscriber,
+}
+
+/// After this time without a connection it is said.
+const SOON: Duration = Duration::from_secs(2);
+
+/// Notices whether a publisher is there.
+pub(crate) struct Presence {
+    since: Instant,
+    is_connected: bool,
+    /// Whether its absence was noticed.
+    is_missed: bool,
+}
+
+/// What [`Presence`] has noticed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Noticed {
+    Connected,
+    /// The connection was lost.
+    Lost,
+    /// For some time there has been no connection, from the start.
+    Absent,
+}
+
+impl Presence {
+    pub(crate) fn new() -> Self {
+        Self {
+            since: Instant::now(),
+            is_connected: false,
+            is_missed: false,
+        }
+    }
+
+    /// Returns what is new.
+    pub(crate) fn notice(&mut self, is_connected: bool) -> Option<Noticed> {
+        let noticed = match (self.is_connected, is_connected) {
+            (false, true) => Noticed::Connected,
+            (true, false) => Noticed::Lost,
+            (false, false) if !self.is_missed && self.since.elapsed() >= SOON => Noticed::Absent,
+            _ => return None,
+        };
+        self.is_connected = is_connected;
+        self.is_missed = !is_connected;
+        Some(noticed)
+    }
 }
 
 impl ChosenPublisher {

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use ztl_record::{Formats, Message, Recording, Source, Written};
 use ztl_std::Remotes;
 
-use crate::chosen_publisher::Connected;
+use crate::chosen_publisher::{Connected, Noticed, Presence};
 use crate::terminal::flat;
 
 /// How often the recording is brought to the disk. With the time that this takes, less than a second is lost when the
@@ -19,8 +19,6 @@ use crate::terminal::flat;
 const FLUSH: Duration = Duration::from_millis(300);
 /// How often threads look whether the recording has ended.
 const TURN: Duration = Duration::from_millis(100);
-/// After this time without a connection it is said.
-const SOON: Duration = Duration::from_secs(2);
 /// Most messages of a publisher that are reported one by one as left out.
 const TOLD: u64 = 10;
 
@@ -284,7 +282,7 @@ impl Session {
                 Err(error) => return self.fail(&error),
             };
             let at = Instant::now();
-            said.on_connection(subscriber.is_connected(), at);
+            said.on_connection(subscriber.is_connected());
             if subscriber.missed() > missed {
                 self.state().counts.missed += subscriber.missed() - missed;
                 missed = subscriber.missed();
@@ -317,9 +315,7 @@ impl Session {
 struct Said<'a> {
     name: &'a str,
     tell: &'a Tell,
-    since: Instant,
-    connected: bool,
-    waiting: bool,
+    presence: Presence,
     left_out: u64,
 }
 
@@ -328,31 +324,25 @@ impl<'a> Said<'a> {
         Self {
             name,
             tell,
-            since: Instant::now(),
-            connected: false,
-            waiting: false,
+            presence: Presence::new(),
             left_out: 0,
         }
     }
 
-    fn on_connection(&mut self, connected: bool, now: Instant) {
-        let name = flat(self.name);
-        if connected != self.connected {
-            self.connected = connected;
-            (self.tell)(match connected {
-                true => Told::Note(format!("{name}: connected")),
-                false => Told::Warning(format!(
-                    "{name}: connection lost; it is recorded again when it is back"
-                )),
-            });
-        } else if !connected && !self.waiting && now.duration_since(self.since) >= SOON {
-            (self.tell)(Told::Warning(format!(
-                "{name}: not connected; it is recorded as soon as it is there"
-            )));
-        } else {
+    fn on_connection(&mut self, is_connected: bool) {
+        let Some(noticed) = self.presence.notice(is_connected) else {
             return;
-        }
-        self.waiting = !connected;
+        };
+        let name = flat(self.name);
+        (self.tell)(match noticed {
+            Noticed::Connected => Told::Note(format!("{name}: connected")),
+            Noticed::Lost => Told::Warning(format!(
+                "{name}: connection lost; it is recorded again when it is back"
+            )),
+            Noticed::Absent => Told::Warning(format!(
+                "{name}: not connected; it is recorded as soon as it is there"
+            )),
+        });
     }
 
     fn left_out(&mut self, topic: &str, why: impl fmt::Display) {

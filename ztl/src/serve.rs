@@ -118,7 +118,9 @@ impl Serve {
         let file = self.file.display().to_string();
         if let Some(name) = &self.scope {
             match config.scope_names().len() {
-                1 => config.rename_scopes(name),
+                1 => config
+                    .rename_scopes(name)
+                    .map_err(|mistake| ConfigError::Whole(format!("--scope: {mistake}")))?,
                 many => {
                     let mistake = format!(
                         "--scope names the only scope of a file, and {file} has {many}; name them there"
@@ -185,7 +187,7 @@ fn serve(config: &Config, place: ListenPlace) -> Done {
         server.endpoint()
     ));
     let handle = server.handle();
-    signals::leave_at_the_second_after(move || processes.kill());
+    signals::leave_at_the_second_after(processes.killer());
     let served = served(config);
     let stop_streams = streams.as_ref().map(Streams::stopper);
     Service::ready(handle.clone(), move || served.clone())?.stops(move || {

@@ -9,10 +9,9 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 use serde_json::json;
 use tracing::Level;
 use ztl_pickle::{Kind, Pickle};
-use ztl_std::Subscriber;
 use ztl_std::publish::{Content, Heard};
 
-use crate::chosen_publisher::ChosenPublisher;
+use crate::chosen_publisher::{ChosenPublisher, Connected, Noticed, Presence};
 use crate::connect_options::KeyOptions;
 use crate::exit::{Done, Misuse};
 use crate::option_values::duration;
@@ -80,7 +79,9 @@ impl Subscribe {
     pub(crate) fn run(self) -> Done {
         log::init(Level::WARN);
         signals::catch()?;
-        let mut subscriber = self.connect()?;
+        let connected = self.connect()?;
+        let mut subscriber = connected.subscriber;
+        let mut presence = Presence::new();
         let mut output = Output::new(&self)?;
         let end = self.timeout.map(|limit| Instant::now() + limit);
         let mut missed = 0;
@@ -99,6 +100,14 @@ impl Subscribe {
                     error_line(format_args!("ztl: warning: {newly}"));
                 }
                 advice = newly;
+            }
+            if presence.notice(subscriber.is_connected()) == Some(Noticed::Absent)
+                && advice.is_none()
+            {
+                let endpoint = flat(&connected.endpoint);
+                error_line(format_args!(
+                    "ztl: no publisher at {endpoint} yet; its messages are shown as soon as it is there"
+                ));
             }
             if subscriber.damaged() > damaged {
                 damaged = subscriber.damaged();
@@ -138,9 +147,9 @@ impl Subscribe {
     }
 
     /// Connects to the publisher.
-    fn connect(&self) -> Result<Subscriber, Box<dyn std::error::Error>> {
+    fn connect(&self) -> Result<Connected, Box<dyn std::error::Error>> {
         let publisher = ChosenPublisher::find(&self.publisher, self.config.as_deref())?;
-        Ok(publisher.connect(&self.scopes, &self.keys)?.subscriber)
+        publisher.connect(&self.scopes, &self.keys)
     }
 }
 

@@ -247,7 +247,7 @@ scopes:
         "robot.yaml:17:50: decide needs exit codes that reject: rejected-by: [2]",
         "robot.yaml:18:46: busy: replace aborts tasks; remove abort: no",
         "robot.yaml:19:54: needs-client aborts tasks; remove abort: no",
-        "robot.yaml:20:48: this must be at least 1s, better 5s: a client that waits asks every second",
+        "robot.yaml:20:48: this must be at least 1s: a client that waits asks every second; better 5s",
         "robot.yaml:21:7: invalid name 'a:b' for a component: expected no ':' and no control characters",
     ];
     assert_eq!(first, expected, "{mistakes}");
@@ -299,7 +299,11 @@ streams:
         (pose.framing, raw.framing),
         (Framing::Json, Framing::Length)
     );
-    config.rename_scopes("/lab");
+    for name in ["/", "/lab/", "/lab/$tasks"] {
+        let mistake = config.rename_scopes(name).expect_err(name);
+        assert!(mistake.contains("cannot have streams"), "{mistake}");
+    }
+    config.rename_scopes("/lab").expect("a scope");
     assert_eq!(config.streams(), [("/lab", 5)]);
 }
 
@@ -324,6 +328,14 @@ streams:
     eleven: {run: [sh], frame: line, abort: {signal: IMT}, user: nobody-is-called-so}
     twelve: [sh]
     thirteen: {run: [], frame: line, environment: {'a=b': c}, rate: -1 Hz}
+    a/$tasks: {run: [sh], frame: line, when-watched: 999 ms}
+    a//b: {run: [sh], frame: line}
+    a/b: {run: [sh], frame: line}
+  /r/a: {b: {run: [sh], frame: line}, c: {run: [sh], frame: line}}
+  /: {x: {run: [sh], frame: line}}
+  /r/: {x: {run: [sh], frame: line}}
+  /r/$tasks/1: {x: {run: [sh], frame: line}}
+  $r: {x: {run: [sh], frame: line}}
 ";
     let mistakes = parse(text).expect_err("mistakes").to_string();
     let places = mistakes
@@ -352,10 +364,18 @@ streams:
         "robot.yaml:15:46: unknown key 'dashes'; there are: frame, longest, latest, rate, when-watched, run, shell, directory, environment, user, abort",
         "robot.yaml:16:54: 'IMT' is not known here; did you mean 'INT'?",
         "robot.yaml:16:66: there is no user 'nobody-is-called-so' on this machine",
-        "robot.yaml:17:13: here is a list; wanted is a mapping: run: [PROGRAM, ARGUMENT], frame: line",
+        "robot.yaml:17:13: found a list; expected a mapping: run: [PROGRAM, ARGUMENT], frame: line",
         "robot.yaml:18:21: there is no program in this list",
         "robot.yaml:18:52: invalid name 'a=b' for a variable",
         "robot.yaml:18:69: '-1 Hz' is not a rate from 0.001 Hz to 1000 Hz, as 10 Hz",
+        "robot.yaml:19:5: invalid name 'a/$tasks' for a stream; write it as microphone or arm/left",
+        "robot.yaml:19:54: this must be at least 1s: subscribers that come and go would start the program too often",
+        "robot.yaml:20:5: invalid name 'a//b' for a stream; write it as microphone or arm/left",
+        "robot.yaml:22:10: the stream at robot.yaml:21:5 has the same topic, /r/a/b; rename one of them",
+        "robot.yaml:23:3: the scope '/' contains an empty part, so it cannot have streams; write it as /lab",
+        "robot.yaml:24:3: the scope '/r/' contains an empty part, so it cannot have streams; write it as /lab",
+        "robot.yaml:25:3: the scope '/r/$tasks/1' contains a part that begins with '$', as only the server's own topics do, so it cannot have streams; write it as /lab",
+        "robot.yaml:26:3: the scope '$r' contains a part that begins with '$', as only the server's own topics do, so it cannot have streams; write it as /lab",
     ];
     let places: Vec<&str> = places.collect();
     assert_eq!(places, expected, "{mistakes}");

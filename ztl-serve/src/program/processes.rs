@@ -39,10 +39,16 @@ impl ProcessRegistry {
         })))
     }
 
-    /// Kills all processes at once (SIGKILL).
-    pub fn kill(&self) {
-        for group in self.groups().iter() {
-            group::signal(*group, Signal::KILL);
+    /// A function that kills all processes at once (SIGKILL). It does not keep the watchdog running, which closes
+    /// with the last copy of this registry and the last program.
+    pub fn killer(&self) -> impl Fn() + Send + 'static {
+        let shared = Arc::downgrade(&self.0);
+        move || {
+            if let Some(shared) = shared.upgrade() {
+                for group in Self(shared).groups().iter() {
+                    group::signal(*group, Signal::KILL);
+                }
+            }
         }
     }
 

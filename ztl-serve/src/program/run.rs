@@ -22,6 +22,8 @@ const CHECK: Duration = Duration::from_millis(20);
 const KILL_TIME: Duration = Duration::from_secs(1);
 /// Most bytes of a reason.
 const REASON: usize = 500;
+/// How long a stream's program may run on after it has closed its output.
+const CLOSED: Duration = Duration::from_secs(1);
 
 /// What the program's job does.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -42,6 +44,8 @@ pub(crate) struct Run {
     /// Until when it may reject its goal.
     undecided: Option<Instant>,
     limit: Option<Instant>,
+    /// When to stop it, since it has closed its output.
+    closed: Option<Instant>,
     stopping: Option<Stopping>,
     out: Output,
     err: Output,
@@ -69,6 +73,7 @@ impl Run {
         let mut run = Self {
             undecided: None,
             limit: program.limit.and_then(|limit| now.checked_add(limit)),
+            closed: None,
             stopping: None,
             out: Output::new(keep, program.output),
             err: Output::new(Keep::Last, REASON),
@@ -97,6 +102,11 @@ impl Run {
         });
     }
 
+    /// The program of a stream has closed its output. It is usually about to end.
+    pub(crate) fn on_closed_output(&mut self, now: Instant) {
+        self.closed = now.checked_add(CLOSED);
+    }
+
     /// Stops the program early.
     pub(crate) fn stop(&mut self, now: Instant, why: StopReason, actions: &mut Vec<Action>) {
         if self.stopping.is_some() {
@@ -121,8 +131,8 @@ impl Run {
     /// When to call [`handle_timeout`](Self::handle_timeout).
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let times = match self.stopping {
-            Some(stopping) => [stopping.kill, stopping.check],
-            None => [self.undecided, self.limit],
+            Some(stopping) => [stopping.kill, stopping.check, None],
+            None => [self.undecided, self.limit, self.closed],
         };
         times.into_iter().flatten().min()
     }
@@ -141,6 +151,8 @@ impl Run {
             }
         } else if is_due(self.limit) {
             self.stop(now, StopReason::Limit, actions);
+        } else if is_due(self.closed) {
+            self.stop(now, StopReason::Closed, actions);
         }
     }
 
@@ -209,6 +221,7 @@ impl Run {
             }
             StopReason::Replaced(by) => format!("replaced by task {by}"),
             StopReason::Server => "the server was stopped".to_owned(),
+            StopReason::Closed => "it closed its output, ran on and was stopped".to_owned(),
             StopReason::Limit => format!(
                 "not done within {}",
                 human_time(self.program.limit.unwrap_or_default())
@@ -223,7 +236,7 @@ impl Run {
             text.push_str(&format!(" (killed: not ended within {grace} of {asked})"));
         }
         match stopping.why {
-            StopReason::Limit => Outcome::Failed(text),
+            StopReason::Limit | StopReason::Closed => Outcome::Failed(text),
             _ => Outcome::Aborted(text),
         }
     }

@@ -1,5 +1,6 @@
 //! Reads the streams of a file.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,14 +25,45 @@ const FRAMINGS: [(&str, Framing); 4] = [
     ("length", Framing::Length),
 ];
 
+/// Why streams cannot have this scope, which can be served; `None` if they can. Topics with `$` are the server's own,
+/// such as events of tasks.
+pub(crate) fn cannot_have_streams(scope: &str) -> Option<String> {
+    let mut parts = scope.strip_prefix('/').unwrap_or(scope).split('/');
+    let wrong = match parts.find(|part| part.is_empty() || part.starts_with('$'))? {
+        "" => "contains an empty part",
+        _ => "contains a part that begins with '$', as only the server's own topics do",
+    };
+    Some(format!(
+        "the scope '{scope}' {wrong}, so it cannot have streams; write it as /lab"
+    ))
+}
+
 impl<'d> ConfigReader<'d> {
     /// Reads all streams, by their scopes.
     pub(crate) fn streams(&mut self, node: &'d Node) -> Vec<Arc<StreamConfig>> {
         let mut streams = Vec::new();
+        let mut topics: BTreeMap<String, &Node> = BTreeMap::new();
         for (scope, node) in self.non_empty(node, "scopes, as /robot") {
+            let scope_node = scope;
             let scope = self.scope_name(scope);
+            if let Some(mistake) = scope.as_deref().and_then(cannot_have_streams) {
+                self.yaml.wrong(scope_node, mistake);
+            }
             for (name, node) in self.non_empty(node, "its streams") {
                 let path = self.stream_name(name);
+                if let (Some(scope), Some(path)) = (&scope, &path) {
+                    let topic = format!("{scope}{path}");
+                    if let Some(first) = topics.get(&topic) {
+                        let (file, at) = (self.document.name(), first.span.start);
+                        let message = format!(
+                            "the stream at {file}:{}:{} has the same topic, {topic}; rename one of them",
+                            at.line, at.column
+                        );
+                        self.yaml.wrong(name, message);
+                    } else {
+                        topics.insert(topic, name);
+                    }
+                }
                 if let Some(stream) = self.stream(node, scope.as_deref(), path) {
                     streams.push(Arc::new(stream));
                 }
@@ -50,8 +82,8 @@ impl<'d> ConfigReader<'d> {
     /// The name of a stream, as it follows the scope in the topic.
     fn stream_name(&mut self, node: &'d Node) -> Option<String> {
         self.yaml.parsed(node, "a stream, as microphone", |text| {
-            let is_odd = text.is_empty() || text.starts_with(['/', '$']);
-            match is_odd || text.contains(char::is_control) {
+            let is_odd = |part: &str| part.is_empty() || part.starts_with('$');
+            match text.split('/').any(is_odd) || text.contains(char::is_control) {
                 true => Err(format!(
                     "invalid name '{text}' for a stream; write it as microphone or arm/left"
                 )),
@@ -82,7 +114,8 @@ impl<'d> ConfigReader<'d> {
         let rate = fields.optional("rate");
         let interval = rate.and_then(|node| self.rate(node));
         let when_watched = fields.optional("when-watched");
-        let when_watched = when_watched.and_then(|node| self.time(node, Duration::MAX));
+        let why = "subscribers that come and go would start the program too often";
+        let when_watched = when_watched.and_then(|node| self.at_least_a_second(node, why));
         let program = program::read::read_stream(self, node, &mut fields);
         fields.finish(&mut self.yaml);
         Some(StreamConfig {

@@ -31,8 +31,8 @@ struct Running {
 
 pub(super) struct Source {
     pub(super) config: Arc<StreamConfig>,
-    /// Whether anyone subscribes, or that does not matter.
-    is_watched: Arc<AtomicBool>,
+    /// Whether anyone subscribes.
+    is_heard: Arc<AtomicBool>,
     outlet: Outlet,
     splitter: Splitter,
     running: Option<Running>,
@@ -49,11 +49,11 @@ impl Source {
         now: Instant,
         config: &Arc<StreamConfig>,
         publisher: Publisher,
-        is_watched: Arc<AtomicBool>,
+        is_heard: Arc<AtomicBool>,
     ) -> Self {
         Self {
-            is_watched,
-            outlet: Outlet::new(Arc::clone(config), publisher),
+            outlet: Outlet::new(Arc::clone(config), publisher, Arc::clone(&is_heard)),
+            is_heard,
             splitter: Splitter::new(config.framing, config.longest),
             config: Arc::clone(config),
             running: None,
@@ -63,9 +63,14 @@ impl Source {
         }
     }
 
+    /// Whether anyone subscribes, or that does not matter.
+    fn is_wanted(&self) -> bool {
+        self.config.when_watched.is_none() || self.is_heard.load(Ordering::Acquire)
+    }
+
     /// Whether to start the program now.
     pub(super) fn is_due(&self, now: Instant) -> bool {
-        self.running.is_none() && self.start_at <= now && self.is_watched.load(Ordering::Acquire)
+        self.running.is_none() && self.start_at <= now && self.is_wanted()
     }
 
     /// The program is being started.
@@ -97,7 +102,7 @@ impl Source {
 
     /// When to call [`handle_timeout`](Self::handle_timeout), or to start the program.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let is_waiting = self.running.is_none() && self.is_watched.load(Ordering::Acquire);
+        let is_waiting = self.running.is_none() && self.is_wanted();
         let start_at = is_waiting.then_some(self.start_at);
         let times = [start_at, self.leave_at, self.outlet.poll_timeout()];
         times.into_iter().flatten().min()
@@ -114,9 +119,7 @@ impl Source {
         });
         let may_leave = self.running.as_ref().is_some_and(|it| !it.is_stopping);
         self.leave_at = match self.config.when_watched {
-            Some(time) if may_leave && !self.is_watched.load(Ordering::Acquire) => {
-                self.leave_at.or(now.checked_add(time))
-            }
+            Some(time) if may_leave && !self.is_wanted() => self.leave_at.or(now.checked_add(time)),
             _ => None,
         };
         if self.leave_at.is_some_and(|at| at <= now) {
@@ -206,9 +209,9 @@ mod tests {
             panic!("{config:?}");
         };
         let publisher = Publisher::bind("tcp://127.0.0.1:*", "/r").expect("a port");
-        let is_watched = Arc::new(AtomicBool::new(config.when_watched.is_none()));
-        let source = Source::new(now, config, publisher, Arc::clone(&is_watched));
-        (source, is_watched)
+        let is_heard = Arc::new(AtomicBool::new(false));
+        let source = Source::new(now, config, publisher, Arc::clone(&is_heard));
+        (source, is_heard)
     }
 
     fn start(source: &mut Source, now: Instant) {
@@ -251,28 +254,28 @@ mod tests {
     fn a_program_that_nobody_subscribes_to_stops_after_its_time() {
         let now = Instant::now();
         let at = |millis| now + Duration::from_millis(millis);
-        let (mut source, is_watched) = source(now, "when-watched: 1 s");
+        let (mut source, is_heard) = source(now, "when-watched: 1 s");
         assert!(!source.is_due(now));
         assert_eq!(source.poll_timeout(), None);
-        is_watched.store(true, Ordering::Release);
+        is_heard.store(true, Ordering::Release);
         start(&mut source, now);
         let runs = |source: &mut Source, millis| {
             source.handle_timeout(at(millis), false);
             source.job().is_some()
         };
         assert!(runs(&mut source, 5000));
-        is_watched.store(false, Ordering::Release);
+        is_heard.store(false, Ordering::Release);
         assert!(runs(&mut source, 5000));
         assert_eq!(source.poll_timeout(), Some(at(6000)));
-        is_watched.store(true, Ordering::Release);
+        is_heard.store(true, Ordering::Release);
         assert!(runs(&mut source, 5999));
-        is_watched.store(false, Ordering::Release);
+        is_heard.store(false, Ordering::Release);
         assert!(runs(&mut source, 6000));
         assert!(runs(&mut source, 6999));
         assert!(!runs(&mut source, 7000));
         assert!(!source.is_due(at(7000)));
         // Stopped on purpose, so there is no pause.
-        is_watched.store(true, Ordering::Release);
+        is_heard.store(true, Ordering::Release);
         start(&mut source, at(7000));
     }
 }

@@ -23,7 +23,7 @@ use crate::program::assignment::Assignment;
 use crate::program::processes::ProcessRegistry;
 
 /// How long no program is read while the publisher has too much to send. Programs wait, and values of others have room.
-const BEHIND: Duration = Duration::from_millis(5);
+const BEHIND: Duration = Duration::from_millis(1);
 
 /// Running streams. Dropped, it stops their programs and waits for their ends.
 #[derive(Debug)]
@@ -43,15 +43,13 @@ impl Streams {
         let now = Instant::now();
         let sources = configs.iter().map(|config| {
             let publisher = publisher.under(&config.scope);
-            let is_watched = Arc::new(AtomicBool::new(config.when_watched.is_none()));
-            if config.when_watched.is_some() {
-                let (is_watched, mailbox) = (Arc::clone(&is_watched), mailbox.clone());
-                publisher.watch(&config.path, move |is_heard| {
-                    is_watched.store(is_heard, Ordering::Release);
-                    mailbox.wake();
-                });
-            }
-            Source::new(now, config, publisher, is_watched)
+            let is_heard = Arc::new(AtomicBool::new(false));
+            let (to_source, mailbox) = (Arc::clone(&is_heard), mailbox.clone());
+            publisher.watch(&config.path, move |is_heard| {
+                to_source.store(is_heard, Ordering::Release);
+                mailbox.wake();
+            });
+            Source::new(now, config, publisher, is_heard)
         });
         let worker = Worker {
             inbox,

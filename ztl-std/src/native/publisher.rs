@@ -24,7 +24,7 @@ use crate::server::{Access, CurrentAccess};
 /// Bytes of messages that wait for the thread. Above, nothing more is published.
 const QUEUE: usize = 32 << 20;
 /// Bytes up to which a source that can wait need not. So others have room, and what waits is sent soon.
-const READY: usize = 1 << 20;
+const READY: usize = 256 << 10;
 /// Bytes of messages that wait for one subscriber. Above, the oldest one is dropped.
 const BEHIND: usize = 8 << 20;
 /// Bytes of the newest messages, which late subscribers get.

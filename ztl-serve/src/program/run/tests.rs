@@ -257,3 +257,20 @@ fn each_kind_of_result() {
     assert_eq!(ends(ResultKind::LastLine, &long), completed(&cut));
     assert_eq!(ends(ResultKind::All, &long), completed(&cut));
 }
+
+#[test]
+fn a_stream_s_program_that_has_closed_its_output_is_stopped_soon() {
+    let mut stage = Stage::new(|program| program.result = ResultKind::Stream);
+    stage.run.on_closed_output(stage.now);
+    stage.until(999);
+    stage.wants(&[Action::Accept]);
+    stage.until(1000);
+    stage.wants(&[Action::Signal(Signal::INT)]);
+    let said = "it closed its output, ran on and was stopped";
+    assert_eq!(stage.ends(2).0, Outcome::Failed(said.to_owned()));
+    // One that ends.
+    let mut stage = Stage::new(|program| program.result = ResultKind::Stream);
+    stage.run.on_closed_output(stage.now);
+    let end = Outcome::Failed("exit code 3".to_owned());
+    assert_eq!(stage.ends(code(3)).0, end);
+}
