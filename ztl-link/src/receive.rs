@@ -278,8 +278,12 @@ impl<J: SessionJournal> Session<J> {
                 }
                 self.next_part = index.checked_add(1);
             }
-            // Refused: there are no more. Anything else changes nothing either.
-            (CommandKind::DescribePart(_), _) => self.next_part = None,
+            // Refused: there are no more. No later `Start` of this session may get the seq of this refusal: the line may
+            // repeat it then, and it would reject a task that moves [4.7].
+            (CommandKind::DescribePart(_), _) => {
+                self.next_part = None;
+                return self.greet(now);
+            }
             (CommandKind::Start(id), Body::Started { .. }) => {
                 self.highest = self.highest.saturating_add(1);
                 self.on_started(id);

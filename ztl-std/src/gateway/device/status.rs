@@ -39,10 +39,11 @@ impl SharedStatus {
         now: Instant,
         name: &str,
         session: &Session<B>,
+        ready: bool,
         trouble: Option<&String>,
     ) {
         let mut status = self.lock();
-        status.ready = session.is_up();
+        status.ready = ready;
         if status.trouble.as_ref() != trouble {
             status.trouble = trouble.cloned();
         }

@@ -76,6 +76,9 @@ pub(super) struct Worker {
     target: Option<PathBuf>,
     /// What is wrong with the line or the device, for reasons and the log.
     trouble: Option<String>,
+    /// Whether the device was ready and nothing has been wrong since. A new session after the question for descriptions
+    /// changes nothing.
+    ready: bool,
     log: RateLimitedLog,
     tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
     /// Tasks from before a restart that must be resumed before the line is opened.
@@ -113,6 +116,7 @@ impl Worker {
             silences: 0,
             target: None,
             trouble: None,
+            ready: false,
             log: RateLimitedLog::new(name, now()),
             tasks: HashMap::new(),
             awaited,
@@ -169,8 +173,13 @@ impl Worker {
             }
             self.check_opening();
             self.log.handle_timeout(now());
-            self.status
-                .update(now(), &self.name, &self.session, self.trouble.as_ref());
+            self.status.update(
+                now(),
+                &self.name,
+                &self.session,
+                self.ready,
+                self.trouble.as_ref(),
+            );
             let unused = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
             self.unused.store(unused, Ordering::Release);
             if let Some(end) = self.stopping
@@ -378,6 +387,7 @@ impl Worker {
         self.pause = RETRY.0;
         self.silences = 0;
         self.trouble = None;
+        self.ready = false;
     }
 
     fn on_closed(&mut self, error: &io::Error) {
@@ -409,6 +419,7 @@ impl Worker {
     }
 
     fn set_trouble(&mut self, trouble: String) {
+        self.ready = false;
         if self.trouble.as_ref() != Some(&trouble) {
             self.log.log(now(), Severity::Warn, format!(": {trouble}"));
             self.trouble = Some(trouble);
@@ -488,7 +499,7 @@ impl Worker {
                 self.set_trouble(format!("{}: {NOT_ANSWERING}", self.url()));
             }
             // The line of a device that is not served was closed here.
-            LinkEvent::Lost if self.opener.is_none() => {}
+            LinkEvent::Lost if self.opener.is_none() => self.ready = false,
             LinkEvent::Lost => self.set_trouble(NOT_ANSWERING.to_owned()),
             LinkEvent::Reset => self
                 .log
@@ -519,6 +530,9 @@ impl Worker {
         self.pause = RETRY.0;
         self.silences = 0;
         self.trouble = None;
+        if std::mem::replace(&mut self.ready, true) {
+            return;
+        }
         let Some(device) = self.session.device() else {
             return;
         };
