@@ -154,6 +154,30 @@ const scenarios = {
     await one.locator('#stop').click();
     await other.getByText('ours: confirmed: 1 task has ended').waitFor();
     await saying(other, '#goals', 'ABORTED').waitFor();
+    // What was confirmed says nothing of what is started after it. The button names the robot that it moves.
+    await one.getByText('Stopped: every robot has confirmed').waitFor();
+    assert.equal(await other.locator('#start').textContent(), 'Start on ours');
+    for (const goal of ['62', '63']) {
+      await ready(other);
+      await other.locator('#goal').fill(goal);
+      await other.locator('#start').click();
+      await saying(one, '#running', `test:sleep:${goal}`).waitFor();
+    }
+    await one.getByText('Every robot had confirmed, but tasks run again').waitFor();
+    // A press on an Abort that has just come to where another one was aborts nothing.
+    const pressed = one.evaluate(() => new Promise((done) => {
+      const list = document.getElementById('running');
+      new MutationObserver((changes, observer) => {
+        if (!changes.some((change) => change.removedNodes.length)) return;
+        observer.disconnect();
+        list.querySelector('button').click();
+        done();
+      }).observe(list, { childList: true });
+    }));
+    await saying(other, '#running', 'test:sleep:62').getByText('Abort').click();
+    await pressed;
+    await one.getByText('NOT SENT: the list moved as you pressed').waitFor();
+    await saying(one, '#running', 'test:sleep:63').waitFor();
     // Whoever leaves does not operate any longer.
     await other.close();
     await one.getByText('Nobody operates').waitFor();

@@ -68,7 +68,9 @@ pub(crate) fn check_foreign(project: &Project) -> Result<()> {
             let library = format!("target.{target}.{links}.rustc-link-lib=['{links}']");
             check = check.args(["--config", &library]);
         }
-        let check = check.arg("--target-dir").arg(project.target.join("foreign"));
+        let check = check
+            .arg("--target-dir")
+            .arg(project.target.join("foreign"));
         check.env("RUSTFLAGS", "-D warnings").run()?;
     }
     Ok(())

@@ -9,11 +9,15 @@ import { Streams } from './streams.js';
 
 // How long ago a Stop may have ended that a page shows which was not there.
 const RECENT = 10_000;
+// A press on a card that has moved since was meant for another one.
+const MOVED = 600;
 // How often the console's clock is asked for.
 const CLOCK = 10_000;
 
 let robots = [];
 let tasks = { tasks: [], gaps: [] };
+// The last Stop whose answers are known.
+let lastStop = null;
 let closedStop = sessionStorage.getItem('closed-stop');
 // The console's wall clock, and this browser's monotonic clock when the console told it. The wall clock of this
 // browser may be wrong, or be set while the page is open.
@@ -86,6 +90,7 @@ function show() {
   showConnection();
   showRobots();
   showTasks();
+  if (lastStop && !at('stopped').hidden) showVerdict(lastStop);
   form.show();
   streams.show();
 }
@@ -125,11 +130,16 @@ function showRobots() {
 
 function showTasks() {
   const missing = new Set(robots.filter((robot) => robot.health === 'missing').map((robot) => robot.name));
+  // The latest below the others, so that a start moves no button under a thumb.
+  const running = tasks.tasks.filter((task) => task.runs).reverse();
   const key = (task) => JSON.stringify([task.robot, task.scope, task.id]);
-  const buttons = [['Abort', (made, button) => abort(made.task, button)]];
+  const buttons = [['Abort', (made, button) => abort(made, button)]];
   const update = (made, task) => {
     const [name, text, about] = made.lines;
     made.task = task;
+    const place = running.indexOf(task);
+    if (made.place !== place) made.moved = made.place === undefined ? made.moved : performance.now();
+    made.place = place;
     setText(name, task.task || `task ${task.id}`);
     const said = task.text === NOTHING ? '' : task.text;
     setText(text, task.runs ? said : `${task.state} ${said}`);
@@ -142,7 +152,6 @@ function showTasks() {
       button.setAttribute('aria-label', `Abort ${task.task || task.id} of ${task.robot}`);
     }
   };
-  const running = tasks.tasks.filter((task) => task.runs);
   const ended = tasks.tasks.filter((task) => !task.runs);
   const lines = ['name', '', 'quiet'];
   showAll(at('running'), running, key, () => card(lines, buttons), update);
@@ -154,7 +163,12 @@ function showTasks() {
     (made, gap) => setText(made, `${gap.robot}: ${gap.text}`));
 }
 
-function abort(task, button) {
+function abort(made, button) {
+  const task = made.task;
+  if (performance.now() - (made.moved ?? -Infinity) < MOVED) {
+    setText(at('abort-said'), `NOT SENT: the list moved as you pressed. Press again to abort task ${task.id}.`);
+    return;
+  }
   button.dataset.busy = '';
   show();
   const done = (text) => {
@@ -170,6 +184,7 @@ function abort(task, button) {
 
 function stop() {
   closedStop = null;
+  lastStop = null;
   at('stopped').hidden = false;
   setText(at('stopped-title'), 'Stop: sent, no robot has confirmed yet');
   at('confirmations').replaceChildren();
@@ -183,14 +198,26 @@ function showStop(told) {
   if (!told.robots || String(told.at_ms) === closedStop) return;
   const waits = told.robots.some((robot) => robot.confirmed === null);
   if (!waits && at('stopped').hidden && now() - told.at_ms > RECENT) return;
-  const all = told.robots.every((robot) => robot.confirmed);
   at('stopped').hidden = false;
   at('stopped').dataset.at = told.at_ms;
+  lastStop = told;
+  showVerdict(told);
+}
+
+// What confirmed once says nothing of a task that runs now.
+function showVerdict(told) {
+  const waits = told.robots.some((robot) => robot.confirmed === null);
+  const all = told.robots.every((robot) => robot.confirmed);
+  const again = all && tasks.tasks.some((task) => task.runs);
   const time = new Date(told.at_ms).toLocaleTimeString();
-  const title = waits ? 'Stop under way' : all ? 'Stopped: every robot has confirmed' : 'NOT every robot has confirmed';
+  const confirmed = again ? 'Every robot had confirmed, but tasks run again' : 'Stopped: every robot has confirmed';
+  const title = waits ? 'Stop under way' : all ? confirmed : 'NOT every robot has confirmed';
   setText(at('stopped-title'), `${title} (${told.by}, ${time})`);
-  showAll(at('confirmations'), told.robots, (robot) => robot.robot, () => element('li'), (made, robot) => {
-    made.className = robot.confirmed ? 'good' : robot.confirmed === null ? 'quiet' : 'bad';
+  // First what a person has to act on.
+  const urgent = (robot) => (robot.confirmed === false ? 0 : robot.confirmed === null ? 1 : 2);
+  const sorted = [...told.robots].sort((one, other) => urgent(one) - urgent(other));
+  showAll(at('confirmations'), sorted, (robot) => robot.robot, () => element('li'), (made, robot) => {
+    made.className = again ? 'quiet' : robot.confirmed ? 'good' : robot.confirmed === null ? 'quiet' : 'bad';
     const word = robot.confirmed ? 'confirmed' : robot.confirmed === null ? 'waiting' : 'NOT CONFIRMED';
     setText(made, `${robot.robot}: ${word}: ${robot.text}`);
   });

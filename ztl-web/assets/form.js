@@ -61,6 +61,8 @@ export class Form {
     this.#showChoices();
     const why = this.#whyNot();
     at('start').setAttribute('aria-disabled', String(why !== '' || this.#isLocked()));
+    // Two robots may have components of the same names.
+    setText(at('start'), this.#chosen ? `Start on ${this.#chosen.robot}` : 'Start');
     const said = at('form-said').textContent;
     setText(at('why-not'), said === `NOT SENT: ${why}` ? '' : why);
     this.#showGoals();

@@ -431,8 +431,12 @@ impl<'b> ServerThread<'b> {
             let waits = stop.asked.iter().any(|key| self.aborts.contains(key));
             if is_late || (settled && !waits) {
                 let (asked, ended) = (stop.asked.len(), stop.ended);
+                let open = match settled {
+                    true => "",
+                    false => "; a goal of this console has no answer: it may still start",
+                };
                 self.decide(Err(format!(
-                    "a server of the original lists no tasks; {asked} of this console were asked to stop, {ended} of them have ended"
+                    "a server of the original lists no tasks; {asked} of this console were asked to stop, {ended} of them have ended{open}"
                 )));
             }
             return;
