@@ -1,7 +1,7 @@
 //! TCP ports that a test must name before a server binds them.
 
 use std::hash::{BuildHasher, RandomState};
-use std::net::{TcpListener, UdpSocket};
+use std::net::{TcpStream, UdpSocket};
 
 /// Ports to choose from: more than all tests together need.
 const COUNT: u16 = 10_000;
@@ -28,7 +28,8 @@ pub fn reserve_port() -> u16 {
     let port = ports.find_map(|port| {
         // The UDP port of this number is the lock: the system releases it when this program ends.
         let lock = UdpSocket::bind(("127.0.0.1", port)).ok()?;
-        TcpListener::bind(("0.0.0.0", port)).ok()?;
+        // Asked by connecting: a listener would stay in every program that another test is just starting.
+        TcpStream::connect(("127.0.0.1", port)).err()?;
         std::mem::forget(lock);
         Some(port)
     });
@@ -49,6 +50,8 @@ fn ephemeral_start() -> u16 {
 
 #[cfg(test)]
 mod tests {
+    use std::net::TcpListener;
+
     use super::*;
 
     #[test]
