@@ -108,7 +108,7 @@ impl Client {
         message["msg"].take()
     }
 
-    /// Waits for a list of tasks in which one fits.
+    /// Waits for a list of tasks that has one for which `fits` is true.
     #[track_caller]
     pub(crate) fn task(&mut self, fits: impl Fn(&Value) -> bool) -> Value {
         let has = |list: &Value| {

@@ -165,10 +165,10 @@ pub fn javascript_packages() -> PathBuf {
     node_packages("zeromq")
 }
 
-/// The directory of the installed npm packages, one of which is `needed`.
+/// The directory of the installed npm packages.
 ///
 /// # Panics
-/// When it is missing.
+/// When the package `needed` is not among them.
 #[track_caller]
 pub fn node_packages(needed: &str) -> PathBuf {
     let path = installed("ZTL_CLIENTS", "clients");

@@ -173,7 +173,7 @@ impl Lab {
         task
     }
 
-    /// Whatever was lost and repeated, no part of a description is doubled or mixed up.
+    /// No part of a description comes twice or out of order, even if the line loses and repeats frames.
     fn judge_descriptions(&self) -> Result<(), String> {
         let sessions = self.gateway.iter().flat_map(|gateway| &gateway.sessions);
         let devices = sessions.filter_map(Session::device);
