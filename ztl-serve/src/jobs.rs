@@ -69,10 +69,7 @@ pub(crate) fn wait<'j>(
 pub(crate) fn tend(background: &mut Vec<Box<dyn Job>>, now: Instant, check: bool) {
     background.retain_mut(|job| {
         let mut effects = Vec::new();
-        if check {
-            job.check_process();
-        }
-        job.handle_timeout(now, &mut effects);
+        job.turn(now, check, &mut effects);
         effects.is_empty()
     });
 }

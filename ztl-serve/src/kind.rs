@@ -77,7 +77,7 @@ pub(crate) trait Job: Send {
         None
     }
 
-    /// Called in each turn of the supervisor's loop, also before the timeout.
+    /// Called in each turn of the loop, also before the timeout.
     fn handle_timeout(&mut self, _now: Instant, _effects: &mut Vec<Effect>) {}
 
     /// Pipes to wait for.
@@ -95,6 +95,14 @@ pub(crate) trait Job: Send {
 
     /// A child of this server may have ended.
     fn check_process(&mut self) {}
+
+    /// One turn of the loop. `check`: a child of this server may have ended.
+    fn turn(&mut self, now: Instant, check: bool, effects: &mut Vec<Effect>) {
+        if check {
+            self.check_process();
+        }
+        self.handle_timeout(now, effects);
+    }
 }
 
 /// What the supervisor does for a job.

@@ -93,12 +93,7 @@ impl Supervisor {
             let check = ready.woken || ready.timed_out;
             let ids: Vec<TaskId> = self.tasks.keys().copied().collect();
             for id in ids {
-                self.with_job(id, |job, effects| {
-                    if check {
-                        job.check_process();
-                    }
-                    job.handle_timeout(now, effects);
-                });
+                self.with_job(id, |job, effects| job.turn(now, check, effects));
             }
             jobs::tend(&mut self.background, now, check);
         }

@@ -111,12 +111,7 @@ impl Source {
     /// Does what is due. Returns what is to be done for the job.
     pub(super) fn handle_timeout(&mut self, now: Instant, check: bool) -> Vec<Effect> {
         self.outlet.handle_timeout(now);
-        let mut effects = self.with_job(now, |job, effects| {
-            if check {
-                job.check_process();
-            }
-            job.handle_timeout(now, effects);
-        });
+        let mut effects = self.with_job(now, |job, effects| job.turn(now, check, effects));
         let may_leave = self.running.as_ref().is_some_and(|it| !it.is_stopping);
         self.leave_at = match self.config.when_watched {
             Some(time) if may_leave && !self.is_wanted() => self.leave_at.or(now.checked_add(time)),
