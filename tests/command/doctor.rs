@@ -27,16 +27,16 @@ fn about<'a>(told: &'a Value, about: &str) -> Vec<&'a Value> {
 }
 
 #[track_caller]
-fn assert_trouble(told: &Value, what: &str, text: &str, remedy: &str) {
+fn assert_problem(told: &Value, what: &str, text: &str, remedy: &str) {
     let found = about(told, what);
-    let trouble = found.iter().find(|finding| {
+    let problem = found.iter().find(|finding| {
         let text = finding["text"]
             .as_str()
             .is_some_and(|said| said.contains(text));
-        finding["health"] == "trouble" && text
+        finding["health"] == "problem" && text
     });
-    let trouble = trouble.unwrap_or_else(|| panic!("no '{text}': {told:#}"));
-    let said = trouble["remedy"].as_str().expect("a remedy");
+    let problem = problem.unwrap_or_else(|| panic!("no '{text}': {told:#}"));
+    let said = problem["remedy"].as_str().expect("a remedy");
     assert!(said.contains(remedy), "{said}");
 }
 
@@ -50,7 +50,7 @@ fn a_healthy_machine_is_reported_as_good() {
     let options = ["-p", &port, "--journal", journal, "--listen", &free];
     let (told, code) = told(&options);
     assert_eq!(
-        (&told["troubles"], code),
+        (&told["problems"], code),
         (&Value::from(0), Some(0)),
         "{told:#}"
     );
@@ -114,16 +114,16 @@ fn each_problem_is_reported_with_its_remedy() {
         "/dev/null",
     ]);
     assert_eq!(
-        (&told["troubles"], code),
+        (&told["problems"], code),
         (&Value::from(6), Some(1)),
         "{told:#}"
     );
-    assert_trouble(&told, "ports", "is in use", "ss -ltnp");
-    assert_trouble(&told, "journal", "ot a directory", "--journal DIR");
-    assert_trouble(&told, "serial", "/dev/ttyNONE", "plugged in");
-    assert_trouble(&told, "serial", "/etc/passwd is not a serial port", "lists");
-    assert_trouble(&told, "serial", "/dev/null is not a serial port", "lists");
-    assert_trouble(&told, "server", "nothing listens there", "--bind '*'");
+    assert_problem(&told, "ports", "is in use", "ss -ltnp");
+    assert_problem(&told, "journal", "ot a directory", "--journal DIR");
+    assert_problem(&told, "serial", "/dev/ttyNONE", "plugged in");
+    assert_problem(&told, "serial", "/etc/passwd is not a serial port", "lists");
+    assert_problem(&told, "serial", "/dev/null is not a serial port", "lists");
+    assert_problem(&told, "server", "nothing listens there", "--bind '*'");
     let ended = doctor(&["-p", &nobody]);
     assert_eq!(ended.code, Some(1));
     assert!(ended.stdout.contains("WRONG server"), "{ended:?}");
@@ -135,10 +135,10 @@ fn a_server_that_does_not_answer_is_a_problem() {
     let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = listener.local_addr().expect("its address").port();
     let (told, code) = told(&["-r", "127.0.0.1", "-p", &port.to_string()]);
-    assert_trouble(&told, "server", "does not answer", "does it hang?");
+    assert_problem(&told, "server", "does not answer", "does it hang?");
     assert_eq!(code, Some(1));
     let (told, code) = self::told(&["-r", "no.such.host.invalid", "-p", "1"]);
-    assert_trouble(
+    assert_problem(
         &told,
         "server",
         "cannot resolve 'no.such.host.invalid'",

@@ -12,9 +12,9 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, gateway, reserve_port, un
 
 /// The problem that the gateway reports for a device.
 #[track_caller]
-pub(crate) fn trouble(watch: &Devices, device: &str) -> String {
-    until("a trouble", PATIENCE, || {
-        watch.reports().remove(device)?.trouble
+pub(crate) fn problem(watch: &Devices, device: &str) -> String {
+    until("a problem", PATIENCE, || {
+        watch.reports().remove(device)?.problem
     })
 }
 
@@ -81,7 +81,7 @@ fn a_path_that_is_not_a_serial_port_is_reported() {
         ("absent", "there is no such port; is it plugged in?"),
         ("taken", "another program uses it"),
     ] {
-        let said = trouble(&watch, name);
+        let said = problem(&watch, name);
         assert!(said.ends_with(&format!(": {text}")), "{name}: {said}");
     }
 }
@@ -128,7 +128,7 @@ fn a_board_that_resets_when_its_port_opens_is_served() {
     let (_server, mut remote) = serve(gateway);
     assert_eq!(complete(&mut remote, "gripper", "finger", "2"), "2.0");
     assert_eq!(opened.load(Ordering::SeqCst), 3);
-    assert_eq!(watch.reports()["gripper"].trouble, None);
+    assert_eq!(watch.reports()["gripper"].problem, None);
 }
 
 #[test]

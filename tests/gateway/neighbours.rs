@@ -10,7 +10,7 @@ use ztl_std::TriggerError;
 use ztl_std::gateway::Gateway;
 use ztl_tests::lab::{PATIENCE, until};
 
-use crate::lines::{complete, serve, trouble};
+use crate::lines::{complete, problem, serve};
 
 /// The median time.
 fn median(times: &mut [Duration]) -> Duration {
@@ -87,11 +87,11 @@ fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
     let watch = gateway.devices();
     let (server, mut remote) = serve(gateway);
     assert_eq!(
-        trouble(&watch, "hang"),
+        problem(&watch, "hang"),
         "a stuck driver: opening it takes long"
     );
-    assert!(trouble(&watch, "hole").ends_with(": device is not answering"));
-    trouble(&watch, "flood");
+    assert!(problem(&watch, "hole").ends_with(": device is not answering"));
+    problem(&watch, "flood");
     // The flood keeps a core busy, which the gateway cannot prevent. Waiting for any of the
     // three would take hundreds of milliseconds.
     until("its latency alone", PATIENCE, || {

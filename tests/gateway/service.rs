@@ -39,11 +39,11 @@ fn systemd_is_notified_of_readiness_status_liveness_and_stopping() {
         assert!(ready.contains(" of 2 devices ready; arm: "), "{ready}");
         manager.wait_for("WATCHDOG=1", 2);
         process.wait_for("Device 'head' is ready");
-        let trouble = format!(
+        let problem = format!(
             "STATUS=1 of 2 devices ready; arm: serial:{}: there is no such port; is it plugged in?",
             device.display()
         );
-        manager.wait_for(&trouble, 1);
+        manager.wait_for(&problem, 1);
         process.signal("TERM");
         manager.wait_for("STOPPING=1", 1);
         assert_eq!(process.end(PATIENCE).code, Some(143));

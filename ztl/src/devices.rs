@@ -176,9 +176,9 @@ fn show<'a>(
     device: &DeviceReport,
     tasks: impl Iterator<Item = &'a ListedTask>,
 ) {
-    let how = match (&device.trouble, device.ready) {
+    let how = match (&device.problem, device.ready) {
         (_, true) => "ready".to_owned(),
-        (Some(trouble), false) => format!("not ready: {trouble}"),
+        (Some(problem), false) => format!("not ready: {problem}"),
         (None, false) => "not ready yet".to_owned(),
     };
     line(format_args!("{scope} {name} at {}: {how}", device.url));

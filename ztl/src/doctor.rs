@@ -74,19 +74,19 @@ impl Doctor {
         if let Some(address) = &address {
             found.push(network::server(address, &self.connecting));
         }
-        let troubles = found.iter().filter(|f| f.health == Health::Trouble).count();
+        let problems = found.iter().filter(|f| f.health == Health::Problem).count();
         if self.format.is_chosen() {
             let findings: Vec<Value> = found.iter().map(Finding::to_json).collect();
             self.format
-                .print(&json!({ "troubles": troubles, "findings": findings }))?;
+                .print(&json!({ "problems": problems, "findings": findings }))?;
         } else {
-            show(&found, troubles);
+            show(&found, problems);
         }
-        Ok(ExitCode::from(u8::from(troubles > 0)))
+        Ok(ExitCode::from(u8::from(problems > 0)))
     }
 }
 
-fn show(found: &[Finding], troubles: usize) {
+fn show(found: &[Finding], problems: usize) {
     for Finding {
         about,
         health,
@@ -98,14 +98,14 @@ fn show(found: &[Finding], troubles: usize) {
         let mark = match health {
             Health::Good => "ok",
             Health::Note => "note",
-            Health::Trouble => "WRONG",
+            Health::Problem => "WRONG",
         };
         line(format_args!("{mark:<6}{about:<10} {text}"));
         if let Some(remedy) = remedy {
             line(format_args!("{:<17}-> {remedy}", ""));
         }
     }
-    match troubles {
+    match problems {
         0 => line("Nothing is wrong."),
         1 => line("One thing is wrong."),
         many => line(format_args!("{many} things are wrong.")),

@@ -84,8 +84,8 @@ pub(crate) fn of_devices(devices: &DeviceReports) -> String {
     let ready = devices.values().filter(|device| device.ready).count();
     let mut text = format!("{ready} of {} devices ready", devices.len());
     for (name, device) in devices.iter().filter(|(_, device)| !device.ready) {
-        let trouble = device.trouble.as_deref().unwrap_or("not ready yet");
-        text.push_str(&format!("; {name}: {trouble}"));
+        let problem = device.problem.as_deref().unwrap_or("not ready yet");
+        text.push_str(&format!("; {name}: {problem}"));
     }
     text
 }

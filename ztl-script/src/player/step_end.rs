@@ -49,20 +49,20 @@ impl Player {
 
     /// Some tasks have not ended: says so if one of them is unknown or late.
     fn wait_or_go_on(&mut self, now: Instant, open: &[TaskNumber]) {
-        let trouble = |number: &TaskNumber| {
+        let undecided = |number: &TaskNumber| {
             let task = self.tasks.get(number)?;
             let why = task.unknown.as_ref().map(|(why, _)| why.clone());
             let late = task.late && !task.aborting;
             let why = why.or(late.then_some(WaitReason::TooLong))?;
             Some((why, *number))
         };
-        let mut troubles: Vec<(WaitReason, TaskNumber)> = open.iter().filter_map(trouble).collect();
+        let mut waits: Vec<(WaitReason, TaskNumber)> = open.iter().filter_map(undecided).collect();
         // What needs a decision comes first.
-        troubles.sort_by_key(|(why, _)| why.may_mend());
-        match troubles.first() {
+        waits.sort_by_key(|(why, _)| why.may_mend());
+        match waits.first() {
             Some((why, _)) => {
                 let why = why.clone();
-                let tasks = troubles.into_iter().map(|(_, number)| number).collect();
+                let tasks = waits.into_iter().map(|(_, number)| number).collect();
                 self.wait_for_operator(now, why, tasks);
             }
             None => self.settled(),

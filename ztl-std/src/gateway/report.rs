@@ -20,7 +20,7 @@ pub struct DeviceReport {
     /// Whether it accepts tasks now.
     pub ready: bool,
     /// What is wrong with it, to be shown to people.
-    pub trouble: Option<String>,
+    pub problem: Option<String>,
     /// How it described itself; `null` before it did.
     pub firmware: Option<FirmwareReport>,
     /// Its components.
@@ -76,12 +76,12 @@ pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result
         return Err(format!("no device '{}'; there are: {there}", spec.handler));
     };
     if !device.ready {
-        let trouble = device
-            .trouble
+        let problem = device
+            .problem
             .as_deref()
             .unwrap_or("it has not described itself yet");
         return Err(format!(
-            "device '{}' takes no tasks now: {trouble}",
+            "device '{}' takes no tasks now: {problem}",
             spec.handler
         ));
     }

@@ -7,7 +7,7 @@ pub(super) enum Health {
     Good,
     /// Not a problem, but worth knowing.
     Note,
-    Trouble,
+    Problem,
 }
 
 /// The result of one check.
@@ -39,13 +39,13 @@ impl Finding {
         }
     }
 
-    pub(super) fn trouble(
+    pub(super) fn problem(
         about: &'static str,
         text: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
         Self {
-            health: Health::Trouble,
+            health: Health::Problem,
             remedy: Some(remedy.into()),
             ..Self::good(about, text)
         }
@@ -68,7 +68,7 @@ impl Finding {
             "health": match self.health {
                 Health::Good => "good",
                 Health::Note => "note",
-                Health::Trouble => "trouble",
+                Health::Problem => "problem",
             },
             "text": self.text,
             "remedy": self.remedy,

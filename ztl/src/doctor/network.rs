@@ -132,7 +132,7 @@ pub(super) fn ports(wished: &[u16]) -> Vec<Finding> {
                     ),
                     _ => (format!("{port}: {error}"), "choose another".to_owned()),
                 };
-                Finding::trouble("ports", text, remedy)
+                Finding::problem("ports", text, remedy)
             }
         }
         .with(data)
@@ -176,7 +176,7 @@ pub(super) fn server(address: &ServerAddress, connecting: &ConnectOptions) -> Fi
         Ok(addresses) => addresses.collect::<Vec<_>>(),
         Err(_) if host == "localhost" => vec![([127, 0, 0, 1], port).into()],
         Err(error) => {
-            return Finding::trouble(
+            return Finding::problem(
                 "server",
                 format!("cannot resolve '{host}': {error}"),
                 format!("write its address, or a line in /etc/hosts: `192.168.1.7 {host}`"),
@@ -210,7 +210,7 @@ pub(super) fn server(address: &ServerAddress, connecting: &ConnectOptions) -> Fi
             Some((_, error)) => (error.to_string(), format!("`ping {host}`, `ip route`")),
             None => ("it has no address".to_owned(), "write its address".to_owned()),
         };
-        return Finding::trouble("server", format!("{place}: {why}"), remedy);
+        return Finding::problem("server", format!("{place}: {why}"), remedy);
     };
     let remote = RemoteTask::connect(&format!("tcp://{place}"), "$ztl")
         .map_err(Into::into)
@@ -222,7 +222,7 @@ pub(super) fn server(address: &ServerAddress, connecting: &ConnectOptions) -> Fi
                 let problem = format!("accepts connections but does not answer: {error}");
                 (problem, "is it a ZTL server, and does it hang?")
             });
-            Finding::trouble("server", format!("{place} {problem}"), remedy)
+            Finding::problem("server", format!("{place} {problem}"), remedy)
                 .with(json!({ "address": address.to_string(), "connect_us": micros(tcp) }))
         }
         Ok((version, mut rounds)) => {

@@ -56,7 +56,7 @@ fn port(
     }) {
         Ok(found) => found,
         Err(error) => {
-            return Finding::trouble(
+            return Finding::problem(
                 "serial",
                 format!("{shown}: {error}"),
                 "is it plugged in? `ztl doctor` lists all ports; `dmesg` shows what the kernel detected",
@@ -64,7 +64,7 @@ fn port(
         }
     };
     if !about.file_type().is_char_device() || !is_terminal(&real) {
-        return Finding::trouble(
+        return Finding::problem(
             "serial",
             format!("{shown} is not a serial port"),
             "`ztl doctor` without --serial lists all ports",
@@ -88,7 +88,7 @@ fn port(
             group => format!("run as root: `usermod -a -G {group} {user}`, then log in again"),
         };
         let text = format!("{text}: permission denied for {user} ({error})");
-        return Finding::trouble("serial", text, remedy).with(data);
+        return Finding::problem("serial", text, remedy).with(data);
     }
     if !others.is_empty() {
         let who = others.join(", ");
@@ -100,7 +100,7 @@ fn port(
             false => "stop that program; two readers on one port take each other's bytes",
         };
         return match is_wished {
-            true => Finding::trouble("serial", text, remedy),
+            true => Finding::problem("serial", text, remedy),
             // Not a problem: it may be a running gateway.
             false => Finding::note("serial", text),
         }

@@ -18,7 +18,7 @@ pub(super) fn journal(wished: Option<&Path>) -> Finding {
         .map(PathBuf::from)
         .or_else(journal_options::directory)
     else {
-        return Finding::trouble(
+        return Finding::problem(
             "journal",
             "no directory: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set",
             remedy,
@@ -26,7 +26,7 @@ pub(super) fn journal(wished: Option<&Path>) -> Finding {
     };
     let shown = directory.display().to_string();
     if let Err(error) = try_to_write(&directory) {
-        return Finding::trouble("journal", format!("{shown}: {error}"), remedy)
+        return Finding::problem("journal", format!("{shown}: {error}"), remedy)
             .with(json!({ "directory": shown }));
     }
     // The nearest existing parent of a directory that the gateway would create.
@@ -40,7 +40,7 @@ pub(super) fn journal(wished: Option<&Path>) -> Finding {
     };
     let data = json!({ "directory": shown, "free_bytes": free });
     if free.is_some_and(|free| free < ROOM) {
-        return Finding::trouble("journal", text, "free some space, or choose another disk")
+        return Finding::problem("journal", text, "free some space, or choose another disk")
             .with(data);
     }
     Finding::good("journal", text).with(data)

@@ -26,7 +26,7 @@ pub(super) fn kernel() -> Finding {
     );
     let data = json!({ "release": release, "machine": name.machine().to_string_lossy() });
     match kernel::too_old(&release) {
-        Some(mistake) => Finding::trouble(
+        Some(mistake) => Finding::problem(
             "kernel",
             format!("{text}: {mistake}"),
             "run ztl on a newer machine next to this one",
@@ -72,7 +72,7 @@ pub(super) fn processor() -> Finding {
     let data =
         json!({ "features": features.split_whitespace().collect::<Vec<_>>(), "count": count });
     match lacking {
-        Some((feature, other)) if !features.is_empty() => Finding::trouble(
+        Some((feature, other)) if !features.is_empty() => Finding::problem(
             "cpu",
             format!("{text}: lacks {feature}, which this program requires"),
             format!("use the program for {other}"),
@@ -98,7 +98,7 @@ pub(super) fn memory() -> Finding {
     let data = json!({ "free_kib": left, "total_kib": total });
     if left < 16 * 1024 {
         let remedy = "stop the largest programs: `ps -eo rss,args | sort -n`";
-        return Finding::trouble("memory", said, remedy).with(data);
+        return Finding::problem("memory", said, remedy).with(data);
     }
     Finding::good("memory", said).with(data)
 }
@@ -111,7 +111,7 @@ pub(super) fn wall_clock() -> Finding {
     let text = humantime::format_rfc3339_seconds(now).to_string();
     let data = json!({ "unix_s": seconds });
     if seconds < YOUNGEST {
-        return Finding::trouble(
+        return Finding::problem(
             "clock",
             format!("reads {text}: not set since the machine started"),
             "run `date -s '2026-01-31 12:00'` or ntpd; tasks do not depend on this clock, but logs, journals and records do",
@@ -155,7 +155,7 @@ pub(super) fn monotonic_clock() -> Finding {
         "steps_back": back,
     });
     if back > 0 {
-        return Finding::trouble(
+        return Finding::problem(
             "timer",
             format!("the monotonic clock went back {back} times"),
             "use another clock source: boot with `clocksource=hpet` or `clocksource=acpi_pm`",
@@ -188,7 +188,7 @@ pub(super) fn randomness() -> Finding {
             ),
         )
         .with_remedy("start servers later in the boot process, or install haveged"),
-        Err(error) => Finding::trouble(
+        Err(error) => Finding::problem(
             "random",
             format!("no random numbers: {error}"),
             "run `mknod -m 666 /dev/random c 1 8; mknod -m 666 /dev/urandom c 1 9`: kernels before 3.17 need these files",
@@ -208,7 +208,7 @@ pub(super) fn files() -> Finding {
     let data = json!({ "limit": limit });
     if limit.is_some_and(|limit| limit < 256) {
         let remedy = "run `ulimit -n 1024` before starting a server; each client takes one";
-        return Finding::trouble("files", text, remedy).with(data);
+        return Finding::problem("files", text, remedy).with(data);
     }
     Finding::good("files", text).with(data)
 }

@@ -1,8 +1,8 @@
 //! The player in virtual time.
 
+mod failures;
 mod probes;
 mod stopping;
-mod trouble;
 mod world;
 
 use std::time::Duration;

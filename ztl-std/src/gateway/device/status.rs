@@ -13,7 +13,7 @@ use crate::time::{millis, now};
 #[derive(Debug, Default)]
 struct Status {
     ready: bool,
-    trouble: Option<String>,
+    problem: Option<String>,
     device: Option<DeviceInfo>,
     /// What its components say of themselves.
     descriptions: DeviceDescriptions,
@@ -40,12 +40,12 @@ impl SharedStatus {
         name: &str,
         session: &Session<B>,
         ready: bool,
-        trouble: Option<&String>,
+        problem: Option<&String>,
     ) {
         let mut status = self.lock();
         status.ready = ready;
-        if status.trouble.as_ref() != trouble {
-            status.trouble = trouble.cloned();
+        if status.problem.as_ref() != problem {
+            status.problem = problem.cloned();
         }
         if status.device.as_ref() != session.device() {
             status.device = session.device().cloned();
@@ -83,7 +83,7 @@ impl SharedStatus {
         DeviceReport {
             url,
             ready: status.ready,
-            trouble: status.trouble.clone(),
+            problem: status.problem.clone(),
             firmware: device.map(|device| FirmwareReport {
                 name: device.name.clone(),
                 version: device.firmware.clone(),

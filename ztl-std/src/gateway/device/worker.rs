@@ -75,7 +75,7 @@ pub(super) struct Worker {
     /// The target of the line's path when it was opened.
     target: Option<PathBuf>,
     /// What is wrong with the line or the device, for reasons and the log.
-    trouble: Option<String>,
+    problem: Option<String>,
     /// Whether the device was ready and nothing has been wrong since. A new session after the question for descriptions
     /// changes nothing.
     ready: bool,
@@ -115,7 +115,7 @@ impl Worker {
             pause: RETRY.0,
             silences: 0,
             target: None,
-            trouble: None,
+            problem: None,
             ready: false,
             log: RateLimitedLog::new(name, now()),
             tasks: HashMap::new(),
@@ -178,7 +178,7 @@ impl Worker {
                 &self.name,
                 &self.session,
                 self.ready,
-                self.trouble.as_ref(),
+                self.problem.as_ref(),
             );
             let unused = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
             self.unused.store(unused, Ordering::Release);
@@ -248,7 +248,7 @@ impl Worker {
                 Some(*retry).filter(|_| self.awaited == 0 && self.opener.is_some())
             }
             LineState::Opening { since, .. } => {
-                Some(*since + OPENING).filter(|_| self.trouble.is_none())
+                Some(*since + OPENING).filter(|_| self.problem.is_none())
             }
             LineState::Open { .. } => None,
         };
@@ -261,9 +261,9 @@ impl Worker {
     fn check_opening(&mut self) {
         if let LineState::Opening { since, .. } = &self.line
             && now() >= *since + OPENING
-            && self.trouble.is_none()
+            && self.problem.is_none()
         {
-            self.set_trouble(format!("{}: opening it takes long", self.url()));
+            self.set_problem(format!("{}: opening it takes long", self.url()));
         }
     }
 
@@ -386,7 +386,7 @@ impl Worker {
         self.opener = Some(opener);
         self.pause = RETRY.0;
         self.silences = 0;
-        self.trouble = None;
+        self.problem = None;
         self.ready = false;
     }
 
@@ -412,17 +412,17 @@ impl Worker {
                 | io::ErrorKind::ConnectionReset
                 | io::ErrorKind::ConnectionAborted
         );
-        self.set_trouble(match closed {
+        self.set_problem(match closed {
             true => format!("{}: the other end has closed it", self.url()),
             false => format!("{}: {error}", self.url()),
         });
     }
 
-    fn set_trouble(&mut self, trouble: String) {
+    fn set_problem(&mut self, problem: String) {
         self.ready = false;
-        if self.trouble.as_ref() != Some(&trouble) {
-            self.log.log(now(), Severity::Warn, format!(": {trouble}"));
-            self.trouble = Some(trouble);
+        if self.problem.as_ref() != Some(&problem) {
+            self.log.log(now(), Severity::Warn, format!(": {problem}"));
+            self.problem = Some(problem);
         }
     }
 
@@ -455,11 +455,11 @@ impl Worker {
                     journal.forget(id);
                 }
                 if let Some((task, request)) = self.tasks.remove(&id) {
-                    let reason = match &self.trouble {
-                        Some(trouble) if !self.session.is_up() => {
-                            match trouble.ends_with(&reason) {
-                                true => trouble.clone(),
-                                false => format!("{reason} ({trouble})"),
+                    let reason = match &self.problem {
+                        Some(problem) if !self.session.is_up() => {
+                            match problem.ends_with(&reason) {
+                                true => problem.clone(),
+                                false => format!("{reason} ({problem})"),
                             }
                         }
                         _ => reason,
@@ -496,15 +496,15 @@ impl Worker {
                     let kind = io::ErrorKind::TimedOut;
                     return self.on_closed(&io::Error::new(kind, NOT_ANSWERING));
                 }
-                self.set_trouble(format!("{}: {NOT_ANSWERING}", self.url()));
+                self.set_problem(format!("{}: {NOT_ANSWERING}", self.url()));
             }
             // The line of a device that is not served was closed here.
             LinkEvent::Lost if self.opener.is_none() => self.ready = false,
-            LinkEvent::Lost => self.set_trouble(NOT_ANSWERING.to_owned()),
+            LinkEvent::Lost => self.set_problem(NOT_ANSWERING.to_owned()),
             LinkEvent::Reset => self
                 .log
                 .log(now(), Severity::Warn, " was reset.".to_owned()),
-            LinkEvent::DeviceUnusable(reason) => self.set_trouble(reason),
+            LinkEvent::DeviceUnusable(reason) => self.set_problem(reason),
             LinkEvent::Log { lost, bytes } => {
                 let boot = self.session.device().map_or(0, |device| device.boot);
                 self.firmware_log.put(boot, lost, bytes);
@@ -529,7 +529,7 @@ impl Worker {
     fn on_up(&mut self) {
         self.pause = RETRY.0;
         self.silences = 0;
-        self.trouble = None;
+        self.problem = None;
         if std::mem::replace(&mut self.ready, true) {
             return;
         }

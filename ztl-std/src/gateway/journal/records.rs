@@ -100,7 +100,7 @@ pub struct JournalRecords<S> {
     /// Whether the start of this gateway is written.
     opened: bool,
     /// Why the journal cannot be written; logged once.
-    trouble: Option<String>,
+    problem: Option<String>,
 }
 
 impl<S: Storage> JournalRecords<S> {
@@ -116,7 +116,7 @@ impl<S: Storage> JournalRecords<S> {
             len: written.len() as u64,
             rotate_at: ROTATE,
             opened: false,
-            trouble: None,
+            problem: None,
         };
         let end = written.iter().rposition(|byte| *byte == b'\n');
         let whole = written.get(..end.map_or(0, |end| end + 1));
@@ -327,10 +327,10 @@ impl<S: Storage> JournalRecords<S> {
         let reserves = reserved > self.reserved;
         if let Err(error) = self.storage.add(&bytes, reserves || needed && self.sync) {
             let place = self.storage.place();
-            let trouble = format!("the journal {place} cannot be written: {error}");
-            return Err(self.in_trouble(trouble));
+            let problem = format!("the journal {place} cannot be written: {error}");
+            return Err(self.not_written(problem));
         }
-        if self.trouble.take().is_some() {
+        if self.problem.take().is_some() {
             info!(target: GATEWAY, "The journal {} is written again.", self.storage.place());
         }
         self.len += bytes.len() as u64;
@@ -358,20 +358,20 @@ impl<S: Storage> JournalRecords<S> {
         };
         let place = self.storage.place();
         if let Err(error) = self.rotate(now) {
-            let trouble =
+            let problem =
                 format!("the journal {place} {how}, and cannot start a new file: {error}");
-            return Err(self.in_trouble(trouble));
+            return Err(self.not_written(problem));
         }
         warn!(target: GATEWAY, "Journal {place} {how}. A new file with the entries still needed replaces it.");
         Ok(())
     }
 
-    fn in_trouble(&mut self, trouble: String) -> String {
-        if self.trouble.as_ref() != Some(&trouble) {
-            warn!(target: GATEWAY, "No task is accepted: {trouble}");
-            self.trouble = Some(trouble.clone());
+    fn not_written(&mut self, problem: String) -> String {
+        if self.problem.as_ref() != Some(&problem) {
+            warn!(target: GATEWAY, "No task is accepted: {problem}");
+            self.problem = Some(problem.clone());
         }
-        trouble
+        problem
     }
 
     fn warn_of_few_ids(&self) {
