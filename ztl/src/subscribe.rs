@@ -27,6 +27,9 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Fields of a value that tell when it was made, in seconds since 1970.
 const TIMES: [&str; 3] = ["time", "stamp", "timestamp"];
 
+/// In seconds.
+const A_DAY: f64 = 86_400.0;
+
 const AFTER_HELP: &str = "\
 Examples:
   ztl subscribe battery                             a publisher of the configuration file
@@ -301,7 +304,11 @@ impl Rate {
                 .find_map(|name| value.value().get(name)?.as_f64())
             && let Ok(at) = heard.at.duration_since(UNIX_EPOCH)
         {
-            self.ages.push((at.as_secs_f64() - made) * 1e3);
+            let age = at.as_secs_f64() - made;
+            // Otherwise it is no time of the wall clock in seconds.
+            if age.abs() < A_DAY {
+                self.ages.push(age * 1e3);
+            }
         }
     }
 
