@@ -119,6 +119,10 @@ impl Client {
         has(&list).expect("it fits")
     }
 
+    pub(crate) fn unsubscribe(&mut self, topic: &str) {
+        self.send(&json!({ "op": "unsubscribe", "topic": topic }));
+    }
+
     /// Calls a service without waiting for the answer.
     pub(crate) fn ask(&mut self, id: &str, service: &str, args: &Value) {
         self.send(&json!({ "op": "call_service", "id": id, "service": service, "args": args }));

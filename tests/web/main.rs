@@ -10,3 +10,4 @@ mod page;
 mod robot;
 mod socket;
 mod stops;
+mod streams;

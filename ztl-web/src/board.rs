@@ -17,7 +17,7 @@ use crate::operator::{Client, Operator};
 use crate::past::Past;
 use crate::robots::{ConfiguredScope, Server};
 use crate::stop::Stops;
-use crate::streams::{Publisher, Streams};
+use crate::streams::Streams;
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
@@ -110,10 +110,7 @@ pub(crate) struct Task {
 
 impl Board {
     /// The board, and for each server what wakes its thread.
-    pub(crate) fn new(
-        servers: Vec<Server>,
-        publishers: Vec<Publisher>,
-    ) -> (Self, Vec<Receiver<()>>) {
+    pub(crate) fn new(servers: Vec<Server>, streams: Streams) -> (Self, Vec<Receiver<()>>) {
         // A thread that is woken twice looks once.
         let (wakes, woken): (Vec<_>, Vec<_>) = servers.iter().map(|_| sync_channel(1)).unzip();
         let post = |wake| Post {
@@ -133,7 +130,7 @@ impl Board {
             },
             operator: Operator::new(),
             past: Past::default(),
-            streams: Arc::new(Streams::new(publishers)),
+            streams: Arc::new(streams),
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
             clients: Clients::default(),

@@ -27,6 +27,7 @@ mod streams;
 mod tls;
 mod tokens;
 
+use std::collections::BTreeSet;
 use std::io;
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -45,6 +46,8 @@ pub struct Options {
     pub robots: Vec<Robot>,
     /// Publishers whose streams the page can show.
     pub publishers: Vec<Publisher>,
+    /// Topics whose bytes are sound: 16-bit samples, little-endian. The page shows their level.
+    pub sounds: BTreeSet<String>,
     /// What browsers must show. Without `hosts`, a request of this machine to one of its loopback names needs none.
     pub tokens: Tokens,
     /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
@@ -64,13 +67,15 @@ pub fn serve(options: Options) -> io::Result<()> {
         listener,
         robots,
         publishers,
+        sounds,
         tokens,
         hosts,
         page,
         tls,
     } = options;
     let page = page.map(own_page::OwnPage::new);
-    let (console, woken) = board::Board::new(robots::group(robots), publishers);
+    let streams = streams::Streams::new(publishers, sounds);
+    let (console, woken) = board::Board::new(robots::group(robots), streams);
     let console = Arc::new(console);
     for (server, woken) in woken.into_iter().enumerate() {
         server_thread::spawn(&console, server, woken)?;

@@ -22,7 +22,7 @@ use crate::gate::Role;
 use crate::goal::Goal;
 use crate::goals::{self, LATEST_MS, News, TOO_LATE};
 use crate::rosbridge::{self, GoalArgs, Incoming};
-use crate::streams::Listener;
+use crate::streams::{Listener, Wanted};
 use crate::{operator, robots};
 
 /// Answers that wait to be written.
@@ -45,8 +45,8 @@ const ID: usize = 256;
 pub(crate) enum Out {
     Text(String),
     Subscribe(Topic, bool),
-    /// A publisher's streams.
-    Listen(usize, bool),
+    /// A publisher's streams, or one of them.
+    Listen(Wanted, bool),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,7 +63,7 @@ impl Topic {
             "/ztl/tasks" => Ok(Self::Tasks),
             "/ztl/stop" => Ok(Self::Stop),
             _ => Err(format!(
-                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop and /ztl/streams/PUBLISHER"
+                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop, /ztl/streams/PUBLISHER and /ztl/streams/PUBLISHER/TOPIC"
             )),
         }
     }
@@ -127,7 +127,7 @@ async fn written(
             out = queue.recv() => match out {
                 None => return,
                 Some(Out::Text(text)) => vec![Message::from(text)],
-                Some(Out::Listen(publisher, on)) => listener.listen(publisher, on),
+                Some(Out::Listen(wanted, on)) => listener.listen(wanted, on),
                 Some(Out::Subscribe(topic, on)) => {
                     let (flag, topic_of) = match topic {
                         Topic::Robots => (&mut on_robots, &mut robots),
@@ -247,7 +247,7 @@ impl Reader {
 
     fn subscribe(&self, topic: &str, on: bool) -> Out {
         match (self.board.streams.find(topic), Topic::of(topic)) {
-            (Some(publisher), _) => Out::Listen(publisher, on),
+            (Some(wanted), _) => Out::Listen(wanted, on),
             (None, Ok(topic)) => Out::Subscribe(topic, on),
             (None, Err(why)) => Out::Text(rosbridge::error(&why)),
         }

@@ -1,6 +1,6 @@
 //! Streams: what publishers publish, for the clients that look at it. A publisher is subscribed to only while one does.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
@@ -44,9 +44,24 @@ const KEPT: usize = 32 << 20;
 const TEXT: usize = 300;
 /// Most numbers of a value that are shown as lines.
 const LINES: usize = 8;
+/// Longest value that is told as JSON to those who subscribe to its topic.
+const TOLD: usize = 64 << 10;
+/// Most topics of all publishers that a client subscribes to.
+const SUBSCRIBED: usize = 100;
+
+/// What a client subscribes to.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Wanted {
+    /// The list of a publisher's streams.
+    All(usize),
+    /// The values of a publisher's topic.
+    Topic(usize, String),
+}
 
 /// The streams of all publishers.
 pub(crate) struct Streams {
+    /// The topics whose bytes are sound.
+    sounds: BTreeSet<String>,
     publishers: Vec<Channel>,
     /// The newest message of each publisher.
     newest: watch::Sender<Arc<[Shared]>>,
@@ -99,7 +114,7 @@ fn run(streams: &Weak<Streams>, publisher: usize) {
             drop(streams);
             thread::sleep(RETRY);
         } else {
-            let told = channel.tell(subscriber.as_ref());
+            let told = channel.tell(subscriber.as_ref(), &streams.sounds);
             streams.publish(publisher, &told);
         }
     }
@@ -129,7 +144,7 @@ fn listen(
 }
 
 impl Streams {
-    pub(crate) fn new(publishers: Vec<Publisher>) -> Self {
+    pub(crate) fn new(publishers: Vec<Publisher>, sounds: BTreeSet<String>) -> Self {
         let channel = |publisher: Publisher| Channel {
             name: publisher.name,
             connect: publisher.connect,
@@ -139,6 +154,7 @@ impl Streams {
         let publishers: Vec<Channel> = publishers.into_iter().map(channel).collect();
         let none: Vec<Shared> = publishers.iter().map(|_| Shared::from("{}")).collect();
         Self {
+            sounds,
             publishers,
             newest: watch::Sender::new(none.into()),
             next: AtomicUsize::new(1),
@@ -152,11 +168,21 @@ impl Streams {
             .collect()
     }
 
-    /// The publisher of a topic.
-    pub(crate) fn find(&self, topic: &str) -> Option<usize> {
+    /// What a topic of the socket stands for.
+    pub(crate) fn find(&self, topic: &str) -> Option<Wanted> {
         let name = topic.strip_prefix(TOPIC)?;
-        let mut publishers = self.publishers.iter();
-        publishers.position(|channel| channel.name == name)
+        let wanted = |(publisher, channel): (usize, &Channel)| {
+            let topic = name.strip_prefix(&channel.name)?;
+            let wanted = match topic.starts_with('/') {
+                true => Wanted::Topic(publisher, topic.to_owned()),
+                false => Some(Wanted::All(publisher)).filter(|_| topic.is_empty())?,
+            };
+            Some((channel.name.len(), wanted))
+        };
+        let publishers = self.publishers.iter().enumerate();
+        // A name may begin with another one.
+        let (_, wanted) = publishers.filter_map(wanted).max()?;
+        Some(wanted)
     }
 
     /// The newest picture of a stream, with its type.
@@ -214,7 +240,7 @@ impl Channel {
         all.insert(stream.heard.topic.clone(), stream);
     }
 
-    fn tell(&self, subscriber: Option<&Subscriber>) -> Value {
+    fn tell(&self, subscriber: Option<&Subscriber>, sounds: &BTreeSet<String>) -> Value {
         let connected = subscriber.is_some_and(Subscriber::is_connected);
         let advice = subscriber.and_then(Subscriber::advice);
         let text = match (advice, connected) {
@@ -223,17 +249,40 @@ impl Channel {
             (None, false) => "not connected".to_owned(),
         };
         let mut all = locked(&self.heard);
-        let streams: Vec<Value> = all.values_mut().map(Stream::tell).collect();
+        let streams: Vec<Value> = all
+            .values_mut()
+            .map(|stream| stream.tell(sounds.contains(&stream.heard.topic)))
+            .collect();
         json!({ "text": text, "streams": streams })
+    }
+
+    /// The newest value of a topic as JSON, and which one it is, unless that is `known`.
+    fn value(&self, topic: &str, known: Option<(usize, u64)>) -> Option<((usize, u64), String)> {
+        let all = locked(&self.heard);
+        let stream = all.get(topic)?;
+        let which = (stream.number, stream.count);
+        (Some(which) != known).then(|| (which, stream.to_json()))
     }
 }
 
 impl Stream {
-    fn tell(&mut self) -> Value {
+    fn to_json(&self) -> String {
+        match self.length {
+            ..=TOLD => self.heard.to_json(),
+            length => json!({
+                "topic": self.heard.topic,
+                "error": format!("the value has {length} bytes; more than {TOLD} are not sent"),
+            })
+            .to_string(),
+        }
+    }
+
+    fn tell(&mut self, is_sound: bool) -> Value {
         if let Some(told) = &self.told {
             return told.clone();
         }
         let (text, numbers, shows) = match self.heard.body.len() == self.length {
+            true if is_sound => shown_sound(&self.heard.content()),
             true => shown(&self.heard.content()),
             false => (format!("{} bytes", self.length), Vec::new(), false),
         };
@@ -250,6 +299,36 @@ impl Stream {
         self.told = Some(told.clone());
         told
     }
+}
+
+/// The level of sound, as a number.
+fn shown_sound(content: &Content<'_>) -> (String, Vec<(String, f64)>, bool) {
+    let bytes = match content {
+        Content::Bytes(bytes) => *bytes,
+        Content::Value(value) => match value.value().kind() {
+            Kind::Bytes(bytes) | Kind::ByteArray(bytes) => bytes,
+            _ => return shown(content),
+        },
+        _ => return shown(content),
+    };
+    let level = level(bytes);
+    (
+        format!("{level:.0} dB of full scale"),
+        vec![("dB".to_owned(), level)],
+        false,
+    )
+}
+
+/// The root mean square of 16-bit samples, little-endian, in decibels of the largest one; not below that of one step.
+fn level(bytes: &[u8]) -> f64 {
+    const FULL: f64 = 32_768.0;
+    let (samples, _) = bytes.as_chunks::<2>();
+    let squares = samples.iter().map(|bytes| {
+        let sample = f64::from(i16::from_le_bytes(*bytes));
+        sample * sample
+    });
+    let mean = squares.sum::<f64>() / samples.len().max(1) as f64;
+    20.0 * (mean.sqrt().max(1.0) / FULL).log10()
 }
 
 /// A value as text, its numbers with their names, and whether it is a picture.
@@ -309,6 +388,8 @@ pub(crate) struct Listener {
     newest: watch::Receiver<Arc<[Shared]>>,
     /// The publishers that it looks at, and what it was told last.
     looks: BTreeMap<usize, Shared>,
+    /// The topics of publishers, and which value it was told last.
+    topics: BTreeMap<(usize, String), Option<(usize, u64)>>,
 }
 
 impl Listener {
@@ -317,17 +398,33 @@ impl Listener {
             streams: Arc::clone(streams),
             newest: streams.newest.subscribe(),
             looks: BTreeMap::new(),
+            topics: BTreeMap::new(),
         }
     }
 
-    /// Begins or ends to look at a publisher. Returns what is told at once.
-    pub(crate) fn listen(&mut self, publisher: usize, on: bool) -> Vec<Message> {
+    /// Begins or ends to look at a publisher or a topic. Returns what is told at once.
+    pub(crate) fn listen(&mut self, wanted: Wanted, on: bool) -> Vec<Message> {
+        let publisher = match &wanted {
+            Wanted::All(publisher) | Wanted::Topic(publisher, _) => *publisher,
+        };
         let Some(channel) = self.streams.publishers.get(publisher) else {
             return Vec::new();
         };
-        if on && self.looks.insert(publisher, Shared::from("{}")).is_none() {
+        let is_changed = match (wanted, on) {
+            (Wanted::All(_), true) => self.looks.insert(publisher, Shared::from("{}")).is_none(),
+            (Wanted::All(_), false) => self.looks.remove(&publisher).is_some(),
+            (Wanted::Topic(_, topic), true) => {
+                if self.topics.len() >= SUBSCRIBED {
+                    let why = format!("not subscribed: a client may have {SUBSCRIBED} topics");
+                    return vec![Message::from(rosbridge::error(&why))];
+                }
+                self.topics.insert((publisher, topic), None).is_none()
+            }
+            (Wanted::Topic(_, topic), false) => self.topics.remove(&(publisher, topic)).is_some(),
+        };
+        if is_changed && on {
             channel.looking.fetch_add(1, Ordering::SeqCst);
-        } else if !on && self.looks.remove(&publisher).is_some() {
+        } else if is_changed {
             channel.looking.fetch_sub(1, Ordering::SeqCst);
         }
         self.news()
@@ -335,7 +432,8 @@ impl Listener {
 
     /// Waits for news of the publishers that it looks at.
     pub(crate) async fn changed(&mut self) -> Vec<Message> {
-        if self.looks.is_empty() || self.newest.changed().await.is_err() {
+        let is_idle = self.looks.is_empty() && self.topics.is_empty();
+        if is_idle || self.newest.changed().await.is_err() {
             std::future::pending::<()>().await;
         }
         self.news()
@@ -344,6 +442,16 @@ impl Listener {
     fn news(&mut self) -> Vec<Message> {
         let newest = self.newest.borrow_and_update();
         let mut messages = Vec::new();
+        for ((publisher, topic), told) in &mut self.topics {
+            let channel = self.streams.publishers.get(*publisher);
+            if let Some(channel) = channel
+                && let Some((which, value)) = channel.value(topic, *told)
+            {
+                *told = Some(which);
+                let topic = format!("{TOPIC}{}{topic}", channel.name);
+                messages.push(Message::from(rosbridge::publish(&topic, &value)));
+            }
+        }
         for (publisher, told) in &mut self.looks {
             let (Some(now), Some(channel)) = (
                 newest.get(*publisher),
@@ -363,7 +471,8 @@ impl Listener {
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        for publisher in self.looks.keys() {
+        let topics = self.topics.keys().map(|(publisher, _)| publisher);
+        for publisher in self.looks.keys().chain(topics) {
             if let Some(channel) = self.streams.publishers.get(*publisher) {
                 channel.looking.fetch_sub(1, Ordering::SeqCst);
             }

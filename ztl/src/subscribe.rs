@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
-use serde_json::json;
 use tracing::Level;
 use ztl_pickle::{Kind, Pickle};
 use ztl_std::publish::{Content, Heard};
@@ -20,8 +19,6 @@ use crate::{log, signals};
 
 /// How often signals are noticed.
 const TURN: Duration = Duration::from_millis(100);
-/// How long a value in JSON may be: so many times its pickle, and this many bytes more. Shared parts are repeated.
-const JSON: (usize, usize) = (16, 64 * 1024);
 /// How often rates are shown.
 const PERIOD: Duration = Duration::from_secs(1);
 /// Fields of a value that tell when it was made, in seconds since 1970.
@@ -207,31 +204,7 @@ impl Output {
                     return Ok(false);
                 }
             },
-            Self::Json => {
-                let most = heard
-                    .body
-                    .len()
-                    .saturating_mul(JSON.0)
-                    .saturating_add(JSON.1);
-                let (key, value) = match heard.content() {
-                    Content::Value(value) => match value.value().to_json(most) {
-                        Ok(json) => ("value", json),
-                        Err(error) => ("error", json!(error.to_string()).to_string()),
-                    },
-                    Content::Text(text) => ("value", json!(text).to_string()),
-                    Content::Bytes(bytes) => {
-                        ("value", Pickle::bytes(bytes)?.value().to_json(most)?)
-                    }
-                    Content::Refused(error) => ("error", json!(error.to_string()).to_string()),
-                };
-                let (topic, time) = (
-                    json!(heard.topic),
-                    humantime::format_rfc3339_micros(heard.at),
-                );
-                line(format_args!(
-                    "{{\"topic\": {topic}, \"time\": \"{time}\", \"{key}\": {value}}}"
-                ));
-            }
+            Self::Json => line(heard.to_json()),
             Self::Raw(file) => {
                 let content = heard.content();
                 let bytes = match &content {

@@ -54,6 +54,10 @@ pub(crate) struct Web {
     #[arg(short, long, value_name = "PAGE.html")]
     serve: Option<PathBuf>,
 
+    /// The bytes of this topic are sound in 16-bit samples: the page shows how loud it is (repeatable)
+    #[arg(long, value_name = "TOPIC")]
+    sound: Vec<String>,
+
     /// Keep the tokens of the links in this file, so that open pages go on when the console is started again
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
@@ -163,6 +167,7 @@ impl Web {
                     listener,
                     robots,
                     publishers,
+                    sounds: self.sound.into_iter().collect(),
                     tokens,
                     hosts: self.host,
                     page: self.serve,

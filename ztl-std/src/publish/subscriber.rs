@@ -3,6 +3,7 @@
 use std::io;
 use std::time::{Duration, Instant, SystemTime};
 
+use serde_json::json;
 use tracing::info;
 use ztl_core::topic::is_below;
 use ztl_pickle::{Kind, Pickle};
@@ -46,6 +47,9 @@ pub struct SubscriberBuilder {
     longest: Option<usize>,
 }
 
+/// How long a value in JSON may be: so many times its pickle, and this many bytes more. Shared parts are repeated.
+const JSON: (usize, usize) = (16, 64 * 1024);
+
 /// A message of a publisher.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Heard {
@@ -77,6 +81,38 @@ impl Heard {
     /// What is wrong with the pickle, or which object in it is refused.
     pub fn value(&self) -> Result<Pickle, ztl_pickle::Error> {
         Pickle::read(&self.body)
+    }
+
+    /// The message as an object in JSON: `topic`, `time` of receipt (RFC 3339, UTC), and `value`, or `error` if the value
+    /// is refused or has no JSON of at most 16 times the message's length and 64 KiB. Bytes are base64.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        let most = JSON
+            .0
+            .saturating_mul(self.body.len())
+            .saturating_add(JSON.1);
+        let read = |value: &Pickle| {
+            value
+                .value()
+                .to_json(most)
+                .map_err(|error| error.to_string())
+        };
+        let value = match self.content() {
+            Content::Value(value) => read(&value),
+            Content::Text(text) => Ok(json!(text).to_string()),
+            Content::Bytes(bytes) => match Pickle::bytes(bytes) {
+                Ok(value) => read(&value),
+                Err(error) => Err(error.to_string()),
+            },
+            Content::Refused(error) => Err(error.to_string()),
+        };
+        let (key, value) = match value {
+            Ok(value) => ("value", value),
+            Err(error) => ("error", json!(error).to_string()),
+        };
+        let topic = json!(self.topic);
+        let time = humantime::format_rfc3339_micros(self.at);
+        format!("{{\"topic\": {topic}, \"time\": \"{time}\", \"{key}\": {value}}}")
     }
 
     /// What the message contains, also if that is not a pickle.
