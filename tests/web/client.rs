@@ -123,6 +123,13 @@ impl Client {
         self.send(&json!({ "op": "unsubscribe", "topic": topic }));
     }
 
+    /// The console's clock, in milliseconds.
+    #[track_caller]
+    pub(crate) fn now_ms(&mut self) -> u64 {
+        let told = self.call("/ztl/time", &json!({}));
+        told["now_ms"].as_u64().expect("a time")
+    }
+
     /// Calls a service without waiting for the answer.
     pub(crate) fn ask(&mut self, id: &str, service: &str, args: &Value) {
         self.send(&json!({ "op": "call_service", "id": id, "service": service, "args": args }));

@@ -23,9 +23,7 @@ fn refused(result: &Value) -> &str {
 fn a_goal_that_arrives_after_its_time_is_not_sent() {
     let console = Console::of_one();
     let mut client = Client::open(port(&console.url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"]
-        .as_u64()
-        .expect("a time");
+    let now = client.now_ms();
     let wall_clock = SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .expect("a time");
@@ -54,9 +52,7 @@ fn a_goal_that_arrives_after_its_time_is_not_sent() {
 fn a_goal_that_waited_while_the_console_stood_still_is_not_sent() {
     let console = Console::of_one();
     let mut client = Client::open(port(&console.url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"]
-        .as_u64()
-        .expect("a time");
+    let now = client.now_ms();
     console.process.signal("STOP");
     client.goal(
         "g",
@@ -78,9 +74,7 @@ fn a_goal_for_a_robot_that_is_not_reached_in_time_is_not_sent_later() {
     let gone = reserve_port();
     let (_console, url) = web(0, &[("ours", gone)], &[]);
     let mut client = Client::open(port(&url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"]
-        .as_u64()
-        .expect("a time");
+    let now = client.now_ms();
     client.goal(
         "g",
         "/test/arm/left",
@@ -130,9 +124,7 @@ fn a_task_of_which_nobody_heard_in_time_is_aborted() {
     let robot = forgetful(&lost, &requests);
     let (_console, url) = web(0, &[("ours", robot.port)], &[]);
     let mut client = Client::open(port(&url));
-    let now = client.call("/ztl/time", &json!({}))["now_ms"]
-        .as_u64()
-        .expect("a time");
+    let now = client.now_ms();
     client.goal(
         "g",
         "/test/arm/left",
