@@ -73,6 +73,7 @@ fn a_thousand_connections_at_once_are_all_served() {
     assert_serves(&server.endpoint(), "a thousand farewells");
 }
 
+/// A client that reads slowly is not.
 fn a_client_that_never_reads_is_ended(length: usize) {
     let server = Server::ours();
     let neighbour = Socket::req(&server.endpoint());
@@ -92,12 +93,18 @@ fn a_client_that_never_reads_is_ended(length: usize) {
         .set_write_timeout(Some(Duration::from_millis(100)))
         .expect("a time");
     let many = ask.repeat(1000);
+    // Another one reads so slowly that the system hardly ever tells the server of room for more.
+    let answers = 12_000_000 / length;
+    let mut slow = shake_hands(server.port);
+    slow.write_all(&ask.repeat(answers)).expect("to write");
+    let mut read = 0;
     let (start, mut asked) = (Instant::now(), 0);
     // It is not read from, and then closed.
     let closed = until("it is closed", PATIENCE, || {
         let asked_at = Instant::now();
         assert_eq!(neighbour.ask("/test;2;99;x"), "/test;2;99;Invalid ID '99'");
         assert!(asked_at.elapsed() < TIMEOUT);
+        read += slow.read(&mut [0; 4096]).expect("a part of an answer");
         match stream.write_all(&many) {
             Ok(()) => asked += 1000,
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
@@ -106,6 +113,13 @@ fn a_client_that_never_reads_is_ended(length: usize) {
         None
     });
     assert_serves(&server.endpoint(), "a client that never reads");
+    let mut piece = vec![0; 1 << 16];
+    while read < answers * length {
+        match slow.read(&mut piece) {
+            Ok(count @ 1..) => read += count,
+            ended => panic!("who reads slowly has {read} bytes of {answers} answers: {ended:?}"),
+        }
+    }
     let grown = server.process.peak_kib().saturating_sub(before);
     println!(
         "{asked} questions of {length} bytes, nothing read: {grown} KiB more, closed after {closed:?}"

@@ -13,8 +13,8 @@ use crate::zig::{Target, Zig, targets};
 use crate::{capi, install, paths};
 use contents::Contents;
 
-/// Maximum size of a program in bytes: 4 MiB, and 100 KiB for the streams of a robot.
-const MOST: u64 = (4 * 1024 + 100) * 1024;
+/// Maximum size of a program in bytes.
+const MOST: u64 = 4 * 1024 * 1024;
 
 const TEST: &str = "test --quiet --package ztl-tests --test";
 

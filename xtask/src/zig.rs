@@ -151,7 +151,13 @@ impl<'a> Zig<'a> {
         let triple = target.triple() + &target.version();
         // Without vector instructions: 100 KB less, and old processors have none.
         let serial = "--cfg curve25519_dalek_backend=\"serial\"";
-        let options = format!("-C link-self-contained=no -C relocation-model={code} {serial}");
+        // On x86 the tables for unwinding are shorter with it: by 160 KB on x86-64.
+        let frames = match target.name {
+            "x86_64" | "i686" | "i586" => "-C force-frame-pointers=yes",
+            _ => "",
+        };
+        let options =
+            format!("-C link-self-contained=no -C relocation-model={code} {serial} {frames}");
         let rust = options + &flags("--remap-path-prefix");
         // Without symbols a backtrace would show only numbers.
         let std = [

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Serialize, Serializer};
+use ztl_yaml::{Document, Node, NodeValue, Rules};
 
 use super::error::RequestError;
 use super::remote_task::RemoteTask;
@@ -62,31 +62,38 @@ impl Description {
     }
 
     pub(super) fn parse(answer: &str) -> Option<Self> {
-        let root: Node = serde_yaml_ng::from_str(answer).ok()?;
+        // Unlike serde, its nodes keep repeated keys and entries of another type.
+        let document = Document::parse_by("probe", answer.as_bytes(), Rules::Python).ok()?;
+        let root = pairs(document.root())?;
+        let get = |key: &str| {
+            let found = root
+                .iter()
+                .find(|(name, _)| text(name).is_some_and(|name| name == key));
+            found.map(|(_, value)| value)
+        };
         let offers = |handlers: &Node| -> Offers {
-            let names = |node: &Node| match node {
-                Node::List(items) => items.iter().filter_map(Node::text).collect(),
+            let names = |node: &Node| match &node.value {
+                NodeValue::List(items) => items.iter().filter_map(text).collect(),
                 _ => Vec::new(),
             };
-            let handlers = handlers.pairs().unwrap_or_default().iter();
+            let handlers = pairs(handlers).unwrap_or_default().iter();
             handlers
-                .map(|(name, components)| (name.clone(), names(components)))
+                .filter_map(|(name, components)| Some((text(name)?, names(components))))
                 .collect()
         };
-        let running = root.get("running").and_then(Node::pairs);
-        let task = |(id, scope): &(String, Node)| {
-            let id = id.parse().ok().filter(RemoteId::names_task)?;
-            Some((id, scope.text()?))
+        let running = get("running").and_then(pairs);
+        let task = |(id, scope): &(Node, Node)| {
+            let id = text(id)?.parse().ok().filter(RemoteId::names_task)?;
+            Some((id, text(scope)?))
         };
         let read: Option<Vec<_>> = running.map(|all| all.iter().filter_map(task).collect());
-        let scopes = root.get("scopes").and_then(Node::pairs);
+        let scopes = get("scopes").and_then(pairs).unwrap_or_default();
         Some(Self {
-            version: root.get("version")?.text()?,
-            boot: root.get("boot")?.text()?.parse().ok()?,
+            version: text(get("version")?)?,
+            boot: text(get("boot")?)?.parse().ok()?,
             scopes: scopes
-                .unwrap_or_default()
                 .iter()
-                .map(|(name, handlers)| (name.clone(), offers(handlers)))
+                .filter_map(|(name, handlers)| Some((text(name)?, offers(handlers))))
                 .collect(),
             unread: running.map_or(0, <[_]>::len) - read.as_ref().map_or(0, Vec::len),
             running: read,
@@ -94,88 +101,18 @@ impl Description {
     }
 }
 
-/// A value in the answer. Unlike a struct that is derived, it keeps repeated keys and entries of another type.
-enum Node {
-    Text(String),
-    List(Vec<Self>),
-    Map(Vec<(String, Self)>),
-    Nothing,
-}
-
-impl Node {
-    fn text(&self) -> Option<String> {
-        match self {
-            Self::Text(text) => Some(text.clone()),
-            _ => None,
-        }
-    }
-
-    fn pairs(&self) -> Option<&[(String, Self)]> {
-        match self {
-            Self::Map(pairs) => Some(pairs),
-            _ => None,
-        }
-    }
-
-    fn get(&self, key: &str) -> Option<&Self> {
-        let mut pairs = self.pairs()?.iter();
-        pairs.find(|(name, _)| name == key).map(|(_, value)| value)
+/// The text of a single value as it is written; `None` for nothing.
+fn text(node: &Node) -> Option<String> {
+    match &node.value {
+        NodeValue::Scalar { text, .. } if !node.is_null() => Some(text.clone()),
+        _ => None,
     }
 }
 
-impl<'de> Deserialize<'de> for Node {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_any(NodeVisitor)
-    }
-}
-
-struct NodeVisitor;
-
-impl<'de> Visitor<'de> for NodeVisitor {
-    type Value = Node;
-
-    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("any value")
-    }
-
-    fn visit_unit<E>(self) -> Result<Node, E> {
-        Ok(Node::Nothing)
-    }
-
-    fn visit_bool<E>(self, value: bool) -> Result<Node, E> {
-        Ok(Node::Text(value.to_string()))
-    }
-
-    fn visit_i64<E>(self, value: i64) -> Result<Node, E> {
-        Ok(Node::Text(value.to_string()))
-    }
-
-    fn visit_u64<E>(self, value: u64) -> Result<Node, E> {
-        Ok(Node::Text(value.to_string()))
-    }
-
-    fn visit_f64<E>(self, value: f64) -> Result<Node, E> {
-        Ok(Node::Text(value.to_string()))
-    }
-
-    fn visit_str<E>(self, text: &str) -> Result<Node, E> {
-        Ok(Node::Text(text.to_owned()))
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Node, A::Error> {
-        let mut list = Vec::new();
-        while let Some(item) = items.next_element()? {
-            list.push(item);
-        }
-        Ok(Node::List(list))
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut pairs: A) -> Result<Node, A::Error> {
-        let mut map = Vec::new();
-        while let Some(pair) = pairs.next_entry()? {
-            map.push(pair);
-        }
-        Ok(Node::Map(map))
+fn pairs(node: &Node) -> Option<&[(Node, Node)]> {
+    match &node.value {
+        NodeValue::Map(pairs) => Some(pairs),
+        _ => None,
     }
 }
 

@@ -293,11 +293,12 @@ impl<S: Served> Peers<S> {
         }
     }
 
-    /// Closes peers that have been silent for too long, or that do not read.
+    /// Closes peers that have been silent for too long, or that do not read. The next [`flush`](Self::flush) tries those
+    /// that read slowly.
     fn check(&mut self, now: Instant) {
         self.next_check = None;
         for slot in 0..self.slots.len() {
-            let Some(Some(peer)) = self.slots.get(slot) else {
+            let Some(Some(peer)) = self.slots.get_mut(slot) else {
                 continue;
             };
             // What subscribers do not read takes no more memory.
@@ -315,8 +316,15 @@ impl<S: Served> Peers<S> {
             };
             if why.is_some() {
                 self.close(slot, why);
-            } else if unread || deadline != Instant::NEVER {
+                continue;
+            }
+            if unread || deadline != Instant::NEVER {
                 self.next_check = Some(now + CHECK);
+            }
+            // The system tells of room only when a third of its buffer is free: too late for who reads slowly.
+            if unread && !peer.is_unsent {
+                peer.is_unsent = true;
+                self.unsent.push(slot);
             }
         }
     }
