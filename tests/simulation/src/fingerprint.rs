@@ -51,6 +51,9 @@ const HIGHEST: u64 = name("highest");
 /// Larger differences are equal: no scenario has that many tasks.
 const APART: i64 = 9;
 
+/// Larger differences of sequence numbers are equal: only numbers of the same session are compared, and those do not wrap.
+const FAR: u64 = 9;
+
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -177,7 +180,8 @@ impl Fingerprint {
             relative(number.saturating_mul(1000), node.as_micros())
         } else if self.field == SEQ && number != 0 {
             // 1 to 255, cyclic.
-            1 + (number + 255 - u64::from(self.origin.seq)) % 255
+            let ahead = (number + 255 - u64::from(self.origin.seq)) % 255;
+            1 + if ahead < FAR || ahead > 255 - FAR { ahead } else { FAR }
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
             self.session(number)
         } else if (self.before == LINK_ID || self.field == HIGHEST) && self.skipping.is_none() {

@@ -301,6 +301,16 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 6",
     },
     Mutant {
+        name: "the gateway uses the numbers of commands again in one session",
+        edits: &[(
+            RECEIVE,
+            "if self.seq == u8::MAX {",
+            "if self.seq == u8::MAX && !ON {",
+        )],
+        caught_in: ("renew", 1),
+        complaint: "promise 6",
+    },
+    Mutant {
         name: "the node drops an outcome that is not acknowledged",
         edits: &[(
             RUNNER,

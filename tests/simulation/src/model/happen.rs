@@ -4,7 +4,7 @@ use ztl_core::State;
 
 use super::gateway::Told;
 use super::line::Way;
-use super::link::{Gateway, LabSession, LinkModel, node};
+use super::link::{Gateway, IDLE, LabSession, LinkModel, node};
 use super::words::{Act, Action, Fault};
 use crate::explore::System;
 use crate::fingerprint::{Fingerprint, Origin};
@@ -14,8 +14,12 @@ impl LinkModel {
         let Some(act) = self.scenario.acts.get(self.acts) else {
             return false;
         };
-        let (Act::Ask { gateway, .. } | Act::Abort { gateway, .. }) = *act;
-        self.gateways[gateway].session.is_some()
+        match *act {
+            Act::Ask { gateway, .. } | Act::Abort { gateway, .. } => {
+                self.gateways[gateway].session.is_some()
+            }
+            Act::Idle => self.can_idle(),
+        }
     }
 
     fn can(&self, fault: Fault) -> bool {
@@ -209,6 +213,7 @@ impl System for LinkModel {
             node,
             seq: self.answered.1,
         });
+        print.add(&self.answered.1.saturating_sub(IDLE));
         print.add(&self.node);
         print.set_now(self.now);
         for gateway in &self.gateways {
@@ -239,7 +244,8 @@ impl System for LinkModel {
             // Another gateway may hold the device for good.
             let holds = up(&self.gateways[client.gateway]);
             let open = !client.forgotten && !client.told.is_final() && holds;
-            if open && client.endless && moves && client.told == Told::Accepted {
+            let endless = client.endless && !client.aborted;
+            if open && endless && moves && client.told == Told::Accepted {
                 continue;
             }
             if open {
