@@ -1,8 +1,10 @@
-//! What devices say of themselves, beside ends that know nothing of it.
+//! What devices say of themselves, beside ends that know nothing of it; and wrong answers.
 
 use std::time::Duration;
 
-use ztl_core::link::{ADDR_ONLY_NODE, Body, Decoder, NO_SESSION, session_key};
+use ztl_core::link::{
+    ADDR_ONLY_NODE, Body, Decoder, Frame, LinkId, NO_SEQ, NO_SESSION, encode, session_key,
+};
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::{LinkEvent, Session};
 use ztl_mcu::describe::{About, Describe, Described, Goal};
@@ -174,6 +176,27 @@ impl<C: Components> Talk<C> {
         }
     }
 
+    /// Answers the command in flight instead of the node, which does not receive it.
+    fn answer(&mut self, body: Body<'_>) {
+        let key = session_key(self.hello, BOOT);
+        let mut seq = NO_SEQ;
+        for byte in self.session.poll_transmit() {
+            if self.decoder.push(byte) == Ok(true) {
+                seq = self.decoder.frame(&[key]).expect("a command").1.seq;
+            }
+        }
+        let mut bytes = [0; 64];
+        let frame = Frame {
+            addr: ADDR_ONLY_NODE,
+            seq,
+            body,
+        };
+        let len = encode(key, &frame, &mut bytes).expect("it fits");
+        self.session.handle_bytes(self.now, &bytes[..len]);
+        self.events
+            .extend(std::iter::from_fn(|| self.session.poll_event()));
+    }
+
     fn descriptions(&self) -> Vec<String> {
         let components = &self.session.device().expect("a device").components;
         let text = |bytes: &Vec<u8>| String::from_utf8(bytes.clone()).expect("UTF-8");
@@ -281,4 +304,28 @@ fn tasks_go_before_descriptions() {
         .collect();
     let begin = ["Ping", "Start", "Start", "Describe 3", "Describe 4"];
     assert_eq!(said[..5], begin, "{said:?}");
+}
+
+#[test]
+fn an_answer_for_another_task_opens_a_new_session() {
+    let (first, other) = (LinkId(1), LinkId(2));
+    let mut talk = Talk::new(described());
+    talk.pass(300);
+    let id = TaskId::new(1).expect("not 0");
+    talk.events.clear();
+    talk.session.start(talk.now, id, "one", "on");
+    talk.answer(Body::Started { task: other });
+    assert_eq!(talk.events, [LinkEvent::Lost]);
+    talk.pass(2000);
+    let rejected = |it: &LinkEvent| matches!(it, LinkEvent::TaskRejected(..));
+    assert!(talk.events.iter().any(rejected), "{:?}", talk.events);
+
+    talk.session.start(talk.now, id, "one", "on");
+    talk.answer(Body::Started { task: first });
+    talk.session.abort(talk.now, id);
+    talk.events.clear();
+    talk.answer(Body::Aborting { task: other });
+    assert_eq!(talk.events, [LinkEvent::Lost]);
+    talk.pass(2000);
+    talk.assert_serves();
 }

@@ -4,7 +4,7 @@ use ztl_core::State;
 
 use super::gateway::Told;
 use super::line::Way;
-use super::link::{Gateway, IDLE, LabSession, LinkModel, node};
+use super::link::{Gateway, LabSession, LinkModel, node};
 use super::words::{Act, Action, Fault};
 use crate::explore::System;
 use crate::fingerprint::{Fingerprint, Origin};
@@ -208,12 +208,9 @@ impl System for LinkModel {
 
     fn fingerprint(&self) -> u64 {
         let node = self.node_now();
-        let mut print = Fingerprint::new(Origin {
-            now: node,
-            node,
-            seq: self.answered.1,
-        });
-        print.add(&self.answered.1.saturating_sub(IDLE));
+        let mut print = Fingerprint::new(Origin { now: node, node });
+        let (session, seq) = self.answered;
+        print.add(&format_args!("session: {session}, seq: {seq}"));
         print.add(&self.node);
         print.set_now(self.now);
         for gateway in &self.gateways {

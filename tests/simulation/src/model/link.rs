@@ -12,6 +12,7 @@ use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
 use super::words::{Act, Action, Scenario};
 use crate::explore::System;
+use crate::fingerprint::NEARLY_ALL;
 
 type SmallNode = Node<'static, [Motor; 2], 2, 128>;
 pub(super) type LabSession = Session<Journal>;
@@ -85,8 +86,6 @@ pub(super) fn gateway_of(session: u32) -> u32 {
     (session >> 8) & 1
 }
 
-/// The sequence number at which [`Act::Idle`] ends. Higher ones are not merged with lower ones in the fingerprint.
-pub(super) const IDLE: u8 = 250;
 /// Maximum number of steps of [`Act::Idle`].
 const IDLE_STEPS: u32 = 4000;
 
@@ -326,7 +325,7 @@ impl LinkModel {
     /// Whether [`Act::Idle`] can begin: nothing is in transit.
     pub(super) fn can_idle(&self) -> bool {
         let idle = |lane: &Lane| lane.queue.is_empty() && !lane.stalled && !lane.cut;
-        idle(&self.down) && idle(&self.up) && self.answered.1 < IDLE
+        idle(&self.down) && idle(&self.up) && self.answered.1 < NEARLY_ALL
     }
 
     /// Forgets held frames that are dropped wherever they arrive, those of a session that its
@@ -382,7 +381,7 @@ impl LinkModel {
             }
             Act::Idle => {
                 for _ in 0..IDLE_STEPS {
-                    if self.answered.1 >= IDLE {
+                    if self.answered.1 >= NEARLY_ALL {
                         return Ok(());
                     }
                     self.apply(self.calm())?;

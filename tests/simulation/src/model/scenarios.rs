@@ -182,7 +182,14 @@ pub const SCENARIOS: &[Scenario] = &[
             ask(0, 1, 40),
             abort(0, 0),
         ],
-        faults: &[Copy(UP), Hold(UP), Copy(DOWN), Hold(DOWN), Drop(UP), Drop(DOWN)],
+        faults: &[
+            Copy(UP),
+            Hold(UP),
+            Copy(DOWN),
+            Hold(DOWN),
+            Drop(UP),
+            Drop(DOWN),
+        ],
         times: 1,
         ..PLAIN
     },
