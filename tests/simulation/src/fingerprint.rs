@@ -52,8 +52,10 @@ const HIGHEST: u64 = name("highest");
 /// Larger differences are equal: no scenario has that many tasks.
 const APART: i64 = 9;
 
-/// Larger differences between the sequence numbers of a session are equal, and the numbers from this one to [`NEARLY_ALL`].
+/// Larger differences between the sequence numbers of a session are equal.
 const FAR: u64 = 9;
+/// Smaller sequence numbers differ, because a delayed `Hello` opens a session again and its numbers begin again.
+const FIRST: u64 = 3;
 /// Sequence numbers from here on differ, because the gateway opens a new session after 255.
 pub const NEARLY_ALL: u8 = 250;
 
@@ -214,8 +216,8 @@ impl Fingerprint {
         let first = *self.sessions[self.current].1.get_or_insert(number);
         let ahead = (number + 255 - first) % 255;
         let near = ahead < FAR || ahead > 255 - FAR;
-        let differs = number < FAR || number >= NEARLY_ALL.into();
-        (if differs { number } else { FAR }) << 8 | (if near { ahead } else { FAR })
+        let differs = number < FIRST || number >= NEARLY_ALL.into();
+        (if differs { number } else { FIRST }) << 8 | (if near { ahead } else { FAR })
     }
 
     /// Handles a mark or a digit; words are handled as a whole.

@@ -97,7 +97,7 @@ pub const MUTANTS: &[Mutant] = &[
                 task.abort &= !ON;
             }",
         )],
-        caught_in: ("abort", 1),
+        caught_in: ("renew", 0),
         complaint: "promise 2",
     },
     Mutant {
