@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, VERSION, Welcome,
-    session_key,
+    Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, NO_SESSION, VERSION,
+    Welcome, session_key,
 };
 use ztl_core::{Instant, State, TaskId};
 
@@ -56,11 +56,11 @@ impl<J: SessionJournal> Session<J> {
                         .push_back(LinkEvent::Progress(id, text.to_owned()));
                 }
             }
-            (0, NO_SEQ, Body::Publish { topic, bytes }) => {
+            (0 | 2, NO_SEQ, Body::Publish { topic, bytes }) => {
                 self.events
                     .push_back(LinkEvent::Reading(topic, bytes.to_vec()));
             }
-            (0, NO_SEQ, Body::Log { lost, bytes }) => {
+            (0 | 2, NO_SEQ, Body::Log { lost, bytes }) => {
                 let bytes = bytes.to_vec();
                 self.events.push_back(LinkEvent::Log { lost, bytes });
             }
@@ -110,6 +110,7 @@ impl<J: SessionJournal> Session<J> {
             return;
         }
         self.session = session_key(self.session, welcome.boot);
+        self.ending = NO_SESSION;
         self.clock = Some((welcome.clock_ms, now));
         // The link timer of the device still runs from an earlier command.
         self.heard = now;
@@ -304,7 +305,9 @@ impl<J: SessionJournal> Session<J> {
         }
         if self.seq == u8::MAX {
             // The next command would get a number of this session again, and a delayed or repeated frame could fit it [3.1].
+            let ending = self.session;
             self.greet(now);
+            self.ending = ending;
         } else if self.phase == Phase::Describing {
             self.describe_next(now);
         } else {

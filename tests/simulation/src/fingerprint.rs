@@ -15,8 +15,9 @@ const PAST: Duration = Duration::from_millis(2600);
 /// Times further in the future are equal.
 const FUTURE: Duration = Duration::from_secs(60);
 
-/// Fields without influence on the behaviour: derived from others, or statistics.
-const SKIPPED: [u64; 8] = [
+/// Fields without influence on the behaviour: derived from others, statistics, or for readings, which the model has not.
+const SKIPPED: [u64; 9] = [
+    name("ending"),
     name("decoder"),
     name("bytes"),
     name("counters"),

@@ -1,4 +1,4 @@
-//! What devices say of themselves, beside ends that know nothing of it; and wrong answers.
+//! What devices say of themselves, beside ends that know nothing of it; wrong answers; and the end of a session.
 
 use std::time::Duration;
 
@@ -185,12 +185,18 @@ impl<C: Components> Talk<C> {
                 seq = self.decoder.frame(&[key]).expect("a command").1.seq;
             }
         }
+        self.tell(seq, body);
+    }
+
+    /// Sends a frame to the gateway in the session of the node.
+    fn tell(&mut self, seq: u8, body: Body<'_>) {
         let mut bytes = [0; 64];
         let frame = Frame {
             addr: ADDR_ONLY_NODE,
             seq,
             body,
         };
+        let key = session_key(self.hello, BOOT);
         let len = encode(key, &frame, &mut bytes).expect("it fits");
         self.session.handle_bytes(self.now, &bytes[..len]);
         self.events
@@ -328,4 +334,34 @@ fn an_answer_for_another_task_opens_a_new_session() {
     assert_eq!(talk.events, [LinkEvent::Lost]);
     talk.pass(2000);
     talk.assert_serves();
+}
+
+#[test]
+fn readings_of_a_full_session_arrive_until_the_next_one_begins() {
+    let mut talk = Talk::new(described());
+    talk.pass(300);
+    let reading = Body::Publish {
+        topic: 0,
+        bytes: b"4",
+    };
+    let heard = |talk: &Talk<_>| {
+        let reading = |it: &&LinkEvent| matches!(it, LinkEvent::Reading(..));
+        talk.events.iter().filter(reading).count()
+    };
+    for _ in 0..70_000 {
+        if !talk.session.is_up() {
+            break;
+        }
+        talk.pass(1);
+    }
+    assert!(!talk.session.is_up());
+    let old = talk.hello;
+    talk.tell(NO_SEQ, reading);
+    assert_eq!((heard(&talk), talk.session.counters().damaged), (1, 0));
+    talk.pass(100);
+    assert!(talk.session.is_up() && talk.hello != old);
+    talk.hello = old;
+    talk.tell(NO_SEQ, reading);
+    assert_eq!((heard(&talk), talk.session.counters().damaged), (1, 1));
+    assert!(!talk.events.contains(&LinkEvent::Lost));
 }
