@@ -216,7 +216,7 @@ impl Fingerprint {
     fn sequence(&mut self, number: u64) -> u64 {
         let first = *self.sessions[self.current].1.get_or_insert(number);
         let ahead = (number + 255 - first) % 255;
-        let near = ahead < FAR || ahead > 255 - FAR;
+        let near = !(FAR..=255 - FAR).contains(&ahead);
         let differs = number < FIRST || number >= NEARLY_ALL.into();
         (if differs { number } else { FIRST }) << 8 | (if near { ahead } else { FAR })
     }
