@@ -13,7 +13,7 @@ pub enum LinkEvent {
     Progress(TaskId, String),
     /// The task has ended, with this final state and text.
     Ended(TaskId, State, String),
-    /// The device has described itself and takes tasks.
+    /// The device has described itself and takes tasks. Again in each new session, also without [`Lost`](Self::Lost).
     Up,
     /// Nothing has answered `Hello` for the link timeout. Repeated as long as nothing answers.
     Silent,

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, VERSION, Welcome,
-    session_key,
+    Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, NO_SESSION, VERSION,
+    Welcome, session_key,
 };
 use ztl_core::{Instant, State, TaskId};
 
@@ -56,11 +56,11 @@ impl<J: SessionJournal> Session<J> {
                         .push_back(LinkEvent::Progress(id, text.to_owned()));
                 }
             }
-            (0, NO_SEQ, Body::Publish { topic, bytes }) => {
+            (0 | 2, NO_SEQ, Body::Publish { topic, bytes }) => {
                 self.events
                     .push_back(LinkEvent::Reading(topic, bytes.to_vec()));
             }
-            (0, NO_SEQ, Body::Log { lost, bytes }) => {
+            (0 | 2, NO_SEQ, Body::Log { lost, bytes }) => {
                 let bytes = bytes.to_vec();
                 self.events.push_back(LinkEvent::Log { lost, bytes });
             }
@@ -110,6 +110,7 @@ impl<J: SessionJournal> Session<J> {
             return;
         }
         self.session = session_key(self.session, welcome.boot);
+        self.ending = NO_SESSION;
         self.clock = Some((welcome.clock_ms, now));
         // The link timer of the device still runs from an earlier command.
         self.heard = now;
@@ -256,7 +257,6 @@ impl<J: SessionJournal> Session<J> {
                         description: Vec::new(),
                     });
                 }
-                self.describe_next(now);
             }
             (CommandKind::Describe(index), Body::Refused { reason }) => {
                 self.lose();
@@ -278,14 +278,12 @@ impl<J: SessionJournal> Session<J> {
                 }
                 self.next_part = index.checked_add(1);
             }
-            // Refused: there are no more. No later `Start` of this session may get the seq of this refusal: the line may
-            // repeat it then, and it would reject a task that moves [4.7].
-            (CommandKind::DescribePart(_), _) => {
-                self.next_part = None;
-                return self.greet(now);
-            }
-            (CommandKind::Start(id), Body::Started { .. }) => {
-                self.highest = self.highest.saturating_add(1);
+            // Refused: there are no more. Anything else changes nothing either.
+            (CommandKind::DescribePart(_), _) => self.next_part = None,
+            (CommandKind::Start(id), Body::Started { task })
+                if task.0 == self.highest.saturating_add(1) =>
+            {
+                self.highest = task.0;
                 self.on_started(id);
             }
             (CommandKind::Start(id), Body::Refused { reason }) => {
@@ -293,11 +291,10 @@ impl<J: SessionJournal> Session<J> {
             }
             (CommandKind::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
             // The outcome will be reported, or was reported already.
-            (CommandKind::Abort(link), Body::Aborting { .. } | Body::Refused { .. }) => {
-                if let Some(task) = self.find(link).and_then(|id| self.tasks.get_mut(&id)) {
-                    task.abort = false;
-                }
+            (CommandKind::Abort(link), Body::Aborting { task }) if task == link => {
+                self.on_abort_answered(link);
             }
+            (CommandKind::Abort(link), Body::Refused { .. }) => self.on_abort_answered(link),
             // Valid, but not an answer to the command. It is unknown what the device did; a new session
             // finds out.
             _ => {
@@ -306,6 +303,21 @@ impl<J: SessionJournal> Session<J> {
                 return self.greet_after(now, BAD_ANSWER);
             }
         }
-        self.next_command(now);
+        if self.seq == u8::MAX {
+            // The next command would get a number of this session again, and a delayed or repeated frame could fit it [3.1].
+            let ending = self.session;
+            self.greet(now);
+            self.ending = ending;
+        } else if self.phase == Phase::Describing {
+            self.describe_next(now);
+        } else {
+            self.next_command(now);
+        }
+    }
+
+    fn on_abort_answered(&mut self, link: LinkId) {
+        if let Some(task) = self.find(link).and_then(|id| self.tasks.get_mut(&id)) {
+            task.abort = false;
+        }
     }
 }

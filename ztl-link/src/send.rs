@@ -40,6 +40,7 @@ impl<J: SessionJournal> Session<J> {
             self.next_part = None;
         }
         self.session = session_number((self.random)());
+        self.ending = NO_SESSION;
         self.seq = NO_SEQ;
         self.strangers.clear();
         self.counters.sessions += 1;

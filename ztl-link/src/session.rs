@@ -36,6 +36,7 @@ impl<J: SessionJournal> Session<J> {
             random,
             phase: Phase::Down,
             session: NO_SESSION,
+            ending: NO_SESSION,
             seq: NO_SEQ,
             decoder: Decoder::new(),
             out: Vec::new(),
@@ -90,7 +91,7 @@ impl<J: SessionJournal> Session<J> {
         for &byte in bytes {
             let frame = match decoder.push(byte) {
                 Ok(false) => continue,
-                Ok(true) => decoder.frame(&[self.session, NO_SESSION]),
+                Ok(true) => decoder.frame(&[self.session, NO_SESSION, self.ending]),
                 Err(error) => Err(error),
             };
             self.on_frame(now, frame);

@@ -70,6 +70,8 @@ pub struct Session<J = ()> {
     pub(crate) phase: Phase,
     /// The session that frames are verified under: the number of the `Hello` until the `Welcome`.
     pub(crate) session: u32,
+    /// The session that has had all its commands, until the `Welcome` of the next one. Its readings and log still count.
+    pub(crate) ending: u32,
     pub(crate) seq: u8,
     pub(crate) decoder: Decoder<FRAME>,
     pub(crate) out: Vec<u8>,

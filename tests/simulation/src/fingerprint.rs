@@ -1,8 +1,9 @@
 //! Fingerprints of the real state machines: equal for equivalent states.
 //!
 //! The `Debug` output is hashed in a canonical form. Times are relative to now, and all times long past are equal. Sequence
-//! numbers are relative to the node's, task ids to the first one that appears, and session numbers are replaced by their
-//! order of appearance. An idle link then returns to an earlier state, and the number of reachable states is finite.
+//! numbers are relative to the first one of their session that appears, task ids to the first one, and session numbers are
+//! replaced by their order of appearance. An idle link then returns to an earlier state, and the number of reachable states
+//! is finite.
 
 use std::fmt::{self, Debug, Write};
 use std::time::Duration;
@@ -14,8 +15,9 @@ const PAST: Duration = Duration::from_millis(2600);
 /// Times further in the future are equal.
 const FUTURE: Duration = Duration::from_secs(60);
 
-/// Fields without influence on the behaviour: derived from others, or statistics.
-const SKIPPED: [u64; 8] = [
+/// Fields without influence on the behaviour: derived from others, statistics, or for readings, which the model has not.
+const SKIPPED: [u64; 9] = [
+    name("ending"),
     name("decoder"),
     name("bytes"),
     name("counters"),
@@ -51,6 +53,13 @@ const HIGHEST: u64 = name("highest");
 /// Larger differences are equal: no scenario has that many tasks.
 const APART: i64 = 9;
 
+/// Larger differences between the sequence numbers of a session are equal.
+const FAR: u64 = 9;
+/// Smaller sequence numbers differ, because a delayed `Hello` opens a session again and its numbers begin again.
+const FIRST: u64 = 3;
+/// Sequence numbers from here on differ, because the gateway opens a new session after 255.
+pub const NEARLY_ALL: u8 = 250;
+
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -76,15 +85,13 @@ const fn word(mut hash: u64, bytes: &[u8]) -> u64 {
     hash
 }
 
-/// The origin of times and sequence numbers.
+/// The origin of times.
 #[derive(Debug, Clone, Copy)]
 pub struct Origin {
     /// Now, on the clock of the next part.
     pub now: Instant,
     /// Now, on the node's clock.
     pub node: Instant,
-    /// The last sequence number of the node.
-    pub seq: u8,
 }
 
 /// Hashes the canonical form of `Debug` output.
@@ -92,8 +99,10 @@ pub struct Origin {
 pub struct Fingerprint {
     hash: u64,
     origin: Origin,
-    /// Session numbers in the order of their appearance.
-    sessions: Vec<u32>,
+    /// Session numbers in the order of their appearance, each with its first sequence number. The first is no session.
+    sessions: Vec<(u32, Option<u64>)>,
+    /// The last one that appeared, to which the next sequence number belongs.
+    current: usize,
     /// The first task id, to which the others are relative.
     link: Option<u64>,
     depth: u32,
@@ -114,11 +123,12 @@ pub struct Fingerprint {
 impl Fingerprint {
     /// The fingerprint of nothing.
     #[must_use]
-    pub const fn new(origin: Origin) -> Self {
+    pub fn new(origin: Origin) -> Self {
         Self {
             hash: SEED,
             origin,
-            sessions: Vec::new(),
+            sessions: vec![(0, None)],
+            current: 0,
             link: None,
             depth: 0,
             skipping: None,
@@ -176,8 +186,7 @@ impl Fingerprint {
         } else if NODE_CLOCKS.contains(&self.field) {
             relative(number.saturating_mul(1000), node.as_micros())
         } else if self.field == SEQ && number != 0 {
-            // 1 to 255, cyclic.
-            1 + (number + 255 - u64::from(self.origin.seq)) % 255
+            self.sequence(number)
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
             self.session(number)
         } else if (self.before == LINK_ID || self.field == HIGHEST) && self.skipping.is_none() {
@@ -195,17 +204,21 @@ impl Fingerprint {
             return number;
         };
         let (opened, boot) = (key >> 8, number & 0xff);
-        if opened == 0 {
-            return number;
-        }
-        let index = match self.sessions.iter().position(|known| *known == opened) {
-            Some(index) => index,
-            None => {
-                self.sessions.push(opened);
-                self.sessions.len() - 1
-            }
-        };
-        (index as u64 + 1) << 8 | boot
+        let known = self.sessions.iter().position(|known| known.0 == opened);
+        self.current = known.unwrap_or_else(|| {
+            self.sessions.push((opened, None));
+            self.sessions.len() - 1
+        });
+        (self.current as u64) << 8 | boot
+    }
+
+    /// A sequence number from 1 to 255, relative to the first one of its session.
+    fn sequence(&mut self, number: u64) -> u64 {
+        let first = *self.sessions[self.current].1.get_or_insert(number);
+        let ahead = (number + 255 - first) % 255;
+        let near = !(FAR..=255 - FAR).contains(&ahead);
+        let differs = number < FIRST || number >= NEARLY_ALL.into();
+        (if differs { number } else { FIRST }) << 8 | (if near { ahead } else { FAR })
     }
 
     /// Handles a mark or a digit; words are handled as a whole.
@@ -310,8 +323,8 @@ mod tests {
 
     #[derive(Debug)]
     struct Shown {
-        seq: u8,
         session: u32,
+        seq: u8,
         #[expect(dead_code, reason = "only shown")]
         bytes: [u8; 2],
         at: Option<Instant>,
@@ -321,8 +334,8 @@ mod tests {
 
     fn shown() -> Shown {
         Shown {
-            seq: 7,
             session: 0x0501,
+            seq: 17,
             bytes: [1, 2],
             at: Some(Instant::from_millis(900)),
             clock: Some((400, Instant::from_millis(1000))),
@@ -330,11 +343,10 @@ mod tests {
         }
     }
 
-    fn of(parts: &[&Shown], now: u64, seq: u8) -> u64 {
+    fn of(parts: &[&Shown], now: u64) -> u64 {
         let origin = Origin {
             now: Instant::from_millis(now),
             node: Instant::from_millis(now - 500),
-            seq,
         };
         let mut print = Fingerprint::new(origin);
         for part in parts {
@@ -347,39 +359,63 @@ mod tests {
     fn the_fingerprint_ignores_completed_pings() {
         let before = shown();
         let after = Shown {
-            seq: 3,
             session: 0x0901,
+            seq: 43,
             bytes: [3, 4],
             at: Some(Instant::from_millis(5900)),
             // Heard later, and as right as before.
             clock: Some((4900, Instant::from_millis(5500))),
             text: before.text,
         };
-        assert_eq!(of(&[&before], 1000, 5), of(&[&after], 6000, 1));
-        let again = Shown { seq: 1, ..shown() };
+        assert_eq!(of(&[&before], 1000), of(&[&after], 6000));
+    }
+
+    /// The fingerprint of parts with these sessions and sequence numbers.
+    fn numbered<const PARTS: usize>(numbers: [(u32, u8); PARTS]) -> u64 {
+        let parts = numbers.map(|(session, seq)| Shown {
+            session,
+            seq,
+            ..shown()
+        });
+        of(&parts.each_ref(), 1000)
+    }
+
+    #[test]
+    fn the_fingerprint_compares_sequence_numbers_of_a_session() {
+        let (one, two) = (0x0501, 0x0601);
+        let same = numbered([(one, 17), (one, 16), (two, 90), (two, 91)]);
+        assert_eq!(numbered([(one, 57), (one, 56), (two, 30), (two, 31)]), same);
+        assert_ne!(numbered([(one, 57), (one, 57), (two, 30), (two, 31)]), same);
+        assert_ne!(numbered([(one, 57), (one, 56), (two, 30), (two, 30)]), same);
+        // Long ago.
         assert_eq!(
-            of(&[&again], 1000, 1),
-            of(
-                &[&Shown {
-                    seq: 255,
-                    ..shown()
-                }],
-                1000,
-                255
-            )
+            numbered([(one, 57), (one, 40)]),
+            numbered([(one, 57), (one, 30)])
+        );
+        // First and last ones, even of another session.
+        assert_ne!(numbered([(two, 1)]), numbered([(two, 2)]));
+        assert_ne!(numbered([(two, 254)]), numbered([(two, 255)]));
+        assert_ne!(
+            numbered([(one, 57), (one, 1)]),
+            numbered([(one, 57), (one, 2)])
+        );
+        // The numbers of a faulty gateway begin again.
+        assert_ne!(
+            numbered([(one, 255), (one, 1)]),
+            numbered([(one, 255), (one, 2)])
         );
     }
 
     #[test]
     fn the_fingerprint_includes_relevant_fields() {
-        let same = of(&[&shown()], 1000, 5);
+        let same = of(&[&shown()], 1000);
         let differ = |change: fn(&mut Shown)| {
             let mut other = shown();
             change(&mut other);
-            assert_ne!(of(&[&other], 1000, 5), same, "{other:?}");
+            assert_ne!(of(&[&other], 1000), same, "{other:?}");
         };
         differ(|s| s.seq = 0);
-        differ(|s| s.seq = 8);
+        differ(|s| s.seq = 2);
         differ(|s| s.session = 0x0502);
         differ(|s| s.session = 0);
         differ(|s| s.at = None);
@@ -390,7 +426,7 @@ mod tests {
         // Two parts of one session, and of two.
         let (one, mut two) = (shown(), shown());
         two.session = 0x0601;
-        assert_ne!(of(&[&one, &one], 1000, 5), of(&[&one, &two], 1000, 5));
+        assert_ne!(of(&[&one, &one], 1000), of(&[&one, &two], 1000));
     }
 
     #[test]
@@ -399,7 +435,7 @@ mod tests {
             let mut state = shown();
             state.at = Some(Instant::from_millis(millis));
             state.clock = None;
-            of(&[&state], 100_000, 5)
+            of(&[&state], 100_000)
         };
         assert_eq!(past(0), past(97_000));
         assert_ne!(past(97_000), past(97_500));

@@ -88,6 +88,19 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 6",
     },
     Mutant {
+        name: "the gateway does not send an Abort again in another session",
+        edits: &[(
+            SEND,
+            "self.strangers.clear();",
+            "self.strangers.clear();
+            for task in self.tasks.values_mut() {
+                task.abort &= !ON;
+            }",
+        )],
+        caught_in: ("renew", 0),
+        complaint: "promise 2",
+    },
+    Mutant {
         name: "the gateway reports REJECTED before the device has refused",
         edits: &[(
             OUTCOME,
@@ -298,6 +311,16 @@ pub const MUTANTS: &[Mutant] = &[
             ),
         ],
         caught_in: ("cut", 1),
+        complaint: "promise 6",
+    },
+    Mutant {
+        name: "the gateway uses the numbers of commands again in one session",
+        edits: &[(
+            RECEIVE,
+            "if self.seq == u8::MAX {",
+            "if self.seq == u8::MAX && !ON {",
+        )],
+        caught_in: ("renew", 1),
         complaint: "promise 6",
     },
     Mutant {

@@ -148,6 +148,8 @@ struct Pair {
     boots: u32,
     down: FaultyLine,
     up: FaultyLine,
+    /// Everything that the gateway has received.
+    heard: Vec<u8>,
     world: Rc<RefCell<World>>,
     /// The goal of each task asked for.
     asked: BTreeMap<TaskId, String>,
@@ -189,6 +191,7 @@ impl Pair {
             boots: 1,
             down: line(seed | 1 << 40),
             up: line(seed | 1 << 41),
+            heard: Vec::new(),
             world,
             asked: BTreeMap::new(),
             accepted: BTreeMap::new(),
@@ -256,6 +259,7 @@ impl Pair {
         }
         let bytes = arrived(&mut self.up, self.now);
         self.session.handle_bytes(self.now, &bytes);
+        self.heard.extend_from_slice(&bytes);
         self.session.handle_timeout(self.now);
         let bytes = self.session.poll_transmit();
         self.down.handle_bytes(self.now, &bytes);
@@ -525,6 +529,51 @@ fn another_gateways_tasks_are_aborted_and_acknowledged() {
     let next = lab.ask("arm", 100);
     lab.pass(Duration::from_millis(500));
     assert_eq!(ended(&lab, next).0, State::Completed);
+}
+
+/// A device with a running task that has refused another one, and what the gateway has received so far.
+fn pair_with_a_refused_task() -> (Pair, TaskId, Vec<u8>) {
+    let mut lab = Pair::new(1);
+    lab.pass(Duration::from_millis(300));
+    let id = lab.ask("arm", 600_000);
+    lab.ask("arm", 1);
+    lab.pass(Duration::from_millis(300));
+    assert_eq!(lab.rejected.len(), 1);
+    let heard = lab.heard.clone();
+    (lab, id, heard)
+}
+
+#[test]
+fn an_answer_that_arrives_255_commands_later_rejects_no_task() {
+    let (mut lab, id, late) = pair_with_a_refused_task();
+    // Pings use up most numbers, Starts the rest.
+    lab.pass(Duration::from_secs(60));
+    let sessions = lab.session.counters().sessions;
+    for _ in 0..40 {
+        lab.ask("belt", 1);
+        lab.session.handle_bytes(lab.now, &late);
+        lab.pass(Duration::from_millis(30));
+    }
+    assert_eq!(lab.rejected.len(), 1, "{:?}", lab.rejected);
+    assert_eq!(lab.session.counters().sessions, sessions + 1);
+    assert!(!lab.ended.contains_key(&id), "the new session ended a task");
+    assert_eq!(lab.ended.len(), 40);
+    assert_eq!(lab.session.counters().lost, 0);
+    lab.abort(id);
+    lab.pass(Duration::from_millis(300));
+    lab.check();
+}
+
+#[test]
+fn an_answer_that_arrives_255_commands_later_answers_no_abort() {
+    for pings in 0..20 {
+        let (mut lab, id, late) = pair_with_a_refused_task();
+        lab.pass(Duration::from_millis(60_000 + 250 * pings));
+        lab.abort(id);
+        lab.session.handle_bytes(lab.now, &late);
+        lab.pass(Duration::from_millis(300));
+        assert_eq!(ended(&lab, id).0, State::Aborted);
+    }
 }
 
 /// Seed 10733 of the simulation: the gateway took the reset device for the earlier one, and later

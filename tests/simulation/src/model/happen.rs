@@ -14,8 +14,12 @@ impl LinkModel {
         let Some(act) = self.scenario.acts.get(self.acts) else {
             return false;
         };
-        let (Act::Ask { gateway, .. } | Act::Abort { gateway, .. }) = *act;
-        self.gateways[gateway].session.is_some()
+        match *act {
+            Act::Ask { gateway, .. } | Act::Abort { gateway, .. } => {
+                self.gateways[gateway].session.is_some()
+            }
+            Act::Idle => self.can_idle(),
+        }
     }
 
     fn can(&self, fault: Fault) -> bool {
@@ -204,11 +208,9 @@ impl System for LinkModel {
 
     fn fingerprint(&self) -> u64 {
         let node = self.node_now();
-        let mut print = Fingerprint::new(Origin {
-            now: node,
-            node,
-            seq: self.answered.1,
-        });
+        let mut print = Fingerprint::new(Origin { now: node, node });
+        let (session, seq) = self.answered;
+        print.add(&format_args!("session: {session}, seq: {seq}"));
         print.add(&self.node);
         print.set_now(self.now);
         for gateway in &self.gateways {
@@ -239,7 +241,8 @@ impl System for LinkModel {
             // Another gateway may hold the device for good.
             let holds = up(&self.gateways[client.gateway]);
             let open = !client.forgotten && !client.told.is_final() && holds;
-            if open && client.endless && moves && client.told == Told::Accepted {
+            let endless = client.endless && !client.aborted;
+            if open && endless && moves && client.told == Told::Accepted {
                 continue;
             }
             if open {

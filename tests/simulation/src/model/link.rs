@@ -12,6 +12,7 @@ use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
 use super::words::{Act, Action, Scenario};
 use crate::explore::System;
+use crate::fingerprint::NEARLY_ALL;
 
 type SmallNode = Node<'static, [Motor; 2], 2, 128>;
 pub(super) type LabSession = Session<Journal>;
@@ -31,6 +32,8 @@ pub(super) struct Client {
     pub(super) motor: usize,
     /// Whether it ends only when it is stopped.
     pub(super) endless: bool,
+    /// Whether it was aborted.
+    pub(super) aborted: bool,
     /// Whether its gateway was restarted and does not know it.
     pub(super) forgotten: bool,
     /// The boot of the device when it was started, as known to its gateway.
@@ -83,9 +86,8 @@ pub(super) fn gateway_of(session: u32) -> u32 {
     (session >> 8) & 1
 }
 
-/// A held frame is forgotten when this many commands have come after it; of pings alone, that takes
-/// two seconds.
-const COMMANDS: u32 = 8;
+/// Maximum number of steps of [`Act::Idle`].
+const IDLE_STEPS: u32 = 4000;
 
 /// A line so slow that a command is repeated after a quarter of the link timeout: the fewer moments
 /// there are at which something happens, the fewer states.
@@ -320,20 +322,22 @@ impl LinkModel {
         Ok(())
     }
 
+    /// Whether [`Act::Idle`] can begin: nothing is in transit.
+    pub(super) fn can_idle(&self) -> bool {
+        let idle = |lane: &Lane| lane.queue.is_empty() && !lane.stalled && !lane.cut;
+        idle(&self.down) && idle(&self.up) && self.answered.1 < NEARLY_ALL
+    }
+
     /// Forgets held frames that are dropped wherever they arrive, those of a session that its
-    /// gateway has left; and those held for longer than a line does, some seconds.
+    /// gateway has left.
     pub(super) fn forget(&mut self) {
-        let (latest, (session, seq)) = (self.latest, self.answered);
+        let latest = self.latest;
         let dead = |parcel: &Parcel| {
             let gateway = gateway_of(parcel.session) as usize;
             parcel.session >> 8 != 0 && parcel.session >> 8 != latest[gateway]
         };
-        let old = |parcel: &Parcel| {
-            let behind = (255 + u32::from(seq) - u32::from(parcel.seq)) % 255;
-            parcel.session == session && parcel.seq != 0 && (COMMANDS..128).contains(&behind)
-        };
         self.held
-            .retain(|(way, parcel)| !old(parcel) && (*way == Way::Down || !dead(parcel)));
+            .retain(|(way, parcel)| *way == Way::Down || !dead(parcel));
     }
 
     pub(super) fn lane(&mut self, way: Way) -> &mut Lane {
@@ -361,6 +365,7 @@ impl LinkModel {
                     gateway,
                     motor,
                     endless: millis == ENDLESS,
+                    aborted: false,
                     forgotten: false,
                     boot,
                 };
@@ -371,7 +376,17 @@ impl LinkModel {
                 })
             }
             Act::Abort { gateway, task } => {
+                self.clients[task].aborted = true;
                 self.with_session(gateway, |session| session.abort(now, task_id(task)))
+            }
+            Act::Idle => {
+                for _ in 0..IDLE_STEPS {
+                    if self.answered.1 >= NEARLY_ALL {
+                        return Ok(());
+                    }
+                    self.apply(self.calm())?;
+                }
+                Err("promise 3: the gateway sends no commands".to_owned())
             }
         }
     }

@@ -173,6 +173,27 @@ pub const SCENARIOS: &[Scenario] = &[
         ..PLAIN
     },
     Scenario {
+        name: "renew",
+        about: "a refused task, then more commands than fit a session, a task, an abort; frames are lost, delayed and repeated",
+        acts: &[
+            ask(0, 0, ENDLESS),
+            ask(0, 0, 40),
+            Act::Idle,
+            ask(0, 1, 40),
+            abort(0, 0),
+        ],
+        faults: &[
+            Copy(UP),
+            Hold(UP),
+            Copy(DOWN),
+            Hold(DOWN),
+            Drop(UP),
+            Drop(DOWN),
+        ],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
         name: "two",
         about: "two gateways on one device, each with a task; one is killed, the line is bad",
         gateways: 2,

@@ -22,6 +22,8 @@ pub enum Act {
         /// The task, from 0 in the order of starting.
         task: usize,
     },
+    /// The clients do nothing until a gateway has sent nearly all commands that fit a session.
+    Idle,
 }
 
 /// A fault. Each takes one of the faults that a scenario allows; its duration and end take none.

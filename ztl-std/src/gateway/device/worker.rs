@@ -76,8 +76,8 @@ pub(super) struct Worker {
     target: Option<PathBuf>,
     /// What is wrong with the line or the device, for reasons and the log.
     problem: Option<String>,
-    /// Whether the device was ready and nothing has been wrong since. A new session after the question for descriptions
-    /// changes nothing.
+    /// Whether the device was ready and nothing has been wrong since. The new session that follows 255 commands changes
+    /// nothing.
     ready: bool,
     log: RateLimitedLog,
     tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
