@@ -30,7 +30,7 @@
 
 use ztl_core::link::DESCRIPTION_PART;
 
-use crate::component::{Component, Components};
+use crate::component::{Component, Components, Ticking};
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -53,6 +53,10 @@ pub trait DescribeAll {
 
 impl<T: Describe, const N: usize> DescribeAll for [T; N] {
     const DESCRIPTIONS: &'static [&'static str] = &[T::DESCRIPTION; N];
+}
+
+impl<C: DescribeAll> DescribeAll for Ticking<C> {
+    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
 }
 
 impl<C: DescribeAll + ?Sized> DescribeAll for &mut C {
@@ -88,6 +92,7 @@ impl<C: Components + DescribeAll> Components for Described<C> {
         );
         true
     };
+    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         self.0.count()

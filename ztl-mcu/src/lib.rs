@@ -57,6 +57,7 @@
 //! | to | use | feature |
 //! |---|---|---|
 //! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
+//! | work without a task: control loops, status lights | [`Component::next_tick`], [`Ticking`] | |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
@@ -87,7 +88,7 @@ pub mod shared;
 #[cfg(feature = "zmtp")]
 pub mod zmtp;
 
-pub use component::{Component, Components, Reading, Refused, Report, Run};
+pub use component::{Component, Components, Reading, Refused, Report, Run, Ticking};
 #[cfg(feature = "serde")]
 pub use goal::parse_goal;
 pub use node::{Counters, Identity, Node, Reason};

@@ -92,8 +92,8 @@ const fn cut(text: &str, mut most: usize) -> &str {
 /// **Work.** The work of each call is bounded for any input:
 /// - `handle_bytes` takes some ten instructions a byte. At the end of a frame it verifies the checksum, at most
 ///   twice, and makes one call of `check`, `start` or `abort`.
-/// - `handle_timeout` calls `poll` once for each running task that is due, and `start` for one that waited. When
-///   the link is lost, it calls `make_safe` once and `poll` twice for each component.
+/// - `handle_timeout` calls `poll` once for each running task and tick that is due, and `start` for one that
+///   waited. When the link is lost, it calls `make_safe` once and `poll` twice for each component.
 /// - The outputs produce one frame of at most `FRAME` bytes at a time, and call `offer` and `poll_reading` once
 ///   for each component.
 ///

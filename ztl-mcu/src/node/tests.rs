@@ -6,6 +6,7 @@ mod policies;
 mod readings;
 mod refusals;
 mod safety;
+mod ticks;
 
 use super::*;
 use crate::component::{Component, Refused, Report, Run};
