@@ -58,6 +58,7 @@
 //! |---|---|---|
 //! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
 //! | work without a task: control loops, status lights | [`Component::next_tick`], [`Ticking`] | |
+//! | move a part with an async driver (`embedded-hal-async`) | `driver` | `async`, `critical-section` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
@@ -75,6 +76,8 @@ mod component;
 #[cfg(feature = "components")]
 pub mod components;
 pub mod describe;
+#[cfg(all(feature = "async", feature = "critical-section"))]
+pub mod driver;
 #[cfg(feature = "serde")]
 mod goal;
 pub mod log;

@@ -3,7 +3,7 @@
 //! The panic handler calls a function that does not exist. If the optimiser proves that no panic is reachable, it removes
 //! the handler, and the linker does not need that function. So linking is the proof.
 //!
-//! `Pump::run` is left out, because every `async` block panics if it is polled after its end. No input makes an executor do
+//! `Pump::run` and `Slot::run` are left out, because every `async` block panics if it is polled after its end. No input makes an executor do
 //! that, but the optimiser cannot know.
 #![no_std]
 #![no_main]
@@ -36,6 +36,7 @@ use ztl_mcu::components::{
     StepMotor, Stepper, StepperConfig, Switch,
 };
 use ztl_mcu::describe::{DescribeAll, Described};
+use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
 use ztl_mcu::pump::Pump;
@@ -74,7 +75,7 @@ extern "C" fn main() -> ! {
     let mut components: [&mut dyn Component; 2] = [one, two];
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new())));
+    let mut long_framed = Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new(), &SLOT)));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -528,6 +529,24 @@ impl Part {
             queued: Queued::new(),
         }
     }
+}
+
+/// The place of a driver that another task of the firmware runs.
+static SLOT: Slot<'static, Motor> = Slot::new(Offer::new("motor"));
+
+struct Motor;
+
+impl Driver for Motor {
+    fn check(goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        black_box(goal);
+        black_box(Ok(()))
+    }
+
+    async fn run(&mut self, _: &str, _: Progress<'_>) -> Result<(), Failed> {
+        Err(Failed)
+    }
+
+    async fn make_safe(&mut self) {}
 }
 
 impl Component for Part {
