@@ -61,6 +61,7 @@
 //! | move a part with an async driver (`embedded-hal-async`) | `driver` | `async`, `critical-section` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
+//! | learn whether a gateway is there | [`Node::link`] | |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
 //! | share data with interrupts | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
@@ -94,6 +95,6 @@ pub mod zmtp;
 pub use component::{Component, Components, Reading, Refused, Report, Run, Ticking};
 #[cfg(feature = "serde")]
 pub use goal::parse_goal;
-pub use node::{Counters, Identity, Node, Reason};
+pub use node::{Counters, Identity, LinkUp, Node, Reason};
 pub use reading::{Latest, NotKept, Queued};
 pub use ztl_core::{Instant, description, goal_fields, link};

@@ -414,7 +414,7 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
         1 => node.clear_stop(),
         _ => {}
     }
-    black_box((node.counters(), node.is_stopped()));
+    black_box((node.counters(), node.is_stopped(), node.link(now())));
     black_box(node.components_mut());
     for &byte in input {
         RECEIVED.push(byte);
