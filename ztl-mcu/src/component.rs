@@ -167,7 +167,7 @@ impl<T: Component + ?Sized> Component for &mut T {
     }
 }
 
-/// The components of a node: an array of one type, a tuple of up to six types, or a mutable reference to
+/// The components of a node: an array of one type, a tuple of up to twelve types, or a mutable reference to
 /// either or to a slice, such as `&mut [&mut dyn Component]`.
 ///
 /// Their order gives their index on the link.
@@ -311,6 +311,12 @@ tuples! {
     4: A 0, B 1, C 2, D 3;
     5: A 0, B 1, C 2, D 3, E 4;
     6: A 0, B 1, C 2, D 3, E 4, F 5;
+    7: A 0, B 1, C 2, D 3, E 4, F 5, G 6;
+    8: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7;
+    9: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8;
+    10: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9;
+    11: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10;
+    12: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10, L 11;
 }
 
 /// A component's progress, result, or reason for a refusal, in a buffer of fixed length.
@@ -351,6 +357,31 @@ impl<'a> Report<'a> {
         put_fixed(&mut sink, value, decimals);
         let digits = sink.finish().unwrap_or_default();
         self.text(core::str::from_utf8(digits).unwrap_or_default());
+    }
+
+    /// Adds a value as text that programs read: a struct as a mapping, numbers with this many decimals
+    /// ([`ztl_core::goal`] describes the format).
+    ///
+    /// ```
+    /// # let mut text = ztl_mcu::Reason::new();
+    /// # let mut report = ztl_mcu::Report::new(&mut text);
+    /// #[derive(serde::Serialize)]
+    /// struct Grip { width: f32, held: bool }
+    ///
+    /// report.value(&Grip { width: 20.25, held: true }, 1)?;
+    /// assert_eq!(report.as_str(), "{'width': 20.2, 'held': True}");
+    /// # Ok::<(), ztl_mcu::WriteError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`WriteError`](crate::WriteError) if the value has too many levels, or its own code fails. A text that does not fit
+    /// is cut and is then no value: keep it short.
+    #[cfg(feature = "serde")]
+    pub fn value<T>(&mut self, value: &T, decimals: u8) -> Result<(), ztl_core::goal::WriteError>
+    where
+        T: serde::Serialize + ?Sized,
+    {
+        ztl_core::goal::to_sink_with(value, ztl_core::goal::Fixed(decimals), self)
     }
 }
 
@@ -407,6 +438,9 @@ mod tests {
     fn arrays_tuples_and_references_keep_their_component_order() {
         assert_eq!(names([Named("a"), Named("b")]), ["a", "b"]);
         assert_eq!(names((Named("a"),)), ["a"]);
+        let [a, b, c] = ["a", "b", "c"].map(|name| move || Named(name));
+        let twelve = (a(), b(), c(), a(), b(), c(), a(), b(), c(), a(), b(), c());
+        assert_eq!(names(twelve), ["a", "b", "c"].repeat(4));
         let (mut one, mut other) = (Named("b"), Named("c"));
         assert_eq!(names((Named("a"), &mut one, &mut other)), ["a", "b", "c"]);
         let mut list: [&mut dyn Component; 2] = [&mut one, &mut other];

@@ -45,7 +45,7 @@ impl<T: Describe + ?Sized> Describe for &mut T {
     const DESCRIPTION: &'static str = T::DESCRIPTION;
 }
 
-/// Components of types that describe themselves: an array of one type, or a tuple of up to six.
+/// Components of types that describe themselves: an array of one type, or a tuple of up to twelve.
 pub trait DescribeAll {
     /// In the order of the components.
     const DESCRIPTIONS: &'static [&'static str];
@@ -78,6 +78,12 @@ tuples! {
     A B C D;
     A B C D E;
     A B C D E F;
+    A B C D E F G;
+    A B C D E F G H;
+    A B C D E F G H I;
+    A B C D E F G H I J;
+    A B C D E F G H I J K;
+    A B C D E F G H I J K L;
 }
 
 /// Components whose descriptions the node sends, if the gateway asks for them.

@@ -75,7 +75,8 @@ extern "C" fn main() -> ! {
     let mut components: [&mut dyn Component; 2] = [one, two];
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new(), &SLOT)));
+    let mut long_framed =
+        Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new(), &SLOT)));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -419,6 +420,7 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
     for &byte in input {
         RECEIVED.push(byte);
     }
+    RECEIVED.push_slice(input);
     LOG.push(input);
     STOP.raise();
     END.report();
@@ -577,6 +579,10 @@ impl Component for Part {
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
         report.text(black_box("text"));
         report.number(f32::from_bits(any()), receive());
+        let _ = black_box(report.value(
+            &(any(), f32::from_bits(any()), black_box("text")),
+            receive(),
+        ));
         black_box(Run::Running)
     }
 
