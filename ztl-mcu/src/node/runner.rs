@@ -76,7 +76,8 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 Some(task) => now >= task.wake,
                 None => safety && goes_to_safety(component, self.all_to_safety),
             };
-            if !due && !(C::TICKING && now >= component.next_tick()) {
+            let tick = C::TICKING && now >= component.next_tick();
+            if !due && !tick {
                 continue;
             }
             let mut text = TaskText::new();
