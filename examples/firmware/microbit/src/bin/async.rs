@@ -38,7 +38,11 @@ fn parse(goal: &str) -> Option<(bool, Option<u32>)> {
 }
 
 fn shine(light: bool) {
-    let Ok(()) = if light { Lamp.set_high() } else { Lamp.set_low() };
+    let Ok(()) = if light {
+        Lamp.set_high()
+    } else {
+        Lamp.set_low()
+    };
 }
 
 impl Driver for AsyncLamp<'_> {
@@ -71,17 +75,18 @@ impl Driver for AsyncLamp<'_> {
     }
 }
 
+type LampSlot<'c> = Slot<'static, AsyncLamp<'c>>;
+
 #[entry]
 fn main() -> ! {
     let Some(core) = Peripherals::take() else {
         SCB::sys_reset()
     };
-    let slot: Slot<'_, AsyncLamp<'_>> = Slot::new(Offer::new("lamp"));
+    let slot = LampSlot::new(Offer::new("lamp"));
     let now = Cell::new(Instant::ZERO);
     let mut lamp = AsyncLamp { now: &now };
     let mut driver = pin!(slot.run(&mut lamp));
-    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), random::word());
-    let mut node = Node::<_, 2, 128>::new(identity, [&slot]);
+    let mut node = node(&slot);
     let mut uart = Uart::start();
     let mut clock = SysTick::<16_000>::start(core.SYST);
     let mut received = [0; 32];
@@ -96,6 +101,13 @@ fn main() -> ! {
         let Ok(sent) = uart.write(node.transmit_buf(now.get(), &()));
         node.consume(sent);
     }
+}
+
+// Apart, so that nothing but the node stays on the stack.
+#[inline(never)]
+fn node<'s, 'c>(slot: &'s LampSlot<'c>) -> Node<'static, [&'s LampSlot<'c>; 1], 2, 128> {
+    let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), random::word());
+    Node::new(identity, [slot])
 }
 
 board_support::handlers!();
