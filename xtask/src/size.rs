@@ -316,8 +316,15 @@ mod tests {
             assert!(refuse_formatting(&image(name)).is_err(), "{name}");
         }
         let panics = image("_RNvNtCseold96UKqg_4core9panicking5panic");
-        assert!(refuse_panics(&panics).is_err());
+        for allowed in [&[], RESUMED] {
+            assert!(refuse_panics(&panics, allowed).is_err());
+        }
         assert!(refuse_formatting(&panics).is_ok());
+        let resumed = image(
+            "_ZN4core9panicking11panic_const28panic_const_async_fn_resumed17he42edfd832160e44E",
+        );
+        assert!(refuse_panics(&resumed, RESUMED).is_ok());
+        assert!(refuse_panics(&resumed, &[]).is_err());
     }
 
     #[test]
