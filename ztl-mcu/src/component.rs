@@ -40,9 +40,10 @@ pub struct Reading {
 /// A part that carries out one task at a time.
 ///
 /// The node calls `check` for each task that arrives and `start` for one that may begin. It then calls `poll`
-/// when `poll_timeout` asks for it, until `poll` returns something other than [`Run::Running`]. Without a task it
-/// calls `poll` only if [`next_tick`](Self::next_tick) asks for it, or after `make_safe`. It calls `abort`, `make_safe` and `poll_reading` at any time. No call may block, because the main loop makes each
-/// of them between two bytes of the link.
+/// when `poll_timeout` asks for it, until `poll` returns something other than [`Run::Running`]. Without a task
+/// it calls `poll` only if [`next_tick`](Self::next_tick) asks for it, or after `make_safe`. It calls `abort`,
+/// `make_safe` and `poll_reading` at any time. No call may block, because the main loop makes each of them
+/// between two bytes of the link.
 ///
 /// **A second task.** The node never runs two tasks on one component. The offer chooses what happens to the
 /// second one ([`Busy`](ztl_core::link::Busy)):
