@@ -23,12 +23,15 @@ const MEASURED: &str = "microbit";
 /// An image with a network stack, and the feature that it needs.
 const NETWORKED: &str = "ethernet";
 
-/// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, a bare
-/// serial port, and servers for ZeroMQ clients without a gateway.
+/// An image with an async driver, and the feature that it needs.
+const ASYNC: &str = "async";
+
+/// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the
+/// same with an async driver, a bare serial port, and servers for ZeroMQ clients without a gateway.
 const MORE: &[(&str, &[&str])] = &[
     (
         MEASURED,
-        &["quiet", "described", "smallest", "uart", "zmtp"],
+        &["quiet", "described", "smallest", ASYNC, "uart", "zmtp"],
     ),
     ("lm3s6965evb", &["zmtp", NETWORKED]),
     ("mps2-an386", &["uart", "zmtp"]),
@@ -89,17 +92,27 @@ pub(crate) fn has_foreign_code(image: &str) -> bool {
     image.ends_with(NETWORKED)
 }
 
+/// Whether an image needs the feature of its name.
+fn needs_feature(image: &str) -> bool {
+    [NETWORKED, ASYNC].contains(&image)
+}
+
+/// Whether an image has async functions.
+pub(crate) fn is_async(image: &str) -> bool {
+    image.ends_with(ASYNC)
+}
+
 /// Lints and builds all of them, and counts cycles.
 pub(crate) fn check(project: &Project) -> Result<()> {
     for board in boards(&project.sh)? {
         // Debian's compiler is not the one that clippy belongs to.
         if let core @ Core::Compiled(_) = Core::provide(&project.sh, &board.target)? {
-            let networked = images(&board).contains(&NETWORKED);
-            let sets: [&[&str]; 2] = [&[], &["--features", NETWORKED]];
-            for features in sets.iter().take(1 + usize::from(networked)) {
+            let special = images(&board).iter().filter(|image| needs_feature(image));
+            let features = special.map(|feature| vec!["--features", *feature]);
+            for features in core::iter::once(Vec::new()).chain(features) {
                 let clippy = core.cargo(project, "clippy", &board.target, "firmware")?;
                 let clippy = clippy.args(["--release", "--manifest-path", MANIFEST, "--package"]);
-                let clippy = clippy.arg(&board.name).args(*features);
+                let clippy = clippy.arg(&board.name).args(features);
                 clippy.args(["--", "-D", "warnings"]).run()?;
             }
         }
@@ -121,12 +134,12 @@ pub(crate) fn build(project: &Project, board: &Board) -> Result<Vec<PathBuf>> {
     let mut paths = vec![build_image(project, board, &board.name, &[])?];
     for image in images(board) {
         // They do not log.
-        let features: &[&str] = match *image {
-            NETWORKED => &["--no-default-features", "--features", NETWORKED],
-            _ => &["--no-default-features"],
-        };
+        let mut features = vec!["--no-default-features"];
+        if needs_feature(image) {
+            features.extend(["--features", *image]);
+        }
         let image = format!("{}-{image}", board.name);
-        paths.push(build_image(project, board, &image, features)?);
+        paths.push(build_image(project, board, &image, &features)?);
     }
     Ok(paths)
 }

@@ -40,9 +40,10 @@ pub struct Reading {
 /// A part that carries out one task at a time.
 ///
 /// The node calls `check` for each task that arrives and `start` for one that may begin. It then calls `poll`
-/// when `poll_timeout` asks for it, until `poll` returns something other than [`Run::Running`]. It calls
-/// `abort`, `make_safe` and `poll_reading` at any time. No call may block, because the main loop makes each
-/// of them between two bytes of the link.
+/// when `poll_timeout` asks for it, until `poll` returns something other than [`Run::Running`]. Without a task
+/// it calls `poll` only if [`next_tick`](Self::next_tick) asks for it, or after `make_safe`. It calls `abort`,
+/// `make_safe` and `poll_reading` at any time. No call may block, because the main loop makes each of them
+/// between two bytes of the link.
 ///
 /// **A second task.** The node never runs two tasks on one component. The offer chooses what happens to the
 /// second one ([`Busy`](ztl_core::link::Busy)):
@@ -85,7 +86,8 @@ pub trait Component {
     /// Advances the task and reports its progress. Any result but [`Run::Running`] ends the task.
     ///
     /// After `make_safe` the node also calls it without a task: [`Run::Running`] means that the safe state is
-    /// not reached yet. It may be called again after that, and must leave the component safe.
+    /// not reached yet. It may be called again after that, and must leave the component safe. A component with
+    /// a [tick](Self::next_tick) is called without a task too; the return value then says the same.
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run;
 
     /// Stops the task as soon as it is safe. A later `poll` returns [`Run::Aborted`], or how else it ended.
@@ -95,14 +97,25 @@ pub trait Component {
     /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that means to keep the position under power.
     ///
     /// What takes time, such as slowing down, continues in `poll` until it returns something other than
-    /// [`Run::Running`]. Do not continue the task: it ends with any return value of `poll`.
+    /// [`Run::Running`]. Until then `poll_timeout` or `next_tick` must ask for the next one: a component that asks
+    /// for none counts as safe. Do not continue the task: it ends with any return value of `poll`.
     fn make_safe(&mut self, now: Instant);
 
     /// When to call `poll` next; the node asks after each `poll` of a task. Also when to call `poll_reading`,
     /// if the offer names topics and there was no reading. With [`Instant::NEVER`] only an abort, the loss of
-    /// the link or an emergency stop causes the next `poll`. Defaults to 10 ms from now.
+    /// the link, an emergency stop or a tick causes the next `poll`. Defaults to 10 ms from now.
     fn poll_timeout(&self, now: Instant) -> Instant {
         now + Duration::from_millis(10)
+    }
+
+    /// When to call `poll` next with or without a task: for a control loop, a status light, a motor that slows
+    /// down after its task has ended. Defaults to [`Instant::NEVER`]. The node asks only components in
+    /// [`Ticking`].
+    ///
+    /// Return a time that the component stores, and move it on in `poll`: `now` plus the interval. While the
+    /// time has passed, every turn of the main loop calls `poll`. Each component has its own interval.
+    fn next_tick(&self) -> Instant {
+        Instant::NEVER
     }
 
     /// Writes the next reading into `buffer`, if one is due and fits. Defaults to `None`.
@@ -146,18 +159,25 @@ impl<T: Component + ?Sized> Component for &mut T {
         T::poll_timeout(self, now)
     }
 
+    fn next_tick(&self) -> Instant {
+        T::next_tick(self)
+    }
+
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         T::poll_reading(self, now, buffer)
     }
 }
 
-/// The components of a node: an array of one type, a tuple of up to six types, or a mutable reference to
+/// The components of a node: an array of one type, a tuple of up to twelve types, or a mutable reference to
 /// either or to a slice, such as `&mut [&mut dyn Component]`.
 ///
 /// Their order gives their index on the link.
 pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
+
+    /// Whether the node asks them for [ticks](Component::next_tick). If not, it has no code for that.
+    const TICKING: bool = false;
 
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
@@ -207,6 +227,7 @@ impl<T: Component, const N: usize> Components for [T; N] {
 
 impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
+    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -222,6 +243,41 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn description(&self, index: usize) -> &str {
         C::description(self, index)
+    }
+}
+
+/// Components that the node also polls without a task, each when its [`next_tick`](Component::next_tick) asks for
+/// it.
+///
+/// ```
+/// use ztl_mcu::{Component, Components, Ticking};
+///
+/// fn loops<C: Component, S: Component>(arm: C, lamp: S) -> impl Components {
+///     // Instead of `(arm, lamp)`, for `Node::new`; with descriptions `Described(Ticking((arm, lamp)))`.
+///     Ticking((arm, lamp))
+/// }
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Ticking<C>(pub C);
+
+impl<C: Components> Components for Ticking<C> {
+    const DESCRIBED: bool = C::DESCRIBED;
+    const TICKING: bool = true;
+
+    fn count(&self) -> usize {
+        self.0.count()
+    }
+
+    fn component(&self, index: usize) -> Option<&dyn Component> {
+        self.0.component(index)
+    }
+
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+        self.0.component_mut(index)
+    }
+
+    fn description(&self, index: usize) -> &str {
+        self.0.description(index)
     }
 }
 
@@ -256,6 +312,12 @@ tuples! {
     4: A 0, B 1, C 2, D 3;
     5: A 0, B 1, C 2, D 3, E 4;
     6: A 0, B 1, C 2, D 3, E 4, F 5;
+    7: A 0, B 1, C 2, D 3, E 4, F 5, G 6;
+    8: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7;
+    9: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8;
+    10: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9;
+    11: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10;
+    12: A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8, J 9, K 10, L 11;
 }
 
 /// A component's progress, result, or reason for a refusal, in a buffer of fixed length.
@@ -296,6 +358,31 @@ impl<'a> Report<'a> {
         put_fixed(&mut sink, value, decimals);
         let digits = sink.finish().unwrap_or_default();
         self.text(core::str::from_utf8(digits).unwrap_or_default());
+    }
+
+    /// Adds a value as text that programs read: a struct as a mapping, numbers with this many decimals
+    /// ([`ztl_core::goal`] describes the format).
+    ///
+    /// ```
+    /// # let mut text = ztl_mcu::Reason::new();
+    /// # let mut report = ztl_mcu::Report::new(&mut text);
+    /// #[derive(serde::Serialize)]
+    /// struct Grip { width: f32, held: bool }
+    ///
+    /// report.value(&Grip { width: 20.25, held: true }, 1)?;
+    /// assert_eq!(report.as_str(), "{'width': 20.2, 'held': True}");
+    /// # Ok::<(), ztl_mcu::WriteError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`WriteError`](crate::WriteError) if the value has too many levels, or its own code fails. A text that does not fit
+    /// is cut and is then no value: keep it short.
+    #[cfg(feature = "serde")]
+    pub fn value<T>(&mut self, value: &T, decimals: u8) -> Result<(), ztl_core::goal::WriteError>
+    where
+        T: serde::Serialize + ?Sized,
+    {
+        ztl_core::goal::to_sink_with(value, ztl_core::goal::Fixed(decimals), self)
     }
 }
 
@@ -352,6 +439,9 @@ mod tests {
     fn arrays_tuples_and_references_keep_their_component_order() {
         assert_eq!(names([Named("a"), Named("b")]), ["a", "b"]);
         assert_eq!(names((Named("a"),)), ["a"]);
+        let [a, b, c] = ["a", "b", "c"].map(|name| move || Named(name));
+        let twelve = (a(), b(), c(), a(), b(), c(), a(), b(), c(), a(), b(), c());
+        assert_eq!(names(twelve), ["a", "b", "c"].repeat(4));
         let (mut one, mut other) = (Named("b"), Named("c"));
         assert_eq!(names((Named("a"), &mut one, &mut other)), ["a", "b", "c"]);
         let mut list: [&mut dyn Component; 2] = [&mut one, &mut other];

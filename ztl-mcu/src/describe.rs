@@ -30,7 +30,7 @@
 
 use ztl_core::link::DESCRIPTION_PART;
 
-use crate::component::{Component, Components};
+use crate::component::{Component, Components, Ticking};
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -45,7 +45,7 @@ impl<T: Describe + ?Sized> Describe for &mut T {
     const DESCRIPTION: &'static str = T::DESCRIPTION;
 }
 
-/// Components of types that describe themselves: an array of one type, or a tuple of up to six.
+/// Components of types that describe themselves: an array of one type, or a tuple of up to twelve.
 pub trait DescribeAll {
     /// In the order of the components.
     const DESCRIPTIONS: &'static [&'static str];
@@ -53,6 +53,10 @@ pub trait DescribeAll {
 
 impl<T: Describe, const N: usize> DescribeAll for [T; N] {
     const DESCRIPTIONS: &'static [&'static str] = &[T::DESCRIPTION; N];
+}
+
+impl<C: DescribeAll> DescribeAll for Ticking<C> {
+    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
 }
 
 impl<C: DescribeAll + ?Sized> DescribeAll for &mut C {
@@ -74,6 +78,12 @@ tuples! {
     A B C D;
     A B C D E;
     A B C D E F;
+    A B C D E F G;
+    A B C D E F G H;
+    A B C D E F G H I;
+    A B C D E F G H I J;
+    A B C D E F G H I J K;
+    A B C D E F G H I J K L;
 }
 
 /// Components whose descriptions the node sends, if the gateway asks for them.
@@ -88,6 +98,7 @@ impl<C: Components + DescribeAll> Components for Described<C> {
         );
         true
     };
+    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         self.0.count()

@@ -57,11 +57,16 @@
 //! | to | use | feature |
 //! |---|---|---|
 //! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
+//! | work without a task: control loops, status lights | [`Component::next_tick`], [`Ticking`] | |
+//! | move a part with an async driver (`embedded-hal-async`) | `driver` | `async`, `critical-section` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
+//! | learn whether a gateway is there | [`Node::link`] | |
+//! | report results as structs | [`Report`]`::value` | `serde` (default) |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
-//! | share data with interrupts | `shared`: received bytes, emergency stop, limit switches, log | `critical-section` |
+//! | use a port of a HAL on `embedded-io` 0.6 | `pump::Io06` | `embedded-io-06` |
+//! | share data with interrupts | `shared`: received bytes (also by DMA), emergency stop, limit switches, log | `critical-section` |
 //! | send defmt's log over the link | `defmt_logger!` | `defmt` |
 //! | use the protocol directly | [`link`], and `docs/link.md` | |
 //! | serve clients without a gateway, over TCP or USB | `zmtp`, and `docs/zmtp.md` | `zmtp` |
@@ -74,6 +79,8 @@ mod component;
 #[cfg(feature = "components")]
 pub mod components;
 pub mod describe;
+#[cfg(all(feature = "async", feature = "critical-section"))]
+pub mod driver;
 #[cfg(feature = "serde")]
 mod goal;
 pub mod log;
@@ -87,9 +94,11 @@ pub mod shared;
 #[cfg(feature = "zmtp")]
 pub mod zmtp;
 
-pub use component::{Component, Components, Reading, Refused, Report, Run};
+pub use component::{Component, Components, Reading, Refused, Report, Run, Ticking};
 #[cfg(feature = "serde")]
 pub use goal::parse_goal;
-pub use node::{Counters, Identity, Node, Reason};
+pub use node::{Counters, Identity, LinkUp, Node, Reason};
 pub use reading::{Latest, NotKept, Queued};
+#[cfg(feature = "serde")]
+pub use ztl_core::goal::WriteError;
 pub use ztl_core::{Instant, description, goal_fields, link};

@@ -24,7 +24,7 @@ use frame_out::{FrameOut, longest};
 use link_state::{Answer, LinkState, count};
 use tasks::Table;
 
-pub use link_state::Counters;
+pub use link_state::{Counters, LinkUp};
 pub use refusal::Reason;
 pub(crate) use runner::TaskRunner;
 
@@ -92,14 +92,14 @@ const fn cut(text: &str, mut most: usize) -> &str {
 /// **Work.** The work of each call is bounded for any input:
 /// - `handle_bytes` takes some ten instructions a byte. At the end of a frame it verifies the checksum, at most
 ///   twice, and makes one call of `check`, `start` or `abort`.
-/// - `handle_timeout` calls `poll` once for each running task that is due, and `start` for one that waited. When
-///   the link is lost, it calls `make_safe` once and `poll` twice for each component.
+/// - `handle_timeout` calls `poll` once for each running task and tick that is due, and `start` for one that
+///   waited. When the link is lost, it calls `make_safe` once and `poll` twice for each component.
 /// - The outputs produce one frame of at most `FRAME` bytes at a time, and call `offer` and `poll_reading` once
 ///   for each component.
 ///
 /// Tasks are searched in sequence, so all of this grows with `TASKS`.
 ///
-/// Two nodes are equal if they behave the same from now on; their counters do not matter.
+/// Two nodes are equal if they behave the same from now on; their counters, and since when the link is up, do not matter.
 #[derive(Debug, Clone)]
 pub struct Node<'a, C, const TASKS: usize, const FRAME: usize> {
     counters: Counters,
@@ -149,6 +149,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 errors: 0,
                 repeats: 0,
                 out_of_sequence: 0,
+                up_since: Instant::ZERO,
             },
             decoder: Decoder::new(),
             state: LinkState {
@@ -308,6 +309,16 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     #[must_use]
     pub const fn is_stopped(&self) -> bool {
         self.state.runner.is_stopped()
+    }
+
+    /// The gateway and since when the link is up, or `None`: there was no command yet, or none for the link timeout.
+    #[must_use]
+    pub fn link(&self, now: Instant) -> Option<LinkUp> {
+        let lost_at = self.state.lost_at;
+        (lost_at != Instant::NEVER && now < lost_at).then_some(LinkUp {
+            gateway: self.state.gateway,
+            since: self.counters.up_since,
+        })
     }
 
     /// Statistics of the line.

@@ -35,6 +35,8 @@
 use core::cell::Cell;
 use core::convert::Infallible;
 #[cfg(feature = "async")]
+use core::future::poll_fn;
+#[cfg(feature = "async")]
 use core::task::{Context, Poll, Waker};
 
 use critical_section::{CriticalSection, Mutex};
@@ -45,13 +47,19 @@ use crate::pieces::in_pieces;
 
 /// Bytes copied in one critical section.
 const COPIED: usize = 16;
+/// Bytes pushed one by one in one critical section.
+const PUSHED: usize = 8;
 
 /// A queue of bytes from a receive interrupt to the main loop. The capacity `N` is a power of two.
 ///
 /// When it overflows, it drops and counts everything up to the next delimiter (`00`), so that the node sees one damaged
 /// frame and never two halves as one.
+///
+/// With the feature `async` it is also an `embedded_io_async::Read`, which waits without a poll of its own.
 pub struct ReceiveQueue<const N: usize> {
     state: Mutex<Received<N>>,
+    #[cfg(feature = "async")]
+    reader: WakerCell,
 }
 
 /// Uses cells, because an interrupt accesses them for each byte, in few instructions. The order of fields and the inline
@@ -123,6 +131,8 @@ impl<const N: usize> ReceiveQueue<N> {
                 lost: Cell::new(0),
                 bytes: [const { Cell::new(0) }; N],
             }),
+            #[cfg(feature = "async")]
+            reader: WakerCell::new(),
         }
     }
 
@@ -136,6 +146,16 @@ impl<const N: usize> ReceiveQueue<N> {
     #[inline(always)]
     pub fn push_in(&self, cs: CriticalSection<'_>, byte: u8) {
         self.state.borrow(cs).push(byte);
+        #[cfg(feature = "async")]
+        self.reader.wake_in(cs);
+    }
+
+    /// Adds received bytes, in short critical sections: the part of a DMA buffer that was filled since the last call. Call
+    /// it at the half and the end of the buffer, and when the line falls idle.
+    pub fn push_slice(&self, bytes: &[u8]) {
+        for piece in bytes.chunks(PUSHED) {
+            critical_section::with(|cs| piece.iter().for_each(|byte| self.push_in(cs, *byte)));
+        }
     }
 
     /// Moves the first bytes into `buffer` and returns how many.
@@ -190,6 +210,55 @@ impl<const N: usize> Read for &ReceiveQueue<N> {
     }
 }
 
+/// Waits for the interrupt while the queue is empty. One reader at a time.
+#[cfg(feature = "async")]
+impl<const N: usize> embedded_io_async::Read for &ReceiveQueue<N> {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        poll_fn(|context| {
+            // Before the bytes are taken, so that no wake-up is missed.
+            self.reader.register(context);
+            match self.take(buffer) {
+                0 if !buffer.is_empty() => Poll::Pending,
+                count => Poll::Ready(Ok(count)),
+            }
+        })
+        .await
+    }
+}
+
+/// The waker of a future that waits for an interrupt.
+#[cfg(feature = "async")]
+struct WakerCell(Mutex<Cell<Option<Waker>>>);
+
+#[cfg(feature = "async")]
+impl WakerCell {
+    const fn new() -> Self {
+        Self(Mutex::new(Cell::new(None)))
+    }
+
+    /// Keeps the waker. Call it before looking at what the interrupt changes.
+    fn register(&self, context: &Context<'_>) {
+        let waker = context.waker().clone();
+        // The old waker is dropped outside.
+        drop(critical_section::with(|cs| {
+            self.0.borrow(cs).replace(Some(waker))
+        }));
+    }
+
+    fn wake(&self) {
+        if let Some(waker) = critical_section::with(|cs| self.0.borrow(cs).take()) {
+            waker.wake();
+        }
+    }
+
+    /// Like [`wake`](Self::wake), within an existing critical section.
+    fn wake_in(&self, cs: CriticalSection<'_>) {
+        if let Some(waker) = self.0.borrow(cs).take() {
+            waker.wake();
+        }
+    }
+}
+
 /// An emergency stop that any interrupt can raise. It stays raised until the main loop takes it.
 ///
 /// A [`Pump`](crate::pump::Pump) takes it and stops its node, until the firmware calls
@@ -198,7 +267,7 @@ pub struct StopFlag {
     raised: Mutex<Cell<bool>>,
     /// Waker of the main loop, if that is a future.
     #[cfg(feature = "async")]
-    waker: Mutex<Cell<Option<Waker>>>,
+    waker: WakerCell,
 }
 
 impl StopFlag {
@@ -208,7 +277,7 @@ impl StopFlag {
         Self {
             raised: Mutex::new(Cell::new(false)),
             #[cfg(feature = "async")]
-            waker: Mutex::new(Cell::new(None)),
+            waker: WakerCell::new(),
         }
     }
 
@@ -216,9 +285,7 @@ impl StopFlag {
     pub fn raise(&self) {
         critical_section::with(|cs| self.raised.borrow(cs).set(true));
         #[cfg(feature = "async")]
-        if let Some(waker) = critical_section::with(|cs| self.waker.borrow(cs).take()) {
-            waker.wake();
-        }
+        self.waker.wake();
     }
 
     /// Whether it is raised.
@@ -234,10 +301,7 @@ impl StopFlag {
     /// Ready if it is raised.
     #[cfg(feature = "async")]
     pub(crate) fn poll_raised(&self, context: &Context<'_>) -> Poll<()> {
-        let waker = context.waker().clone();
-        // Set before the flag is read, so that no wake-up is missed. The old waker is dropped outside.
-        let old = critical_section::with(|cs| self.waker.borrow(cs).replace(Some(waker)));
-        drop(old);
+        self.waker.register(context);
         if self.is_raised() {
             Poll::Ready(())
         } else {

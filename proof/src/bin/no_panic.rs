@@ -3,7 +3,7 @@
 //! The panic handler calls a function that does not exist. If the optimiser proves that no panic is reachable, it removes
 //! the handler, and the linker does not need that function. So linking is the proof.
 //!
-//! `Pump::run` is left out, because every `async` block panics if it is polled after its end. No input makes an executor do
+//! `Pump::run` and `Slot::run` are left out, because every `async` block panics if it is polled after its end. No input makes an executor do
 //! that, but the optimiser cannot know.
 #![no_std]
 #![no_main]
@@ -36,13 +36,14 @@ use ztl_mcu::components::{
     StepMotor, Stepper, StepperConfig, Switch,
 };
 use ztl_mcu::describe::{DescribeAll, Described};
+use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
+    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run, Ticking,
     parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
@@ -74,7 +75,8 @@ extern "C" fn main() -> ! {
     let mut components: [&mut dyn Component; 2] = [one, two];
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
-    let mut long_framed = Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new()));
+    let mut long_framed =
+        Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new(), &SLOT)));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -413,11 +415,12 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
         1 => node.clear_stop(),
         _ => {}
     }
-    black_box((node.counters(), node.is_stopped()));
+    black_box((node.counters(), node.is_stopped(), node.link(now())));
     black_box(node.components_mut());
     for &byte in input {
         RECEIVED.push(byte);
     }
+    RECEIVED.push_slice(input);
     LOG.push(input);
     STOP.raise();
     END.report();
@@ -530,6 +533,24 @@ impl Part {
     }
 }
 
+/// The place of a driver that another task of the firmware runs.
+static SLOT: Slot<'static, Motor> = Slot::new(Offer::new("motor"));
+
+struct Motor;
+
+impl Driver for Motor {
+    fn check(goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        black_box(goal);
+        black_box(Ok(()))
+    }
+
+    async fn run(&mut self, _: &str, _: Progress<'_>) -> Result<(), Failed> {
+        Err(Failed)
+    }
+
+    async fn make_safe(&mut self) {}
+}
+
 impl Component for Part {
     fn offer(&self) -> Offer<'_> {
         Offer {
@@ -558,6 +579,10 @@ impl Component for Part {
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
         report.text(black_box("text"));
         report.number(f32::from_bits(any()), receive());
+        let _ = black_box(report.value(
+            &(any(), f32::from_bits(any()), black_box("text")),
+            receive(),
+        ));
         black_box(Run::Running)
     }
 
@@ -567,6 +592,10 @@ impl Component for Part {
 
     fn poll_timeout(&self, now: Instant) -> Instant {
         black_box(now)
+    }
+
+    fn next_tick(&self) -> Instant {
+        black_box(now())
     }
 
     fn poll_reading(&mut self, _now: Instant, buffer: &mut [u8]) -> Option<Reading> {

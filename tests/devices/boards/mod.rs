@@ -70,5 +70,10 @@ fn stack_use_without_a_log_matches_the_record() {
 
 #[test]
 fn the_smallest_node_runs_on_the_recorded_stack() {
-    stack::of_the_smallest_node();
+    stack::of_the_lamp("microbit-smallest");
+}
+
+#[test]
+fn an_async_driver_runs_on_the_recorded_stack() {
+    stack::of_the_lamp("microbit-async");
 }

@@ -62,8 +62,8 @@ fn do_all(image: &str, mut rig: Rig) {
     check(image, &rig.board);
 }
 
-pub(crate) fn of_the_smallest_node() {
-    let image = "microbit-smallest";
+/// The lamp: `microbit-smallest`, or the same with an async driver.
+pub(crate) fn of_the_lamp(image: &str) {
     let board = Board::with_image("microbit", image);
     let gateway = Server::gateway(&[&board.device()]);
     gateway.wait_ready("desk");

@@ -144,6 +144,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         self.seq = seq;
         self.answer_due = true;
         self.heard = now;
+        if self.lost_at == Instant::NEVER {
+            counters.up_since = now;
+        }
         self.lost_at = now.after(self.link_timeout);
     }
 

@@ -7,6 +7,18 @@ use super::frame_out::FrameOut;
 use super::refusal::Refusal;
 use super::runner::TaskRunner;
 
+/// The link while it is up: firmware shows it, or lets a button work only without a gateway.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct LinkUp {
+    /// The number of the gateway. Each gateway has its own, which stays the same when it restarts.
+    pub gateway: u64,
+    /// When its first command after a loss, or after the node's reset, was executed. A new session of the same gateway
+    /// within the link timeout changes nothing.
+    pub since: Instant,
+}
+
 /// Statistics of the line since boot; the counts wrap around.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
@@ -20,6 +32,8 @@ pub struct Counters {
     pub repeats: u32,
     /// Commands out of sequence, dropped.
     pub out_of_sequence: u32,
+    /// When the link came up last.
+    pub(super) up_since: Instant,
 }
 
 pub(super) fn count(counter: &mut u32) {

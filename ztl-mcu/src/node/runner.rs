@@ -60,8 +60,8 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
 }
 
 impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
-    /// Polls the components that have a task and the idle ones that are going to the safe state. Then starts
-    /// waiting tasks.
+    /// Polls the components that have a task, the idle ones that are going to the safe state, and those with a
+    /// tick. Then starts waiting tasks.
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
         let safety = now >= self.safety_wake;
         if safety {
@@ -76,14 +76,18 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 Some(task) => now >= task.wake,
                 None => safety && goes_to_safety(component, self.all_to_safety),
             };
-            if !due {
+            let tick = C::TICKING && now >= component.next_tick();
+            if !due && !tick {
                 continue;
             }
             let mut text = TaskText::new();
             let run = component.poll(now, &mut Report::new(&mut text));
-            let wake = component.poll_timeout(now);
+            let mut wake = component.poll_timeout(now);
+            if C::TICKING {
+                wake = wake.min(component.next_tick());
+            }
             let Some(task) = task else {
-                if run == Run::Running {
+                if due && run == Run::Running {
                     self.safety_wake = self.safety_wake.min(wake);
                 }
                 continue;
@@ -163,7 +167,13 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// When `handle_timeout` has work, or [`Instant::NEVER`].
     pub(crate) fn next_move(&self) -> Instant {
         let running = self.tasks.0.iter().filter(|task| task.runs());
-        running.fold(self.safety_wake, |wake, task| wake.min(task.wake))
+        let moving = running.fold(self.safety_wake, |wake, task| wake.min(task.wake));
+        if !C::TICKING {
+            return moving;
+        }
+        let indices = 0..self.components.count();
+        let components = indices.filter_map(|index| self.components.component(index));
+        components.fold(moving, |wake, component| wake.min(component.next_tick()))
     }
 
     /// Starts a task with a new id on the component with this index.

@@ -11,7 +11,7 @@ use ztl_core::{Instant, State};
 pub(crate) const TEXT: usize = 48;
 
 /// A task's text, with room for the mark of a cut.
-pub(super) type TaskText = String<{ TEXT + 3 }>;
+pub(crate) type TaskText = String<{ TEXT + 3 }>;
 
 /// A task, or a free place.
 // Small fields come first, where one instruction of a Cortex-M0 reaches them. With the attribute of `set_end`, this saves

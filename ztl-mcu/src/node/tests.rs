@@ -6,6 +6,7 @@ mod policies;
 mod readings;
 mod refusals;
 mod safety;
+mod ticks;
 
 use super::*;
 use crate::component::{Component, Refused, Report, Run};
@@ -563,6 +564,36 @@ fn a_node_accepts_a_hello_after_any_bytes() {
         said(desk.node, desk.now, 0);
         let heard = desk.hello(5, 1).join(",").to_string();
         assert!(heard.starts_with("Welcome"), "{heard}");
+    });
+}
+
+#[test]
+fn firmware_learns_whether_the_link_is_up_since_when_and_to_which_gateway() {
+    with_node(|desk, _| {
+        let link = |desk: &Desk<'_, [Motor<'_>; 3], 2>| {
+            let link = desk.node.link(desk.now);
+            link.map(|link| (link.gateway, link.since.as_millis()))
+        };
+        desk.hello(5, 1);
+        assert_eq!(link(desk), None, "no command yet");
+        desk.command(1, Body::Ping);
+        assert_eq!(link(desk), Some((1, 10_000)));
+        desk.pass(999);
+        // A restarted gateway.
+        desk.hello(6, 1);
+        desk.command(1, Body::Ping);
+        assert_eq!(link(desk), Some((1, 10_000)));
+        desk.now = desk.now + Duration::from_millis(1000);
+        assert_eq!(link(desk), None, "also before the next turn");
+        // Another one, also before the next turn.
+        desk.hello(7, 2);
+        assert_eq!(link(desk), None);
+        desk.command(1, Body::Ping);
+        assert_eq!(link(desk), Some((2, 11_999)));
+        desk.pass(1000);
+        assert_eq!(link(desk), None);
+        desk.command(2, Body::Ping);
+        assert_eq!(link(desk), Some((2, 12_999)));
     });
 }
 

@@ -300,3 +300,53 @@ fn interrupts_can_receive_bytes_and_stop_the_node() {
     assert!(!STOP.is_raised());
     assert_eq!(said(&port.tx).last().unwrap(), "Ended emergency stop");
 }
+
+/// The same port, as older HALs implement it.
+#[cfg(feature = "embedded-io-06")]
+mod older {
+    use super::*;
+    use crate::pump::{Error06, Io06};
+    use embedded_io_06 as io06;
+
+    struct Older(Port);
+
+    impl io06::ErrorType for Older {
+        type Error = io06::ErrorKind;
+    }
+
+    impl io06::ReadReady for Older {
+        fn read_ready(&mut self) -> Result<bool, io06::ErrorKind> {
+            self.0.read_ready().map_err(|_| io06::ErrorKind::Other)
+        }
+    }
+
+    impl io06::Read for Older {
+        fn read(&mut self, buffer: &mut [u8]) -> Result<usize, io06::ErrorKind> {
+            self.0.read(buffer).map_err(|_| io06::ErrorKind::Other)
+        }
+    }
+
+    impl io06::Write for Older {
+        fn write(&mut self, bytes: &[u8]) -> Result<usize, io06::ErrorKind> {
+            self.0.write(bytes).map_err(|_| io06::ErrorKind::BrokenPipe)
+        }
+
+        fn flush(&mut self) -> Result<(), io06::ErrorKind> {
+            self.0.flush().map_err(|_| io06::ErrorKind::Other)
+        }
+    }
+
+    #[test]
+    fn a_port_of_an_older_hal_reads_writes_and_reports_its_error() {
+        let (mut node, mut port) = (node(), Io06(Older(Port::default())));
+        let pump = Pump::new();
+        port.0.0.faults = 1;
+        let failed = pump.turn(&mut node, &mut port, at(0));
+        assert_eq!(failed, Err(Error06(io06::ErrorKind::BrokenPipe)));
+        port.0.0.rx.extend(hello());
+        pump.turn(&mut node, &mut port, at(1)).unwrap();
+        pump.turn(&mut node, &mut port, at(1)).unwrap();
+        assert_eq!(said(&port.0.0.tx), ["Welcome"]);
+        assert!(port.0.0.flushes > 0);
+    }
+}

@@ -114,6 +114,60 @@ fn the_queue_is_a_reader_that_waits_for_its_interrupt() {
 }
 
 #[test]
+fn slices_are_pushed_like_bytes() {
+    for len in [0, 1, 15, 16, 17, 40, 64, 70] {
+        let (slices, bytes) = (ReceiveQueue::<64>::new(), ReceiveQueue::<64>::new());
+        let all: Vec<u8> = (1..=len).chain([0]).collect();
+        slices.push_slice(&all);
+        all.iter().for_each(|byte| bytes.push(*byte));
+        let [from_slices, from_bytes] = [&slices, &bytes].map(|queue| {
+            let mut buffer = [0xA5; 80];
+            let count = queue.take(&mut buffer);
+            (buffer[..count].to_vec(), queue.lost())
+        });
+        assert_eq!(from_slices, from_bytes);
+    }
+}
+
+#[cfg(feature = "async")]
+#[test]
+fn an_async_reader_sleeps_until_the_interrupt_wakes_it() {
+    use core::future::Future as _;
+    use core::pin::pin;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    #[derive(Default)]
+    struct Bell(AtomicU32);
+
+    impl std::task::Wake for Bell {
+        fn wake(self: Arc<Self>) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    let queue = ReceiveQueue::<8>::new();
+    let bell = Arc::new(Bell::default());
+    let rings = || bell.0.swap(0, Ordering::Relaxed);
+    let waker = Waker::from(bell.clone());
+    let mut context = Context::from_waker(&waker);
+    let mut reader = &queue;
+    let mut buffer = [0xA5; 4];
+    {
+        let mut reading = pin!(embedded_io_async::Read::read(&mut reader, &mut buffer));
+        assert!(reading.as_mut().poll(&mut context).is_pending());
+        assert_eq!(rings(), 0);
+        queue.push_slice(&[7, 8]);
+        queue.push(9);
+        assert_eq!(rings(), 1, "once for all");
+        assert_eq!(reading.as_mut().poll(&mut context), Poll::Ready(Ok(3)));
+    }
+    assert_eq!(buffer[..3], [7, 8, 9]);
+    let reading = pin!(embedded_io_async::Read::read(&mut reader, &mut []));
+    assert_eq!(reading.poll(&mut context), Poll::Ready(Ok(0)));
+}
+
+#[test]
 fn a_flag_stays_raised_until_it_is_taken_once() {
     static STOP: StopFlag = StopFlag::new();
     static END: EndFlag = EndFlag::new();

@@ -111,6 +111,10 @@ impl<C: Component> Component for Recorded<C> {
         self.component.poll_timeout(now)
     }
 
+    fn next_tick(&self) -> Instant {
+        self.component.next_tick()
+    }
+
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         self.component.poll_reading(now, buffer)
     }
