@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use ztl_script::event::{Question, SceneOutline, StepOutline, TaskOutline, TaskState};
 
-use super::board::{Board, Progress, StepRun, TaskRun};
 use super::choose::Chooser;
 use super::text::{self, Line, Paragraph, Style, clip, clock};
+use ztl_script::board::{Board, Progress, StepRun, TaskRun};
 
 /// A row of the body.
 enum Row<'a> {
