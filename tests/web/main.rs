@@ -8,5 +8,6 @@ mod gate;
 mod goals;
 mod page;
 mod robot;
+mod show;
 mod socket;
 mod stops;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::event::{
     DecidedBy, Ending, Outline, Question, RemoteOutline, RequestNumber, RunCommand, RunEvent,
-    RunOutcome, ServerState, StampedEvent, TaskNumber, TaskState, WaitReason,
+    RunOutcome, ServerState, StampedEvent, TaskNumber, TaskOutline, TaskState, WaitReason,
 };
 
 /// The state of a run.
@@ -127,10 +127,10 @@ pub struct StepRun {
 pub struct TaskRun {
     /// `handler:component:goal`.
     pub name: String,
-    /// Its scene.
-    pub scene: usize,
-    /// Its step.
-    pub step: usize,
+    /// Its scene, step and place there; `None` for one of a cue or of another client.
+    pub place: Option<(usize, usize, usize)>,
+    /// Its cue.
+    pub cue: Option<usize>,
     /// Whether it belongs to the current take of its scene.
     pub current: bool,
     /// Whether it is a retry.
@@ -149,8 +149,8 @@ impl TaskRun {
     fn new(from: Duration) -> Self {
         Self {
             name: String::new(),
-            scene: 0,
-            step: 0,
+            place: None,
+            cue: None,
             current: false,
             again: false,
             from,
@@ -259,6 +259,19 @@ impl Board {
                 part,
                 retry_of,
             } => self.start_task(at, *task, (*scene, *step, *part), retry_of.is_some()),
+            RunEvent::CueStarting { task, cue, part } => {
+                // What it started before is over.
+                self.tasks
+                    .retain(|_, task| task.cue != Some(*cue) || !task.state.is_over());
+                let outline = self.outline.cues.get(*cue);
+                let plan = outline.and_then(|cue| cue.tasks.get(*part));
+                let started = TaskRun {
+                    name: plan.map(TaskOutline::name).unwrap_or_default(),
+                    cue: Some(*cue),
+                    ..TaskRun::new(at)
+                };
+                self.tasks.insert(*task, started);
+            }
             RunEvent::TaskState {
                 task, state, text, ..
             } => self.task_state(at, *task, *state, text),
@@ -373,7 +386,8 @@ impl Board {
     pub fn in_background(&self) -> impl Iterator<Item = &TaskRun> {
         let step = self.playing_step();
         self.tasks.values().filter(move |task| {
-            let here = task.current && Some((task.scene, task.step)) == step;
+            let place = task.place.map(|(scene, step, _)| (scene, step));
+            let here = task.current && place == step;
             !task.state.is_over() && !here
         })
     }
@@ -494,13 +508,12 @@ impl Board {
         let scenes = self.outline.scenes.get(scene);
         let steps = scenes.and_then(|scene| scene.steps.get(step));
         let name = match steps.and_then(|step| step.tasks.get(part)) {
-            Some(task) => format!("{}:{}:{}", task.handler, task.component, task.goal),
+            Some(task) => task.name(),
             None => format!("task {}", number.0),
         };
         let task = TaskRun {
             name,
-            scene,
-            step,
+            place: Some((scene, step, part)),
             current: true,
             again,
             ..TaskRun::new(at)

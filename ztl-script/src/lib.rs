@@ -30,7 +30,7 @@ pub mod server;
 pub use dry_run::timeline;
 pub use finding::Finding;
 pub use live_check::{ConnectShared, ServerCheck, check_servers};
-pub use model::{Defaults, Handler, OnFailure, Scene, Step, Task};
+pub use model::{Cue, Defaults, Handler, OnFailure, OperatorGone, Scene, Step, Task};
 pub use player::PlayOptions;
 pub use read::read_value;
 pub use runner::{Connect, Runner, RunnerHandle, Seen};

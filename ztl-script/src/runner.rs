@@ -137,6 +137,16 @@ impl Runner {
         done
     }
 
+    /// Starts the tasks of a cue, by its index in the script, beside the scene that plays.
+    ///
+    /// # Errors
+    /// Why nothing was started. A cue whose tasks still run is not started again.
+    pub fn cue(&mut self, cue: usize) -> Result<(), &'static str> {
+        let started = self.player.start_cue(now(), cue);
+        self.pump();
+        started
+    }
+
     /// Whether everything that was stopped is being stopped, and was when a person decided who had `seen` this. If not,
     /// the decision came before a [`RunnerHandle::stop_all`], and must not start anything.
     #[must_use]

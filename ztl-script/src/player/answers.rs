@@ -152,9 +152,13 @@ impl Player {
                     task.boot = Some(boot);
                 }
                 task.next = now;
-                let plan = task
+                let of_step = task
                     .place
                     .and_then(|(scene, step, part)| self.script.step(scene, step)?.tasks.get(part));
+                let of_cue = task
+                    .cue
+                    .and_then(|(cue, part)| self.script.cues.get(cue)?.step.tasks.get(part));
+                let plan = of_step.or(of_cue);
                 task.deadline = plan.and_then(|plan| plan.limit).map(|limit| now + limit);
                 self.set_state(number, TaskState::Accepted, &text);
                 self.forget_namesakes(now, number, &id, &remote);

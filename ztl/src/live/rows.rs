@@ -166,12 +166,12 @@ pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
 /// The tasks of the current take, by step.
 fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&TaskRun>> {
     let mut steps: BTreeMap<usize, Vec<&TaskRun>> = BTreeMap::new();
-    for task in board
-        .tasks
-        .values()
-        .filter(|task| task.current && task.scene == scene)
-    {
-        steps.entry(task.step).or_default().push(task);
+    for task in board.tasks.values().filter(|task| task.current) {
+        if let Some((of, step, _)) = task.place
+            && of == scene
+        {
+            steps.entry(step).or_default().push(task);
+        }
     }
     steps
 }
