@@ -169,6 +169,7 @@ const scenarios = {
       await page.locator('#show-play').click();
       await state('DECIDE: a task failed');
       await settle();
+      await page.emulateMedia({ colorScheme: name === 'phone' ? 'light' : 'dark' });
       await check(page, `show-${name}-asks`);
       await page.getByRole('button', { name: 'Go on anyway' }).click();
       await state('The last scene is over.');

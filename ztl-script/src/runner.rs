@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
@@ -37,12 +37,12 @@ pub struct Runner {
 pub struct RunnerHandle {
     inputs: Sender<Input>,
     /// How often everything was to be stopped.
-    stops: Arc<AtomicU64>,
+    stops: Arc<AtomicU32>,
 }
 
 /// What a person who decided had seen: how often everything was to be stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Seen(u64);
+pub struct Seen(u32);
 
 #[derive(Debug)]
 enum Input {
@@ -177,7 +177,7 @@ impl Runner {
                 Ok(Input::StopAll) => {
                     let by = DecidedBy::Operator;
                     self.player.handle_command(now(), RunCommand::StopAll, by);
-                    self.obeyed.0 += 1;
+                    self.obeyed.0 = self.obeyed.0.wrapping_add(1);
                 }
                 Ok(Input::Wake) => return self.events.pop_front(),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
