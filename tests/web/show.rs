@@ -1,10 +1,13 @@
 //! The show: the scenes of a script, played by `ztl web --script`.
 
 use std::fs;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use ztl_tests::lab::{PATIENCE, Process, busy, ztl};
+use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, busy, port_of, serve, until, ztl};
 
 use crate::client::Client;
 use crate::console::{Console, node, port, web};
@@ -118,6 +121,53 @@ fn no_step_starts_after_stop_and_the_show_stays() {
     assert_eq!(stopped["robots"][0]["confirmed"], true, "{stopped}");
 }
 
+/// A robot with short tasks, which counts them.
+#[derive(Clone, Default)]
+struct Short(Arc<AtomicUsize>);
+
+impl TaskController for Short {
+    fn assign(&self, _: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        self.0.fetch_add(1, Ordering::SeqCst);
+        Ok(Box::new(|context: &TaskContext| {
+            let slept = context.sleep(Duration::from_millis(5));
+            slept.map(|()| String::new()).map_err(TaskError::from)
+        }))
+    }
+}
+
+#[test]
+fn a_stop_at_any_moment_of_a_fast_scene_is_the_end_of_it() {
+    let _busy = busy();
+    let robot = Short::default();
+    let server = serve(robot.clone());
+    let files = Scratch::new();
+    let mut script = "fast:\n".to_owned();
+    for step in 0..300 {
+        script += &format!("  step {step}: {{test(remote=ours): {{a: 1, b: 2}}}}\n");
+    }
+    let path = files.path("show.yaml");
+    fs::write(&path, script).expect("a file");
+    let path = path.display().to_string();
+    let robots = [("ours", port_of(server.endpoint()))];
+    let (_console, url) = web(0, &robots, &["--script", &path]);
+    let mut client = Client::open(port(&url));
+    client.subscribe("/ztl/show");
+    let mut question = asked(&mut client, 0);
+    for round in 0..8 {
+        let before = robot.0.load(Ordering::SeqCst);
+        assert!(command(&mut client, "start", &question).0, "{round}");
+        until("some steps", PATIENCE, || {
+            (robot.0.load(Ordering::SeqCst) > before + round).then_some(())
+        });
+        let stopped = client.call("/ztl/stop", &json!({}));
+        let given = robot.0.load(Ordering::SeqCst);
+        assert_eq!(stopped["robots"][0]["confirmed"], true, "{stopped}");
+        question = asked_after(&mut client, 0, &question);
+        assert_eq!(robot.0.load(Ordering::SeqCst), given, "{round}");
+        assert!(given < before + 600, "the scene was over");
+    }
+}
+
 #[test]
 fn impatient_presses_play_a_scene_or_a_cue_once() {
     let _busy = busy();
@@ -194,7 +244,7 @@ fn what_must_not_go_on_without_an_operator_is_stopped() {
 #[test]
 fn a_killed_console_leaves_a_record_with_cues_and_notes() {
     let _busy = busy();
-    let files = ztl_tests::lab::Scratch::new();
+    let files = Scratch::new();
     let record = files.path("run.jsonl").display().to_string();
     let mut stage = Stage::new(SCRIPT, &["--record", &record]);
     let mut client = stage.client();
