@@ -242,13 +242,22 @@ fn what_must_not_go_on_without_an_operator_is_stopped() {
 }
 
 #[test]
-fn a_killed_console_leaves_a_record_with_cues_and_notes() {
+fn missing_robots_are_shown_and_a_killed_console_leaves_a_record_with_cues_and_notes() {
     let _busy = busy();
     let files = Scratch::new();
     let record = files.path("run.jsonl").display().to_string();
-    let mut stage = Stage::new(SCRIPT, &["--record", &record]);
+    let gone = ["--task", "gone", "127.0.0.1", "1", "/test"];
+    let options = [&["--record", &record], &gone[..]].concat();
+    let script = format!("far: {{far: {{test(remote=gone): {{echo: 1}}}}}}\n{SCRIPT}");
+    let mut stage = Stage::new(&script, &options);
     let mut client = stage.client();
-    asked(&mut client, 0);
+    // Before the first scene.
+    let is_missing = |show: &Value| {
+        let servers = show["servers"].as_array().expect("a list");
+        let missing = |server: &Value| server["name"] == "gone" && server["state"] == "missing";
+        servers.iter().any(missing)
+    };
+    client.topic("/ztl/show", is_missing);
     let note = json!({ "text": "the <left> arm hesitates" });
     assert!(told(&mut client, "/ztl/show/note", &note).0);
     assert!(told(&mut client, "/ztl/show/cue", &json!({ "cue": 2 })).0);
