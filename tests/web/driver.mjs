@@ -114,6 +114,72 @@ const scenarios = {
     }
   },
 
+  // The show at each size: scenes, cues by tap and by key, a note, Stop, and a scene that is stopped.
+  async show() {
+    for (const [name, size] of Object.entries(SIZES)) {
+      const page = await open(size);
+      await page.emulateMedia({ colorScheme: name === 'phone' ? 'dark' : 'light' });
+      await page.locator('#show').waitFor();
+      await page.locator('#show-missing li', { hasText: 'gone: MISSING' }).waitFor();
+      const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
+      const settle = () => page.waitForTimeout(700);
+      // Chosen by tap; what is played is what is shown.
+      await settle();
+      await page.locator('#show-scenes button', { hasText: 'second' }).click();
+      await page.locator('#show-play', { hasText: 'Play: second' }).waitFor();
+      await settle();
+      const where = () => page.locator('#show-play').evaluate((it) => it.getBoundingClientRect().top + scrollY);
+      const place = await where();
+      // Two impatient presses play once.
+      await page.locator('#show-play').dblclick();
+      await state('Plays: second');
+      await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+      await page.locator('#show-cues button', { hasText: 'say' }).click();
+      await page.locator('#show-cues li', { hasText: 'test:echo:hello completed' }).waitFor();
+      // A held key is one press; in a text field it is text.
+      await page.locator('#goal').press('h');
+      await page.locator('#goal').fill('');
+      await page.locator('#show-state').click();
+      for (let held = 0; held < 5; held += 1) await page.keyboard.down('h');
+      await page.keyboard.up('h');
+      await page.locator('#show-cues li', { hasText: 'test:mark:cue accepted' }).waitFor();
+      await page.locator('#show-note-text').fill(`<b>note</b> of the ${name}`);
+      await page.locator('#show-note-text').press('Enter');
+      await page.locator('#show-notes li', { hasText: `<b>note</b> of the ${name}` }).waitFor();
+      assert.equal(await where(), place, 'Play has moved');
+      await check(page, `show-${name}`);
+      await page.locator('#show-stop').click();
+      await state('Next: second');
+      await page.locator('#show-stopped li', { hasText: 'stopped: test:mark:two' }).waitFor();
+      await saying(page, '#running', 'test:mark:cue').waitFor();
+      await settle();
+      await page.locator('#show-play').click();
+      await state('Plays: second');
+      await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+      await page.keyboard.press('Escape');
+      await page.getByText('Stopped: every robot has confirmed').waitFor();
+      await state('Next: second');
+      await check(page, `show-${name}-stopped`);
+      await page.locator('#stopped-close').click();
+      // A question of the script is answered by a tap.
+      await settle();
+      await page.locator('#show-scenes button', { hasText: 'ask' }).click();
+      await page.locator('#show-play', { hasText: 'Play: ask' }).waitFor();
+      await settle();
+      await page.locator('#show-play').click();
+      await state('DECIDE: a task failed');
+      await settle();
+      await page.emulateMedia({ colorScheme: name === 'phone' ? 'light' : 'dark' });
+      await check(page, `show-${name}-asks`);
+      await page.getByRole('button', { name: 'Go on anyway' }).click();
+      await state('The last scene is over.');
+      await settle();
+      await page.getByRole('button', { name: 'Restart' }).click();
+      await state('Next: first');
+      await page.close();
+    }
+  },
+
   // Text of robots and of goals is shown as it is.
   async hostile() {
     const page = await open();

@@ -8,6 +8,7 @@ mod gate;
 mod goals;
 mod page;
 mod robot;
+mod show;
 mod socket;
 mod stops;
 mod streams;

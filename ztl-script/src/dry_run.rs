@@ -32,7 +32,27 @@ pub fn timeline(script: &Script, options: &PlayOptions, remotes: &Remotes) -> Ve
             put_step(step, remotes, &mut lines);
         }
     }
+    for cue in &script.cues {
+        let key = cue
+            .key
+            .map_or_else(String::new, |key| format!(", key {key}"));
+        lines.push(format!("cue '{}'{key}", cue.step.name.trim()));
+        for task in &cue.step.tasks {
+            if let Some(handler) = cue.step.handler(task) {
+                let (name, component, goal) = (&handler.name, &task.component, &task.goal);
+                let to = target(&handler.remote, remotes);
+                lines.push(format!("    {name}:{component}:{goal}  -> {to}"));
+            }
+        }
+    }
     lines
+}
+
+fn target(name: &str, remotes: &Remotes) -> String {
+    match remotes.task(name) {
+        Ok(remote) => format!("{} {}", remote.endpoint(), remote.scope),
+        Err(_) => format!("no server '{name}'"),
+    }
 }
 
 fn put_step(step: &Step, remotes: &Remotes, lines: &mut Vec<String>) {
@@ -55,9 +75,8 @@ fn put_step(step: &Step, remotes: &Remotes, lines: &mut Vec<String>) {
         let Some(handler) = step.handler(task) else {
             continue;
         };
-        let remote = remotes.task(&handler.remote);
         // A task without a server is not waited for.
-        let known = remote.is_ok();
+        let known = remotes.task(&handler.remote).is_ok();
         let begins = match (step.parallel, known) {
             (true, _) => step.delay + task.delay,
             (false, true) => {
@@ -66,10 +85,7 @@ fn put_step(step: &Step, remotes: &Remotes, lines: &mut Vec<String>) {
             }
             (false, false) => at,
         };
-        let to = match remote {
-            Ok(remote) => format!("{} {}", remote.endpoint(), remote.scope),
-            Err(_) => format!("no server '{}'", handler.remote),
-        };
+        let to = target(&handler.remote, remotes);
         let (name, component, goal) = (&handler.name, &task.component, &task.goal);
         lines.push(format!(
             "    +{:>6.2} s  {name}:{component}:{goal}  -> {to}",

@@ -183,6 +183,15 @@ pub enum RunEvent {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         retry_of: Option<TaskNumber>,
     },
+    /// A task of a cue is sent now.
+    CueStarting {
+        /// Its number from now on.
+        task: TaskNumber,
+        /// Index of the cue.
+        cue: usize,
+        /// Its index in the cue's tasks.
+        part: usize,
+    },
     /// The state of a task changed, or it reports progress.
     TaskState {
         /// The task.

@@ -6,9 +6,11 @@
 //!   next is decided by its player, a state machine without I/O.
 //! - [`event`]: everything that happens in a run. [`record`] writes events to a file and reads them back;
 //!   [`report`] makes a page and tables of them.
+//! - [`board`]: the state of a run as views show it.
 //! - [`drawing`] draws timelines, also for other crates.
 //! - [`timeline`] shows what would be sent when.
 
+pub mod board;
 pub mod drawing;
 mod dry_run;
 mod durations;
@@ -28,10 +30,10 @@ pub mod server;
 pub use dry_run::timeline;
 pub use finding::Finding;
 pub use live_check::{ConnectShared, ServerCheck, check_servers};
-pub use model::{Defaults, Handler, OnFailure, Scene, Step, Task};
+pub use model::{Cue, Defaults, Handler, OnFailure, OperatorGone, Scene, Step, Task};
 pub use player::PlayOptions;
 pub use read::read_value;
-pub use runner::{Connect, Runner, RunnerHandle};
+pub use runner::{Connect, Runner, RunnerHandle, Seen};
 pub use script::Script;
 
 #[cfg(test)]

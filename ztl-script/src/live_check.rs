@@ -194,7 +194,7 @@ fn meet(
     let silent = |error| Err((format!("server '{name}' does not answer: {error}"), error));
     let met = match connect(name) {
         Err(error) => silent(error),
-        Ok(mut connection) => match connection.request(&ServerRequest::Probe) {
+        Ok(mut connection) => match connection.request(&ServerRequest::Probe, &|| true) {
             ServerAnswer::There { server } => Ok((connection, server)),
             ServerAnswer::NoScope { text } => Err((text.clone(), text)),
             ServerAnswer::Nothing { text, .. }

@@ -19,8 +19,21 @@ pub struct Scene {
     pub delay: Duration,
     /// In the order of the file.
     pub steps: Vec<Step>,
+    /// What happens to it when nobody operates the show any more.
+    pub operator_gone: OperatorGone,
     /// Place of its key.
     pub span: Span,
+}
+
+/// A cue: tasks that the operator starts together at any moment, beside the scene that plays.
+#[derive(Debug, Clone)]
+pub struct Cue {
+    /// Its tasks, without delays.
+    pub step: Step,
+    /// The key that starts it.
+    pub key: Option<char>,
+    /// What happens to its tasks when nobody operates the show any more.
+    pub operator_gone: OperatorGone,
 }
 
 /// A step: tasks that belong together.
@@ -96,6 +109,16 @@ pub enum OnFailure {
     Retry(u32),
 }
 
+/// What happens when nobody operates the show any more, because the operator's page is gone (`ztl web`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OperatorGone {
+    /// It goes on.
+    #[default]
+    GoOn,
+    /// It is stopped after this time.
+    Stop(Duration),
+}
+
 /// What applies where a script says nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Defaults {
@@ -105,6 +128,8 @@ pub struct Defaults {
     pub on_failure: OnFailure,
     /// For every step.
     pub parallel: bool,
+    /// For every scene and cue.
+    pub operator_gone: OperatorGone,
 }
 
 impl Scene {
@@ -118,7 +143,7 @@ impl Scene {
 }
 
 impl Step {
-    fn outline(&self) -> StepOutline {
+    pub(crate) fn outline(&self) -> StepOutline {
         let tasks = self.tasks.iter().filter_map(|task| {
             let handler = self.handler(task)?;
             Some(TaskOutline {

@@ -6,6 +6,7 @@
 
 mod answers;
 mod commands;
+mod cues;
 mod input;
 mod probe;
 mod requests;

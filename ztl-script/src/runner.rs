@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
@@ -14,7 +15,7 @@ use crate::script::Script;
 use crate::server::{Connected, Connection, ServerAnswer};
 
 /// Opens a connection to the server with this name: one for each request that is under way at the same time.
-pub type Connect = Box<dyn FnMut(&str) -> Connected>;
+pub type Connect = Box<dyn FnMut(&str) -> Connected + Send>;
 
 /// Plays a script on real servers. Call [`begin`](Self::begin), then take events from
 /// [`next`](Self::next) until the run has ended.
@@ -23,6 +24,8 @@ pub struct Runner {
     start: Instant,
     inbox: Receiver<Input>,
     handle: RunnerHandle,
+    /// The [`RunnerHandle::stop_all`]s that the player has carried out.
+    obeyed: Seen,
     connect: Connect,
     /// Workers without a request, by server.
     idle: BTreeMap<String, Vec<Worker>>,
@@ -31,12 +34,21 @@ pub struct Runner {
 
 /// Reaches a [`Runner`] from any thread.
 #[derive(Debug, Clone)]
-pub struct RunnerHandle(Sender<Input>);
+pub struct RunnerHandle {
+    inputs: Sender<Input>,
+    /// How often everything was to be stopped.
+    stops: Arc<AtomicU32>,
+}
+
+/// What a person who decided had seen: how often everything was to be stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Seen(u32);
 
 #[derive(Debug)]
 enum Input {
     Command(RunCommand, DecidedBy),
     Answer(RequestNumber, ServerAnswer, Worker),
+    StopAll,
     Wake,
 }
 
@@ -44,12 +56,26 @@ impl RunnerHandle {
     /// Passes a command to the player, which ignores one that does not apply.
     pub fn command(&self, command: RunCommand, by: DecidedBy) {
         // Fails only when the runner is gone.
-        let _ = self.0.send(Input::Command(command, by));
+        let _ = self.inputs.send(Input::Command(command, by));
+    }
+
+    /// Stops everything, as [`RunCommand::StopAll`] does. When this returns, no task is sent any more that was decided
+    /// before, whatever the runner does at the moment.
+    pub fn stop_all(&self) {
+        self.stops.fetch_add(1, Ordering::SeqCst);
+        // As above.
+        let _ = self.inputs.send(Input::StopAll);
+    }
+
+    /// What somebody who decides now has seen ([`Runner::has_obeyed`]).
+    #[must_use]
+    pub fn seen(&self) -> Seen {
+        Seen(self.stops.load(Ordering::SeqCst))
     }
 
     /// Makes [`Runner::next`] return at once.
     pub fn wake(&self) {
-        let _ = self.0.send(Input::Wake);
+        let _ = self.inputs.send(Input::Wake);
     }
 }
 
@@ -62,7 +88,11 @@ impl Runner {
             player: Player::new(script, options),
             start: now(),
             inbox,
-            handle: RunnerHandle(sender),
+            handle: RunnerHandle {
+                inputs: sender,
+                stops: Arc::default(),
+            },
+            obeyed: Seen(0),
             connect,
             idle: BTreeMap::new(),
             events: VecDeque::new(),
@@ -107,6 +137,23 @@ impl Runner {
         done
     }
 
+    /// Starts the tasks of a cue, by its index in the script, beside the scene that plays.
+    ///
+    /// # Errors
+    /// Why nothing was started. A cue whose tasks still run is not started again.
+    pub fn cue(&mut self, cue: usize) -> Result<(), &'static str> {
+        let started = self.player.start_cue(now(), cue);
+        self.pump();
+        started
+    }
+
+    /// Whether everything that was stopped is being stopped, and was when a person decided who had `seen` this. If not,
+    /// the decision came before a [`RunnerHandle::stop_all`], and must not start anything.
+    #[must_use]
+    pub fn has_obeyed(&self, seen: Seen) -> bool {
+        seen == self.obeyed && self.handle.seen() == self.obeyed
+    }
+
     /// The next event. `None` after `limit`, or when [woken](RunnerHandle::wake).
     pub fn next(&mut self, limit: Duration) -> Option<StampedEvent> {
         let until = now() + limit;
@@ -126,6 +173,11 @@ impl Runner {
                     let idle = self.idle.entry(worker.remote.clone()).or_default();
                     idle.push(worker);
                     self.player.handle_answer(now(), request, answer);
+                }
+                Ok(Input::StopAll) => {
+                    let by = DecidedBy::Operator;
+                    self.player.handle_command(now(), RunCommand::StopAll, by);
+                    self.obeyed.0 = self.obeyed.0.wrapping_add(1);
                 }
                 Ok(Input::Wake) => return self.events.pop_front(),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
@@ -170,7 +222,7 @@ impl Runner {
         // end of its channel, so its thread ends when the runner is dropped.
         let requests = worker.requests.clone();
         requests
-            .send((request, worker))
+            .send((request, self.obeyed, worker))
             .map_err(|_| "its thread has ended".to_owned())
     }
 }
@@ -187,7 +239,7 @@ impl std::fmt::Debug for Runner {
 #[derive(Debug)]
 struct Worker {
     remote: String,
-    requests: Sender<(Request, Worker)>,
+    requests: Sender<(Request, Seen, Worker)>,
 }
 
 impl Worker {
@@ -196,14 +248,15 @@ impl Worker {
         mut connection: Box<dyn Connection>,
         runner: RunnerHandle,
     ) -> Result<Self, String> {
-        let (requests, inbox) = mpsc::channel::<(Request, Self)>();
+        let (requests, inbox) = mpsc::channel::<(Request, Seen, Self)>();
         std::thread::Builder::new()
             .name(format!("ztl-{remote}"))
             .spawn(move || {
-                for (request, worker) in inbox {
-                    let answer = connection.request(&request.body);
+                for (request, decided, worker) in inbox {
+                    let may_start = || runner.seen() == decided;
+                    let answer = connection.request(&request.body, &may_start);
                     let answer = Input::Answer(request.number, answer, worker);
-                    if runner.0.send(answer).is_err() {
+                    if runner.inputs.send(answer).is_err() {
                         return;
                     }
                 }
@@ -220,6 +273,116 @@ impl Worker {
 mod tests {
     use super::*;
     use crate::Defaults;
+    use crate::server::{Acceptance, ServerRequest};
+
+    /// A server that accepts every INIT that it gets, once the test lets it.
+    struct Gated {
+        reached: Sender<String>,
+        gate: Arc<std::sync::Mutex<Receiver<()>>>,
+        sent: Sender<String>,
+    }
+
+    impl Connection for Gated {
+        fn request(
+            &mut self,
+            request: &ServerRequest,
+            may_start: &dyn Fn() -> bool,
+        ) -> ServerAnswer {
+            let listed = Some((1, Vec::new()));
+            match request {
+                ServerRequest::Init { component, .. } => {
+                    self.reached.send(component.clone()).unwrap();
+                    self.gate.lock().unwrap().recv().unwrap();
+                    if !may_start() {
+                        return ServerAnswer::Withdrawn;
+                    }
+                    self.sent.send(component.clone()).unwrap();
+                    ServerAnswer::Rejected {
+                        id: 1_i64.into(),
+                        text: "no".to_owned(),
+                    }
+                }
+                ServerRequest::Tasks => ServerAnswer::Tasks {
+                    listed,
+                    gaps: Vec::new(),
+                },
+                _ => ServerAnswer::Unclear {
+                    text: "not expected".to_owned(),
+                },
+            }
+        }
+
+        fn offers(&mut self) -> Option<ztl_std::Offers> {
+            None
+        }
+
+        fn would_accept(&mut self, _: &str, _: &str, _: &str) -> Acceptance {
+            Acceptance::Unknown
+        }
+    }
+
+    /// Plays a script whose servers hold each INIT; returns what reaches them, what lets it go on, and what was sent.
+    fn gated(file: &[u8]) -> (Runner, Receiver<String>, Sender<()>, Receiver<String>) {
+        let script = Script::read("f", file, Defaults::default()).unwrap();
+        let (reached, at_gate) = mpsc::channel();
+        let (open, gate) = mpsc::channel();
+        let (sent, arrived) = mpsc::channel();
+        let gate = Arc::new(std::sync::Mutex::new(gate));
+        let connect: Connect = Box::new(move |_| {
+            let (reached, gate, sent) = (reached.clone(), Arc::clone(&gate), sent.clone());
+            Ok(Box::new(Gated {
+                reached,
+                gate,
+                sent,
+            }))
+        });
+        let options = PlayOptions {
+            remotes: ["r".to_owned()].into(),
+            ..PlayOptions::default()
+        };
+        let mut runner = Runner::new(script.into(), options, connect);
+        runner.begin();
+        (runner, at_gate, open, arrived)
+    }
+
+    /// Takes events until a question is asked.
+    fn until_asked(runner: &mut Runner) -> Option<Question> {
+        loop {
+            if let Some(StampedEvent {
+                event: RunEvent::Asked { question, .. },
+                ..
+            }) = runner.next(Duration::from_secs(60))
+            {
+                return Some(question);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_that_was_decided_before_a_stop_is_sent_after_it() {
+        let file = b"one: {a: {r: {x: 1}}, b: {r: {y: 1}}}";
+        let (mut runner, at_gate, open, arrived) = gated(file);
+        let scene = Some(Question::Scene { scene: 0 });
+        assert_eq!(until_asked(&mut runner), scene);
+        let before = runner.handle().seen();
+        assert!(runner.has_obeyed(before));
+        assert!(runner.decide(RunCommand::Start, scene));
+        let wait = Duration::from_secs(60);
+        assert_eq!(at_gate.recv_timeout(wait).as_deref(), Ok("x"));
+        // The runner has not heard of it, and the request is on its way.
+        runner.handle().stop_all();
+        assert!(!runner.has_obeyed(before) && !runner.has_obeyed(runner.handle().seen()));
+        open.send(()).unwrap();
+        assert_eq!(until_asked(&mut runner), scene);
+        assert!(arrived.try_recv().is_err(), "it was sent after the stop");
+        assert!(at_gate.try_recv().is_err(), "a step began after the stop");
+        // Who decided before the stop has not seen it; who decides now has.
+        assert!(!runner.has_obeyed(before));
+        assert!(runner.has_obeyed(runner.handle().seen()));
+        assert!(runner.decide(RunCommand::Start, scene));
+        open.send(()).unwrap();
+        assert_eq!(arrived.recv_timeout(wait).as_deref(), Ok("x"));
+    }
 
     #[test]
     fn a_decision_answers_only_the_question_that_the_operator_saw() {

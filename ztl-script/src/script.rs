@@ -9,7 +9,7 @@ use ztl_yaml::{Diagnostic, Diagnostics, Document, Rules, Span};
 
 use crate::event::Outline;
 use crate::finding::Finding;
-use crate::model::{Defaults, Handler, Scene, Step, Task};
+use crate::model::{Cue, Defaults, Handler, Scene, Step, Task};
 use crate::read;
 
 /// Most lines that one message names.
@@ -20,6 +20,8 @@ const LINES: usize = 10;
 pub struct Script {
     /// In the order of the file.
     pub scenes: Vec<Scene>,
+    /// In the order of the file.
+    pub cues: Vec<Cue>,
     document: Document,
     doubts: usize,
 }
@@ -84,10 +86,11 @@ impl Script {
             Ok(document) => document,
             Err(mistakes) => return (None, mistakes.into_iter().map(Finding::mistake).collect()),
         };
-        let (scenes, findings) = read::scenes(&document, defaults);
+        let (scenes, cues, findings) = read::scenes(&document, defaults);
         let doubts = findings.iter().filter(|finding| finding.is_doubt()).count();
         let script = Self {
             scenes,
+            cues,
             document,
             doubts,
         };
@@ -183,7 +186,8 @@ impl Script {
     }
 
     fn steps(&self) -> impl Iterator<Item = &Step> {
-        self.scenes.iter().flat_map(|scene| &scene.steps)
+        let of_scenes = self.scenes.iter().flat_map(|scene| &scene.steps);
+        of_scenes.chain(self.cues.iter().map(|cue| &cue.step))
     }
 
     fn handlers(&self) -> impl Iterator<Item = &Handler> {
@@ -209,6 +213,7 @@ impl Script {
     pub fn outline(&self) -> Outline {
         Outline {
             scenes: self.scenes.iter().map(Scene::outline).collect(),
+            cues: self.cues.iter().map(|cue| cue.step.outline()).collect(),
         }
     }
 

@@ -8,8 +8,9 @@ use ztl_std::{Offers, RemoteId};
 
 /// A connection to one server. Whoever plays or checks a script supplies it.
 pub trait Connection: Send {
-    /// Sends a request and waits for its answer. An INIT is never sent twice.
-    fn request(&mut self, request: &ServerRequest) -> ServerAnswer;
+    /// Sends a request and waits for its answer. An INIT is never sent twice, and only while `may_start`, which is to be
+    /// called immediately before; otherwise the answer is [`ServerAnswer::Withdrawn`].
+    fn request(&mut self, request: &ServerRequest, may_start: &dyn Fn() -> bool) -> ServerAnswer;
 
     /// The handlers and components that the server lists; `None` if it does not list them.
     fn offers(&mut self) -> Option<Offers>;
@@ -116,6 +117,8 @@ pub enum ServerAnswer {
         /// How that is known.
         text: String,
     },
+    /// INIT: it was not sent, because everything was stopped after it had been decided.
+    Withdrawn,
     /// STATUS or ABORT: the state of the task.
     Task {
         /// The state.

@@ -187,3 +187,48 @@ fn a_time_that_is_rounded_to_nothing_is_found() {
         assert_eq!(said_of(time), [""; 0], "{time}");
     }
 }
+
+#[test]
+fn cues_are_read_as_steps_and_are_no_scene() {
+    let file = "a(operator_gone=stop 20): {s: {h: {c: 1}}}\ncues:\n  wave (key=W, operator_gone=go on): {h(remote=r): {arm: up, eye(timeout=3): on}}\n  plain: {h: {c: 2}}\ncues (delay=1): {s: {h: {c: 1}}}\n";
+    let (script, doubts) = doubts(file);
+    assert_eq!(doubts.len(), 1, "{doubts:?}");
+    assert!(doubts[0].contains("True"), "{doubts:?}");
+    let names: Vec<_> = script
+        .scenes
+        .iter()
+        .map(|scene| scene.name.trim())
+        .collect();
+    assert_eq!(names, ["a", "cues"], "with parameters it is a scene");
+    let gone = OperatorGone::Stop(std::time::Duration::from_secs(20));
+    assert_eq!(script.scenes[0].operator_gone, gone);
+    let [wave, plain] = script.cues.as_slice() else {
+        panic!("{script:?}")
+    };
+    assert_eq!((wave.key, plain.key), (Some('w'), None));
+    assert_eq!(wave.step.tasks.len(), 2);
+    assert_eq!(
+        wave.step.tasks[1].limit.map(|limit| limit.as_secs()),
+        Some(3)
+    );
+    assert_eq!(script.remotes(), ["h", "r"]);
+    assert_eq!(script.outline().cues[0].name, "wave");
+}
+
+#[test]
+fn mistakes_and_doubts_in_cues_have_their_places() {
+    let file = "s: {a: {h: {c: 1}}}\ncues: {a(key=ab): {h: {c: 1}}, b(key=x): {h: {c(delay=2): 1}}, c(key=X): {h: {c: 1}}, d(wait=no): {h: {c: 1}}, e(operator_gone=stop 2): {h: {c: 1}}, f: 7}";
+    let (_, findings) = Script::examine("f", file.as_bytes(), Defaults::default());
+    let said: Vec<String> = findings.iter().map(ToString::to_string).collect();
+    for (said, wanted) in said.iter().zip([
+        "f:2:14: 'ab' is not a key of a cue",
+        "f:2:47: a cue starts its tasks at once",
+        "f:2:64: the cue in line 2 has the same key",
+        "f:2:89: a cue has no parameter 'wait'",
+        "f:2:128: 'stop 2' is not known here; write go on, or stop 10",
+        "f:2:153: cue 'f' is a mapping of handlers",
+    ]) {
+        assert!(said.starts_with(wanted), "{wanted}: {said}");
+    }
+    assert_eq!(said.len(), 6, "{said:?}");
+}

@@ -5,6 +5,7 @@ import { Form, NOTHING } from './form.js';
 import { Operator } from './operator.js';
 import { Past } from './past.js';
 import { Bridge } from './rosbridge.js';
+import { Show } from './show.js';
 import { Streams } from './streams.js';
 
 // How long ago a Stop may have ended that a page shows which was not there.
@@ -28,6 +29,7 @@ const operator = new Operator(bridge);
 const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
 const streams = new Streams(bridge, now);
 const past = new Past(bridge);
+const stage = new Show(bridge, () => operator.whyNot());
 
 // The console's wall clock. Behind by what the answer took to come, never ahead.
 function now() {
@@ -92,6 +94,7 @@ function show() {
   showTasks();
   if (lastStop && !at('stopped').hidden) showVerdict(lastStop);
   form.show();
+  stage.show();
   streams.show();
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -16,6 +16,7 @@ use crate::goal::Goal;
 use crate::operator::{Client, Operator};
 use crate::past::Past;
 use crate::robots::{ConfiguredScope, Server};
+use crate::show::Desk;
 use crate::stop::Stops;
 use crate::streams::Streams;
 
@@ -32,6 +33,7 @@ pub(crate) struct Topics {
     pub(crate) robots: watch::Sender<Shared>,
     pub(crate) tasks: watch::Sender<Shared>,
     pub(crate) stop: watch::Sender<Shared>,
+    pub(crate) show: watch::Sender<Shared>,
 }
 
 pub(crate) struct Board {
@@ -46,6 +48,7 @@ pub(crate) struct Board {
     pub(crate) sockets: AtomicUsize,
     pub(crate) stops: Stops,
     pub(crate) clients: Clients,
+    show: OnceLock<Desk>,
     /// What the thread of each server is to do.
     posts: Vec<Post>,
     /// Held while a topic is written, so that an older value never replaces a newer one.
@@ -127,6 +130,7 @@ impl Board {
                 robots: topic(),
                 tasks: topic(),
                 stop: topic(),
+                show: topic(),
             },
             operator: Operator::new(),
             past: Past::default(),
@@ -134,6 +138,7 @@ impl Board {
             goals: Mutex::default(),
             sockets: AtomicUsize::new(0),
             clients: Clients::default(),
+            show: OnceLock::new(),
             publishing: Mutex::default(),
         };
         board.publish();
@@ -149,6 +154,9 @@ impl Board {
     pub(crate) fn press_stop(&self, by: &str) -> u64 {
         let press = self.stops.press(by);
         // What was not sent yet is never sent.
+        if let Some(show) = self.show() {
+            show.stop_all();
+        }
         for goal in self.goals() {
             goal.give_up();
         }
@@ -157,6 +165,26 @@ impl Board {
         }
         self.publish_stop();
         press
+    }
+
+    /// The show, if there is one.
+    pub(crate) fn show(&self) -> Option<&Desk> {
+        self.show.get()
+    }
+
+    pub(crate) fn set_show(&self, desk: Desk) {
+        // A console has one show.
+        let _ = self.show.set(desk);
+    }
+
+    pub(crate) fn publish_show(&self, value: &Value) {
+        set(&self.topics.show, value);
+    }
+
+    /// The server of a robot, and its scope there.
+    pub(crate) fn place_of(&self, robot: &str) -> Option<(usize, String)> {
+        let mut servers = self.servers.iter().enumerate();
+        servers.find_map(|(index, server)| Some((index, server.scope_of(robot)?.to_owned())))
     }
 
     pub(crate) fn publish_stop(&self) {

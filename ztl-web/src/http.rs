@@ -44,11 +44,12 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 10] = [
+const FILES: [(&str, &str, &str); 11] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
     ("/form.js", "text/javascript; charset=utf-8", include_str!("../assets/form.js")),
+    ("/show.js", "text/javascript; charset=utf-8", include_str!("../assets/show.js")),
     ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
     ("/past.js", "text/javascript; charset=utf-8", include_str!("../assets/past.js")),
     ("/streams.js", "text/javascript; charset=utf-8", include_str!("../assets/streams.js")),

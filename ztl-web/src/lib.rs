@@ -1,7 +1,8 @@
 //! The web console: what all robots do, and a Stop for all of them, in a browser and for any rosbridge client.
 //!
 //! [`serve`] watches each server, and sends it ABORTs, on a thread of its own (`server_thread`), starts goals on threads
-//! (`goals`), and tells every socket (`socket`) what changed on the `board`. The page in `assets/` is one
+//! (`goals`), plays the scenes of a script (`show`), and tells every socket (`socket`)
+//! what changed on the `board`. The page in `assets/` is one
 //! rosbridge client among others.
 
 mod aborts;
@@ -21,6 +22,7 @@ mod places;
 mod robots;
 mod rosbridge;
 mod server_thread;
+mod show;
 mod socket;
 mod stop;
 mod streams;
@@ -34,6 +36,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 pub use robots::{Connect, Robot};
+pub use show::{Show, ShowRecord};
 pub use streams::{Connect as ConnectPublisher, Publisher};
 pub use tls::Tls;
 pub use tokens::Tokens;
@@ -54,6 +57,8 @@ pub struct Options {
     pub hosts: Vec<String>,
     /// A page of one's own instead of the console's, which is then at `/console`.
     pub page: Option<PathBuf>,
+    /// A script to play.
+    pub show: Option<Show>,
     /// The certificate and key of `https`; without it, connections are not encrypted.
     pub tls: Option<Tls>,
 }
@@ -71,6 +76,7 @@ pub fn serve(options: Options) -> io::Result<()> {
         tokens,
         hosts,
         page,
+        show,
         tls,
     } = options;
     let page = page.map(own_page::OwnPage::new);
@@ -79,6 +85,9 @@ pub fn serve(options: Options) -> io::Result<()> {
     let console = Arc::new(console);
     for (server, woken) in woken.into_iter().enumerate() {
         server_thread::spawn(&console, server, woken)?;
+    }
+    if let Some(show) = show {
+        show::spawn(show, &console)?;
     }
     streams::spawn(&console.streams)?;
     listener.set_nonblocking(true)?;

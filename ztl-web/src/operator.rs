@@ -1,6 +1,7 @@
 //! One operator at a time: the client that may start tasks. Everybody may stop them.
 
 use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
@@ -35,6 +36,8 @@ impl Client {
 pub(crate) struct Operator {
     next: Mutex<u64>,
     now: Mutex<Option<Operates>>,
+    /// When whoever operated was heard last.
+    heard: Mutex<Instant>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -50,6 +53,7 @@ impl Operator {
             // A console that starts later counts from later, because no client takes less than a millisecond.
             next: Mutex::new(now_ms()),
             now: Mutex::default(),
+            heard: Mutex::new(Instant::now()),
         }
     }
 
@@ -84,6 +88,7 @@ impl Operator {
             Some(_) => Ok(false),
             None => {
                 *now = Some(Operates::since_now(client));
+                self.note_heard();
                 Ok(true)
             }
         }
@@ -105,9 +110,30 @@ impl Operator {
             }
             _ => {
                 *now = Some(Operates::since_now(client));
+                self.note_heard();
                 Ok(())
             }
         }
+    }
+
+    /// A message of this client has come, or the answer to a ping.
+    pub(crate) fn hear(&self, client: &Client) {
+        let now = locked(&self.now);
+        if now
+            .as_ref()
+            .is_some_and(|now| now.client.number == client.number)
+        {
+            self.note_heard();
+        }
+    }
+
+    /// For how long nothing of an operator has been heard.
+    pub(crate) fn alone_for(&self) -> Duration {
+        locked(&self.heard).elapsed()
+    }
+
+    fn note_heard(&self) {
+        *locked(&self.heard) = Instant::now();
     }
 
     /// The client is gone. Returns whether it operated.

@@ -22,6 +22,7 @@ use crate::gate::Role;
 use crate::goal::Goal;
 use crate::goals::{self, LATEST_MS, News, TOO_LATE};
 use crate::rosbridge::{self, GoalArgs, Incoming};
+use crate::show::Wish;
 use crate::streams::{Listener, Wanted};
 use crate::{operator, robots};
 
@@ -33,11 +34,13 @@ const WRITE: Duration = Duration::from_secs(10);
 const SILENCE: Duration = Duration::from_secs(60);
 /// How often a client is pinged, and told the state of the robots even if nothing changed.
 const BEAT: Duration = Duration::from_secs(2);
-/// Most Stops, and most single aborts, of a socket whose answers it waits for.
+/// Most Stops, most single aborts, and most wishes to the show, of a socket whose answers it waits for.
 const ANSWERS: usize = 64;
 /// Messages and goals in a second, and how many at once.
 const MESSAGES: (f64, f64) = (50.0, 100.0);
 const GOAL_RATE: (f64, f64) = (10.0, 20.0);
+/// Stops the scene of the show that plays.
+const STOP_SCENE: &str = "/ztl/show/stop_scene";
 /// Longest id of a client's goal.
 const ID: usize = 256;
 
@@ -54,6 +57,7 @@ pub(crate) enum Topic {
     Robots,
     Tasks,
     Stop,
+    Show,
 }
 
 impl Topic {
@@ -62,8 +66,9 @@ impl Topic {
             "/ztl/robots" => Ok(Self::Robots),
             "/ztl/tasks" => Ok(Self::Tasks),
             "/ztl/stop" => Ok(Self::Stop),
+            "/ztl/show" => Ok(Self::Show),
             _ => Err(format!(
-                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop, /ztl/streams/PUBLISHER and /ztl/streams/PUBLISHER/TOPIC"
+                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop, /ztl/show, /ztl/streams/PUBLISHER and /ztl/streams/PUBLISHER/TOPIC"
             )),
         }
     }
@@ -73,6 +78,7 @@ impl Topic {
             Self::Robots => "/ztl/robots",
             Self::Tasks => "/ztl/tasks",
             Self::Stop => "/ztl/stop",
+            Self::Show => "/ztl/show",
         }
     }
 }
@@ -92,6 +98,7 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
         has_started: false,
         stops: Arc::new(Semaphore::new(ANSWERS)),
         aborts: Arc::new(Semaphore::new(ANSWERS)),
+        wishes: Arc::new(Semaphore::new(ANSWERS)),
         aborts_when_gone: false,
         messages: Rate::new(MESSAGES),
         goal_rate: Rate::new(GOAL_RATE),
@@ -113,7 +120,8 @@ async fn written(
     let mut robots = board.topics.robots.subscribe();
     let mut tasks = board.topics.tasks.subscribe();
     let mut stop = board.topics.stop.subscribe();
-    let (mut on_robots, mut on_tasks, mut on_stop) = (false, false, false);
+    let mut show = board.topics.show.subscribe();
+    let (mut on_robots, mut on_tasks, mut on_stop, mut on_show) = (false, false, false, false);
     let mut listener = Listener::new(&board.streams);
     let mut beat = interval(BEAT);
     let told = |topic: Topic, value: &Shared| {
@@ -133,10 +141,11 @@ async fn written(
                         Topic::Robots => (&mut on_robots, &mut robots),
                         Topic::Tasks => (&mut on_tasks, &mut tasks),
                         Topic::Stop => (&mut on_stop, &mut stop),
+                        Topic::Show => (&mut on_show, &mut show),
                     };
                     *flag = on;
                     let value = topic_of.borrow_and_update();
-                    // Nobody has pressed Stop yet: there is nothing to tell.
+                    // Nobody has pressed Stop yet, or there is no show: there is nothing to tell.
                     match on && **value != *"{}" {
                         true => told(topic, &value),
                         false => Vec::new(),
@@ -145,6 +154,7 @@ async fn written(
             },
             Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
             Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
+            Ok(()) = show.changed(), if on_show => told(Topic::Show, &show.borrow_and_update()),
             messages = listener.changed() => messages,
             _ = beat.tick() => {
                 let mut messages = vec![Message::Ping(Vec::new().into())];
@@ -174,6 +184,7 @@ struct Reader {
     /// Limit the answers that come later.
     stops: Arc<Semaphore>,
     aborts: Arc<Semaphore>,
+    wishes: Arc<Semaphore>,
     /// Whether its goals are aborted when it is gone.
     aborts_when_gone: bool,
     messages: Rate,
@@ -183,6 +194,7 @@ struct Reader {
 impl Reader {
     async fn read(&mut self, mut from: SplitStream<WebSocket>) {
         while let Ok(Some(Ok(message))) = timeout(SILENCE, from.next()).await {
+            self.board.operator.hear(&self.who);
             let answer = match &message {
                 Message::Text(text) => self.on_message(text.as_str()),
                 // Some clients send their text as bytes.
@@ -211,7 +223,7 @@ impl Reader {
         let stops = match &message {
             Incoming::CancelActionGoal { .. } => true,
             Incoming::CallService { service, .. } => {
-                matches!(service.as_str(), "/ztl/stop" | "/ztl/abort")
+                matches!(service.as_str(), "/ztl/stop" | "/ztl/abort" | STOP_SCENE)
             }
             _ => false,
         };
@@ -302,6 +314,7 @@ impl Reader {
         let told = match service.as_str() {
             "/ztl/robots" => self.newest(Topic::Robots),
             "/ztl/tasks" => self.newest(Topic::Tasks),
+            "/ztl/show" => self.newest(Topic::Show),
             "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
             "/ztl/when_gone" => self.when_gone(&args),
             "/ztl/past" => self.board.past.find(args),
@@ -311,12 +324,16 @@ impl Reader {
                 Ok(()) => return None,
                 Err(why) => Err(why),
             },
+            "/ztl/show/command" => return self.wish(id, "/ztl/show/command", Wish::command(args)),
+            "/ztl/show/cue" => return self.wish(id, "/ztl/show/cue", Wish::cue(&args)),
+            "/ztl/show/note" => return self.wish(id, "/ztl/show/note", Wish::note(&args)),
+            STOP_SCENE => return self.wish(id, STOP_SCENE, Ok(Wish::stop_scene())),
             "/ztl/abort" => match self.abort(id.clone(), args) {
                 Ok(()) => return None,
                 Err(why) => Err(why),
             },
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
@@ -332,6 +349,7 @@ impl Reader {
             Topic::Robots => &self.board.topics.robots,
             Topic::Tasks => &self.board.topics.tasks,
             Topic::Stop => &self.board.topics.stop,
+            Topic::Show => &self.board.topics.show,
         };
         let value = topic.borrow().clone();
         let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
@@ -398,6 +416,43 @@ impl Reader {
         };
         self.answer_later(id, "/ztl/abort", place, told);
         Ok(())
+    }
+
+    /// Passes a wish to the show. The answer follows when the show has decided.
+    fn wish(
+        &mut self,
+        id: Option<Value>,
+        service: &'static str,
+        wish: Result<Wish, String>,
+    ) -> Option<Out> {
+        let passed = wish.and_then(|wish| {
+            let show = self.board.show();
+            let show = show.ok_or("there is no show: start `ztl web` with --script")?;
+            // Whoever may stop everything may stop a scene.
+            if !wish.stops() {
+                if !self.goal_rate.allows() {
+                    return Err("too many commands: send fewer".to_owned());
+                }
+                self.board.begins_to_operate(&self.who)?;
+            }
+            let place = Arc::clone(&self.wishes).try_acquire_owned();
+            let place = place.map_err(|_| format!("not done: {ANSWERS} answers are awaited"))?;
+            Ok((show.press(wish, &self.who.by, &self.board)?, place))
+        });
+        match passed {
+            Ok((telling, place)) => {
+                let told = async {
+                    let told = telling.await;
+                    told.unwrap_or_else(|_| Err("the show has ended".to_owned()))
+                };
+                self.answer_later(id, service, place, told);
+                None
+            }
+            Err(why) => {
+                let answer = rosbridge::service_response(id.as_ref(), service, Err(why));
+                Some(Out::Text(answer))
+            }
+        }
     }
 
     /// Answers a call when the answer is known. Neither a thread nor the client's other messages wait for it.

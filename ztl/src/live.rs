@@ -3,7 +3,6 @@
 //! The run never waits for the terminal. It passes its events to [`LiveView::handle`] and takes the keys from
 //! [`LiveView::pressed`].
 
-mod board;
 mod choose;
 mod draw;
 mod key_decoder;
@@ -21,12 +20,12 @@ use std::time::Instant;
 
 use ztl_script::event::StampedEvent;
 
-use self::board::Board;
 use self::screen::{Screen, Shared, lock};
 use self::text::Capabilities;
 use crate::key_press::KeyPress;
 use crate::terminal::{self, drawn_line};
 use crate::terminal_mode::{self, Mode};
+use ztl_script::board::Board;
 
 /// The live view. It has the terminal until it is dropped.
 #[derive(Debug)]

@@ -7,7 +7,9 @@ mod run_record;
 mod simulated_servers;
 mod view;
 
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,7 +32,7 @@ use crate::server_connection::connect;
 use crate::terminal::{error_line, error_part, line};
 use crate::{log, signals};
 use output::LineOutput;
-use run_record::RunRecord;
+pub(crate) use run_record::RunRecord;
 use simulated_servers::SimulatedServers;
 use view::View;
 
@@ -137,42 +139,10 @@ impl RunScript {
             Some(_) if !self.endpoints.is_given() => Remotes::named("no configuration"),
             _ => self.endpoints.read()?,
         };
-        let defaults = match &self.defaults {
-            Some(path) => Defaults::load(path)
-                .map_err(|mistakes| Misuse(format!("mistakes in the defaults:\n{mistakes}")))?,
-            None => Defaults::default(),
-        };
-        let script = match Script::load(&self.script, defaults) {
-            Ok(script) => Arc::new(script),
-            Err(mistakes) => {
-                error_part(mistakes);
-                let file = self.script.display();
-                return Err(format!(
-                    "{file} cannot be played; `ztl check {file}` lists all mistakes"
-                )
-                .into());
-            }
-        };
+        let script = load(&self.script, self.defaults.as_deref())?;
         // The live view hides lines printed before it, so it repeats them.
-        let mut notes = Vec::new();
-        if self.simulate.is_none() {
-            for unknown in script.unknown_remotes(&remotes) {
-                error_part(format_args!("{called}: warning: {unknown}"));
-                notes.extend(unknown.to_string().lines().next().map(str::to_owned));
-            }
-        }
-        if script.doubts() > 0 {
-            let (count, file) = (script.doubts(), self.script.display());
-            let (s, them) = if count == 1 {
-                ("", "it")
-            } else {
-                ("s", "them")
-            };
-            let note =
-                format!("{count} doubtful place{s} in {file}; `ztl check {file}` shows {them}");
-            error_line(format_args!("{called}: warning: {note}"));
-            notes.push(note);
-        }
+        let asked = self.simulate.is_none().then_some(&remotes);
+        let mut notes = warnings(&called, &self.script, &script, asked);
         let (scene, from) = self.selection(&script).map_err(Misuse)?;
         self.connecting.check()?;
         let mut options = PlayOptions {
@@ -196,11 +166,7 @@ impl RunScript {
             .simulate
             .map(|time| SimulatedServers::start(&script, &mut remotes, time))
             .transpose()?;
-        let known = script
-            .remotes()
-            .into_iter()
-            .filter(|name| remotes.task(name).is_ok());
-        options.remotes = known.map(str::to_owned).collect();
+        options.remotes = known_remotes(&script, &remotes);
         let started = self.started(&script, &remotes);
         let streams = match self.simulate {
             // A rehearsal has nothing to do with real robots.
@@ -214,7 +180,10 @@ impl RunScript {
         let sounds = self.sound.as_slice();
         #[cfg(not(feature = "record"))]
         let sounds = ();
-        let record = record.map(|path| RunRecord::create(path, (&streams, sounds), show.handle()));
+        let record = record.map(|path| {
+            let runner = show.handle();
+            RunRecord::create(path, (&streams, sounds), move || runner.wake())
+        });
         let record = record.transpose()?;
         if !live {
             notes.clear();
@@ -307,16 +276,6 @@ impl RunScript {
 
     /// The first event of the record.
     fn started(&self, script: &Script, remotes: &Remotes) -> RunStarted {
-        let outline = |name: &str| {
-            let remote = remotes.task(name).ok();
-            RemoteOutline {
-                name: name.to_owned(),
-                endpoint: remote.map(Remote::endpoint),
-                scope: remote
-                    .map(|remote| remote.scope.clone())
-                    .unwrap_or_default(),
-            }
-        };
         let mut options = Vec::new();
         let named = [
             ("--scene", self.scene.as_ref()),
@@ -338,17 +297,92 @@ impl RunScript {
         if let Some(path) = &self.defaults {
             options.extend(["--defaults".to_owned(), path.display().to_string()]);
         }
-        let path = self.endpoints.path();
-        RunStarted {
-            format: FORMAT,
-            script: self.script.display().to_string(),
-            sha256: script.sha256(),
-            config: path.exists().then(|| path.display().to_string()),
-            options,
-            versions: versions(),
-            remotes: script.remotes().into_iter().map(outline).collect(),
-            outline: script.outline(),
+        started((&self.script, script), (&self.endpoints, remotes), options)
+    }
+}
+
+/// Reads a script that can be played, with these defaults.
+pub(crate) fn load(
+    path: &Path,
+    defaults: Option<&Path>,
+) -> Result<Arc<Script>, Box<dyn std::error::Error>> {
+    let defaults = match defaults {
+        Some(path) => Defaults::load(path)
+            .map_err(|mistakes| Misuse(format!("mistakes in the defaults:\n{mistakes}")))?,
+        None => Defaults::default(),
+    };
+    Script::load(path, defaults)
+        .map(Arc::new)
+        .map_err(|mistakes| {
+            error_part(mistakes);
+            let file = path.display();
+            format!("{file} cannot be played; `ztl check {file}` lists all mistakes").into()
+        })
+}
+
+/// Prints what is doubtful about a script, and about its servers if it is to be played on `remotes`; returns the same as
+/// notes for the operator.
+pub(crate) fn warnings(
+    called: &dyn Display,
+    path: &Path,
+    script: &Script,
+    remotes: Option<&Remotes>,
+) -> Vec<String> {
+    let mut notes = Vec::new();
+    for unknown in remotes
+        .into_iter()
+        .flat_map(|remotes| script.unknown_remotes(remotes))
+    {
+        error_part(format_args!("{called}: warning: {unknown}"));
+        notes.extend(unknown.to_string().lines().next().map(str::to_owned));
+    }
+    if script.doubts() > 0 {
+        let (count, file) = (script.doubts(), path.display());
+        let (s, them) = if count == 1 {
+            ("", "it")
+        } else {
+            ("s", "them")
+        };
+        let note = format!("{count} doubtful place{s} in {file}; `ztl check {file}` shows {them}");
+        error_line(format_args!("{called}: warning: {note}"));
+        notes.push(note);
+    }
+    notes
+}
+
+/// The servers of a script that `remotes` has.
+pub(crate) fn known_remotes(script: &Script, remotes: &Remotes) -> BTreeSet<String> {
+    let names = script.remotes().into_iter();
+    let known = names.filter(|name| remotes.task(name).is_ok());
+    known.map(str::to_owned).collect()
+}
+
+/// The first event of a record. `options`: what changes what is played, as words of a command line.
+pub(crate) fn started(
+    (path, script): (&Path, &Script),
+    (endpoints, remotes): (&RemotesOptions, &Remotes),
+    options: Vec<String>,
+) -> RunStarted {
+    let outline = |name: &str| {
+        let remote = remotes.task(name).ok();
+        RemoteOutline {
+            name: name.to_owned(),
+            endpoint: remote.map(Remote::endpoint),
+            scope: remote
+                .map(|remote| remote.scope.clone())
+                .unwrap_or_default(),
         }
+    };
+    let config = endpoints.path();
+    RunStarted {
+        format: FORMAT,
+        script: path.display().to_string(),
+        sha256: script.sha256(),
+        config: config.exists().then(|| config.display().to_string()),
+        options,
+        versions: versions(),
+        remotes: script.remotes().into_iter().map(outline).collect(),
+        outline: script.outline(),
     }
 }
 

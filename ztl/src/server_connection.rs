@@ -70,7 +70,11 @@ impl ServerConnection {
         })
     }
 
-    fn init(&mut self, handler: &str, component: &str, goal: &str) -> ServerAnswer {
+    fn init(
+        &mut self,
+        (handler, component, goal): (&str, &str, &str),
+        may_start: &dyn Fn() -> bool,
+    ) -> ServerAnswer {
         // A server that does not identify itself gets no INIT.
         let server = match self.server() {
             Ok(server) => server,
@@ -81,7 +85,9 @@ impl ServerConnection {
                 };
             }
         };
-        match self.remote.trigger(handler, component, goal) {
+        let payload = encoded(handler, component, goal);
+        // Once it is sent, its answer tells what is to be aborted.
+        match self.remote.trigger_before(&payload, may_start, || true) {
             Ok(task) => ServerAnswer::Started {
                 id: task.id,
                 text: task.reply,
@@ -90,11 +96,10 @@ impl ServerConnection {
             Err(TriggerError::Rejected { id, reason }) => {
                 ServerAnswer::Rejected { id, text: reason }
             }
-            Err(error @ (TriggerError::NeverCame | TriggerError::GivenUp)) => {
-                ServerAnswer::NotStarted {
-                    text: error.to_string(),
-                }
-            }
+            Err(TriggerError::GivenUp) => ServerAnswer::Withdrawn,
+            Err(error @ TriggerError::NeverCame) => ServerAnswer::NotStarted {
+                text: error.to_string(),
+            },
             // The goal is too long: its author has to change it.
             Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => {
                 ServerAnswer::Rejected {
@@ -175,13 +180,13 @@ impl ServerConnection {
 }
 
 impl Connection for ServerConnection {
-    fn request(&mut self, request: &ServerRequest) -> ServerAnswer {
+    fn request(&mut self, request: &ServerRequest, may_start: &dyn Fn() -> bool) -> ServerAnswer {
         match request {
             ServerRequest::Init {
                 handler,
                 component,
                 goal,
-            } => self.init(handler, component, goal),
+            } => self.init((handler, component, goal), may_start),
             ServerRequest::Status { id, text, hold } => {
                 let payload = ServerRequest::status_payload(text, *hold);
                 let told = self.remote.status_with(id, &payload);

@@ -2,28 +2,35 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Receiver, Sender, channel, sync_channel};
+use std::time::Duration;
 
 use qrcode::render::unicode::Dense1x2;
 use qrcode::{EcLevel, QrCode};
 use tracing::Level;
-use ztl_std::RemoteTask;
+use ztl_script::PlayOptions;
+use ztl_script::event::StampedEvent;
 use ztl_std::keys::exposure;
-use ztl_web::{Options, Publisher, Robot, Tls, Tokens, serve};
+use ztl_std::{RemoteTask, Remotes};
+use ztl_web::{Options, Publisher, Robot, Show, ShowRecord, Tls, Tokens, serve};
 
 use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::ConnectOptions;
 use crate::exit::{Done, Misuse};
 use crate::option_values::port;
 use crate::remotes_options::RemotesOptions;
+use crate::run_script::{self, RunRecord};
+use crate::server_connection::connect;
 use crate::terminal::{drawn_line, error_line, is_live, line, size};
 use crate::{log, signals};
 
 /// The original's port.
 const PORT: u16 = 1060;
+/// How long a show may take to abort its tasks when the console ends.
+const END_LIMIT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, clap::Args)]
 #[command(
@@ -61,6 +68,19 @@ pub(crate) struct Web {
     /// Keep the tokens of the links in this file, so that open pages go on when the console is started again
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
+
+    /// Play the scenes of this script (docs/web.md)
+    #[arg(long, value_name = "SHOW.yaml")]
+    script: Option<PathBuf>,
+
+    /// Defaults for the script: timeout, on_failure, parallel, operator_gone
+    #[arg(long, value_name = "FILE", requires = "script")]
+    defaults: Option<PathBuf>,
+
+    /// Record all events of the show: a line for each, or with a FILE.mcap together with all publishers of the
+    /// configuration file (docs/record.md); FILE must not exist
+    #[arg(long, value_name = "FILE", requires = "script")]
+    record: Option<PathBuf>,
 
     /// PEM files of a certificate and its key: serve https
     #[arg(long, value_names = ["CERT", "KEY"], num_args = 2)]
@@ -127,6 +147,13 @@ impl Web {
                 connect: Arc::new(connect),
             });
         }
+        let (show, end_of_show) = match &self.script {
+            None => (None, None),
+            Some(script) => {
+                let (show, end) = self.show(script, &remotes)?;
+                (Some(show), Some(end))
+            }
+        };
         let place = (self.bind, self.port);
         let listener = TcpListener::bind(place).map_err(|error| {
             format!("cannot serve at {} port {}: {error}", self.bind, self.port)
@@ -171,14 +198,59 @@ impl Web {
                     tokens,
                     hosts: self.host,
                     page: self.serve,
+                    show,
                     tls,
                 };
                 drop(failing.send(serve(options).err()));
             })?;
-        match end.recv()? {
+        let failed = end.recv()?;
+        if let Some(end) = end_of_show {
+            end.wait();
+        }
+        match failed {
             Some(error) => Err(error.into()),
             None => Ok(signals::exit_code_or(ExitCode::SUCCESS)),
         }
+    }
+
+    /// The show of a script, and what ends it.
+    fn show(
+        &self,
+        path: &Path,
+        remotes: &Remotes,
+    ) -> Result<(Show, EndOfShow), Box<dyn std::error::Error>> {
+        let script = run_script::load(path, self.defaults.as_deref())?;
+        let notes = run_script::warnings(&"ztl", path, &script, Some(remotes));
+        let options = PlayOptions {
+            watch: true,
+            remotes: run_script::known_remotes(&script, remotes),
+            ..PlayOptions::default()
+        };
+        let words = self.defaults.as_ref().map_or_else(Vec::new, |path| {
+            vec!["--defaults".to_owned(), path.display().to_string()]
+        });
+        let started = run_script::started((path, &script), (&self.remotes, remotes), words);
+        let record = match &self.record {
+            None => None,
+            // The show looks for warnings by itself.
+            Some(path) => {
+                let record = RunRecord::create(path, (remotes, Default::default()), || {})?;
+                Some(Box::new(record) as Box<dyn ShowRecord>)
+            }
+        };
+        let (end, ending) = channel();
+        let (ended, over) = sync_channel(0);
+        let show = Show {
+            script,
+            options,
+            connect: connect(remotes.clone(), self.connecting.clone()),
+            started,
+            notes,
+            record,
+            ending,
+            ended,
+        };
+        Ok((show, EndOfShow { end, over }))
     }
 
     /// What browsers call the console: its host and port.
@@ -187,6 +259,35 @@ impl Web {
             Some(name) => format!("{name}:{}", address.port()),
             None => SocketAddr::new(reachable(self.bind), address.port()).to_string(),
         }
+    }
+}
+
+/// Ends the show.
+struct EndOfShow {
+    end: Sender<()>,
+    over: Receiver<()>,
+}
+
+impl EndOfShow {
+    /// Lets the show abort its tasks, and waits for that.
+    fn wait(self) {
+        drop(self.end);
+        // Nothing is ever sent.
+        let _ = self.over.recv_timeout(END_LIMIT);
+    }
+}
+
+impl ShowRecord for RunRecord {
+    fn write(&mut self, event: &StampedEvent) -> Result<(), String> {
+        self.write(event)
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        self.warnings()
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), String> {
+        (*self).finish()
     }
 }
 

@@ -43,6 +43,9 @@ pub struct RemoteOutline {
 pub struct Outline {
     /// In the order of the file.
     pub scenes: Vec<SceneOutline>,
+    /// In the order of the file.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cues: Vec<StepOutline>,
 }
 
 /// A planned scene.
@@ -92,4 +95,12 @@ pub struct TaskOutline {
     /// Time limit.
     #[serde(rename = "limit_ms", with = "millis::optional", default)]
     pub limit: Option<Duration>,
+}
+
+impl TaskOutline {
+    /// `handler:component:goal`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        format!("{}:{}:{}", self.handler, self.component, self.goal)
+    }
 }

@@ -63,6 +63,25 @@ impl WaitReason {
     }
 }
 
+impl fmt::Display for WaitReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ServerSilent { remote } => write!(f, "server '{remote}' is silent"),
+            Self::ServerRestarted { remote } => write!(f, "server '{remote}' was restarted"),
+            Self::TaskUnknown => f.write_str("a task is unknown to its server"),
+            Self::NotTold { remote } => {
+                write!(f, "server '{remote}' does not say how its tasks are")
+            }
+            Self::AnswerUnclear { remote } => {
+                write!(f, "server '{remote}' gives no usable answer about a task")
+            }
+            Self::StartUnknown => f.write_str("whether a task was started is unknown"),
+            Self::Failed => f.write_str("a task failed"),
+            Self::TooLong => f.write_str("a task takes longer than its limit"),
+        }
+    }
+}
+
 /// The state of a task as the run knows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

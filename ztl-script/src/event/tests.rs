@@ -43,6 +43,7 @@ fn an_event_survives_a_round_trip() {
                 }],
             }],
         }],
+        cues: Vec::new(),
     };
     let events = [
         RunEvent::RunStarted(Box::new(RunStarted {

@@ -11,6 +11,9 @@ use super::stop::UNNAMED;
 use crate::event::{RequestNumber, RunEvent, ServerState, TaskNumber, TaskState, WaitReason};
 use crate::server::{Server, ServerAnswer, ServerRequest};
 
+/// Said about a task whose INIT was not sent.
+const WITHDRAWN: &str = "everything was stopped before it was sent";
+
 /// A STATUS answered sooner than this was not held.
 const NOT_HELD: Duration = Duration::from_millis(20);
 
@@ -83,6 +86,7 @@ impl Player {
                 return unanswered(true, text);
             }
             ServerAnswer::NotStarted { text } => return unanswered(false, text),
+            ServerAnswer::Withdrawn => return unanswered(false, WITHDRAWN),
             ServerAnswer::Nothing { sent, text } => return unanswered(*sent, text),
             ServerAnswer::There { .. }
             | ServerAnswer::NoScope { .. }
@@ -120,6 +124,8 @@ impl Player {
                 ServerState::Absent { text: text.clone() }
             }
             ServerAnswer::Nothing { .. } => ServerState::Silent,
+            // The server was not asked.
+            ServerAnswer::Withdrawn => return,
             _ => match known {
                 Some(known @ ServerState::Answering { .. }) => known.clone(),
                 _ => ServerState::Answering { version: None },
@@ -146,9 +152,13 @@ impl Player {
                     task.boot = Some(boot);
                 }
                 task.next = now;
-                let plan = task
+                let of_step = task
                     .place
                     .and_then(|(scene, step, part)| self.script.step(scene, step)?.tasks.get(part));
+                let of_cue = task
+                    .cue
+                    .and_then(|(cue, part)| self.script.cues.get(cue)?.step.tasks.get(part));
+                let plan = of_step.or(of_cue);
                 task.deadline = plan.and_then(|plan| plan.limit).map(|limit| now + limit);
                 self.set_state(number, TaskState::Accepted, &text);
                 self.forget_namesakes(now, number, &id, &remote);
@@ -159,6 +169,7 @@ impl Player {
             ServerAnswer::Rejected { text, .. } => {
                 self.set_state(number, TaskState::Refused, &text)
             }
+            ServerAnswer::Withdrawn => self.set_state(number, TaskState::NotStarted, WITHDRAWN),
             ServerAnswer::NotStarted { text } | ServerAnswer::Nothing { sent: false, text } => {
                 task.absent = true;
                 self.set_state(number, TaskState::NotStarted, &text);

@@ -178,8 +178,10 @@ pub(super) struct Stopping {
 /// A task of this run, or one that another client started and this run stops.
 #[derive(Debug)]
 pub(super) struct RunTask {
-    /// Scene, step and part; `None` for a task that another client started.
+    /// Scene, step and part; `None` for a task of a cue, or that another client started.
     pub(super) place: Option<(usize, usize, usize)>,
+    /// Cue and part.
+    pub(super) cue: Option<(usize, usize)>,
     pub(super) remote: String,
     /// Its step waits for it.
     pub(super) awaited: bool,
@@ -239,6 +241,7 @@ impl RunTask {
     pub(super) const fn new(now: Instant, remote: String) -> Self {
         Self {
             place: None,
+            cue: None,
             remote,
             awaited: false,
             state: TaskState::Asked,

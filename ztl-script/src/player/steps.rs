@@ -7,8 +7,8 @@ use std::time::Duration;
 use ztl_core::Instant;
 
 use super::state::{Phase, Play, Player, RunTask, Stage, StepPlay, Todo};
-use crate::event::{DecidedBy, Ending, Question, RunCommand, RunEvent, TaskState};
-use crate::model::OnFailure;
+use crate::event::{DecidedBy, Ending, Question, RunCommand, RunEvent, TaskNumber, TaskState};
+use crate::model::{Handler, OnFailure, Task};
 use crate::server::ServerRequest;
 
 impl Player {
@@ -261,10 +261,21 @@ impl Player {
         let new = RunTask {
             place: Some((scene, step, part)),
             awaited: plan.wait && task.wait,
-            status_text: format!("{}:{}:{}", handler.key, task.component, task.goal),
             ..RunTask::new(now, handler.remote.clone())
         };
-        self.tasks.insert(number, new);
+        self.init(now, (number, new), handler, task);
+    }
+
+    /// Sends a task.
+    pub(super) fn init(
+        &mut self,
+        now: Instant,
+        (number, new): (TaskNumber, RunTask),
+        handler: &Handler,
+        task: &Task,
+    ) {
+        let status_text = format!("{}:{}:{}", handler.key, task.component, task.goal);
+        self.tasks.insert(number, RunTask { status_text, ..new });
         self.live.insert(number);
         if !self.options.remotes.contains(&handler.remote) {
             let text = format!(

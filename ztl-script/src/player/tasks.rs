@@ -193,7 +193,9 @@ impl Player {
         }
         match state {
             TaskState::Completed => self.unresolved.remove(&number),
-            state if state.is_failure() && task.place.is_some() => self.unresolved.insert(number),
+            state if state.is_failure() && (task.place.is_some() || task.cue.is_some()) => {
+                self.unresolved.insert(number)
+            }
             _ => false,
         };
     }

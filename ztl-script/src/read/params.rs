@@ -1,13 +1,14 @@
 //! Parameters in the keys of a script: `step (wait=no, delay=2)` (wire specification 8.3), and the
 //! defaults file.
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::time::Duration;
 
 use ztl_core::integer::Integer;
 use ztl_yaml::{Diagnostics, closest};
 
-use crate::model::{Defaults, OnFailure};
+use crate::model::{Defaults, OnFailure, OperatorGone};
 
 /// Longest delay or limit, in seconds: a century or so.
 const LONGEST: f64 = 4e9;
@@ -15,11 +16,15 @@ const LONGEST: f64 = 4e9;
 /// Shortest time that is not taken for a slip, in seconds.
 const SHORTEST: f64 = 0.001;
 
+/// How many seconds nobody may operate until something is stopped. A page is heard every 2 s.
+const GONE: RangeInclusive<u64> = 5..=3600;
+
 /// Most retries of a step.
 const MOST_RETRIES: u32 = 100;
 
 /// Names of parameters, which stand in parentheses.
-pub(super) const NAMES: [&str; 6] = [
+pub(super) const NAMES: [&str; 7] = [
+    "operator_gone",
     "delay",
     "wait",
     "timeout",
@@ -35,6 +40,8 @@ pub(super) fn taken_by(name: &str) -> Option<&'static str> {
         "wait" | "timeout" => "step or component",
         "parallel" | "on_failure" => "step",
         "remote" => "handler",
+        "operator_gone" => "scene or cue",
+        "key" => "cue",
         _ => return None,
     })
 }
@@ -184,6 +191,34 @@ pub(super) fn truth(text: &str) -> (bool, bool) {
     (yes, yes || no)
 }
 
+/// `go on`, `stop 10`.
+pub(super) fn operator_gone(text: &str) -> Result<OperatorGone, String> {
+    let plain = text.to_lowercase();
+    let words: Vec<&str> = plain.split_whitespace().collect();
+    let seconds = match words.as_slice() {
+        ["go", "on"] | ["go-on" | "go_on"] => return Ok(OperatorGone::GoOn),
+        ["stop", seconds] => seconds.parse().ok(),
+        _ => None,
+    };
+    let seconds = seconds.filter(|seconds| GONE.contains(seconds));
+    let seconds = seconds.ok_or_else(|| {
+        let (least, most) = (GONE.start(), GONE.end());
+        format!("'{text}' is not known here; write go on, or stop 10: whole seconds from {least} to {most}")
+    })?;
+    Ok(OperatorGone::Stop(Duration::from_secs(seconds)))
+}
+
+/// A letter or digit.
+pub(super) fn cue_key(text: &str) -> Result<char, String> {
+    let mut chars = text.chars();
+    match (chars.next(), chars.next()) {
+        (Some(key), None) if key.is_ascii_alphanumeric() => Ok(key.to_ascii_lowercase()),
+        _ => Err(format!(
+            "'{text}' is not a key of a cue; write one letter or digit, as key=w"
+        )),
+    }
+}
+
 /// `ask`, `stop`, `go on`, `retry 3`.
 pub(super) fn on_failure(text: &str) -> Result<OnFailure, String> {
     let plain = text.to_lowercase();
@@ -216,7 +251,7 @@ fn retries(count: &str) -> Result<OnFailure, String> {
 }
 
 impl Defaults {
-    /// Reads a defaults file: `timeout`, `on_failure`, `parallel`.
+    /// Reads a defaults file: `timeout`, `on_failure`, `parallel`, `operator_gone`.
     ///
     /// # Errors
     /// Every mistake in it, with its place.
@@ -236,6 +271,10 @@ impl Defaults {
             }
             if let Some(node) = fields.optional("parallel") {
                 defaults.parallel = reading.truth(node).unwrap_or_default();
+            }
+            if let Some(node) = fields.optional("operator_gone") {
+                let gone = reading.parsed(node, "go on, or stop 10", operator_gone);
+                defaults.operator_gone = gone.unwrap_or_default();
             }
             fields.finish(&mut reading);
             defaults

@@ -3,17 +3,24 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
+use ztl_yaml::python::PythonValue;
 use ztl_yaml::{Document, Node, NodeValue, Span};
 
 use super::reader::{Entry, Reader, short, short_quoted};
 use super::{keys, params};
 use crate::finding::Finding;
-use crate::model::{Defaults, Handler, Scene, Step, Task};
+use crate::model::{Cue, Defaults, Handler, OnFailure, Scene, Step, Task};
 
 const SHAPE: &str = "write scene: {step: {handler: {component: goal}}}, each on a line of its own";
 
-/// The scenes of a document, as far as they can be read, and the findings.
-pub(crate) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Vec<Finding>) {
+/// The key of the cues. With parameters, or with a blank behind it, it is a scene.
+const CUES: &str = "cues";
+
+/// The scenes and cues of a document, as far as they can be read, and the findings.
+pub(crate) fn scenes(
+    document: &Document,
+    defaults: Defaults,
+) -> (Vec<Scene>, Vec<Cue>, Vec<Finding>) {
     let mut reader = Reader::new(document, defaults);
     let root = document.root();
     if root.is_null() {
@@ -28,7 +35,13 @@ pub(crate) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Ve
         false => reader.level(root, root.span, ("script", ""), "scenes"),
     };
     let mut scenes = Vec::new();
+    let mut cues = Vec::new();
     for mut entry in entries {
+        if matches!(&entry.key, PythonValue::Text(key) if key == CUES) {
+            reader.look_through(&mut entry, |reader, lost| drop(reader.cues(&lost)));
+            cues = reader.cues(&entry);
+            continue;
+        }
         reader.look_through(&mut entry, |reader, lost| drop(reader.scene(lost)));
         scenes.push(reader.scene(entry));
     }
@@ -36,7 +49,7 @@ pub(crate) fn scenes(document: &Document, defaults: Defaults) -> (Vec<Scene>, Ve
     reader.namesakes("scene", "--scene", names);
     let mut findings = reader.findings;
     findings.sort_by_key(|finding| finding.diagnostic().span.map(|span| span.start));
-    (scenes, findings)
+    (scenes, cues, findings)
 }
 
 impl<'d> Reader<'d> {
@@ -51,6 +64,7 @@ impl<'d> Reader<'d> {
         let name = name.trim();
         let whose = match what {
             "script" => "a script".to_owned(),
+            "cues" => format!("'{CUES}'"),
             what => format!("{what} '{}'", short(name)),
         };
         let NodeValue::Map(_) = &node.value else {
@@ -137,6 +151,7 @@ impl<'d> Reader<'d> {
             name: parsed.name.to_owned(),
             delay: Duration::ZERO,
             steps: Vec::new(),
+            operator_gone: self.defaults.operator_gone,
             span: entry.name.span,
             key: key.clone(),
         };
@@ -152,7 +167,12 @@ impl<'d> Reader<'d> {
                     "a scene takes no 'wait': it has no effect",
                     None,
                 ),
-                _ => self.unknown(&entry, &key, *piece, "a scene", &["delay"]),
+                Some("operator_gone") => {
+                    let read = params::operator_gone(piece.value.unwrap_or_default());
+                    let read = self.parsed(&entry, &key, *piece, read);
+                    scene.operator_gone = read.unwrap_or_default();
+                }
+                _ => self.unknown(&entry, &key, *piece, "a scene", &["delay", "operator_gone"]),
             }
         }
         let steps = self.level(
@@ -168,6 +188,78 @@ impl<'d> Reader<'d> {
         let names = scene.steps.iter().map(|step| (step.name.trim(), step.span));
         self.namesakes("step", "--from", names);
         scene
+    }
+
+    /// The cues: written as the steps of a scene.
+    fn cues(&mut self, entry: &Entry<'d>) -> Vec<Cue> {
+        let what = ("cues", "");
+        let mut cues: Vec<Cue> = Vec::new();
+        for mut entry in self.level(entry.value, entry.name.span, what, "cues") {
+            self.look_through(&mut entry, |reader, lost| drop(reader.cue(lost)));
+            let cue = self.cue(entry);
+            let same = cues
+                .iter()
+                .find(|other| cue.key.is_some() && other.key == cue.key);
+            if let Some(other) = same {
+                let (line, span) = (other.step.span.start.line, cue.step.span);
+                let message = format!("the cue in line {line} has the same key");
+                self.mistake(span, message, Some("give them different keys".to_owned()));
+            }
+            cues.push(cue);
+        }
+        cues
+    }
+
+    fn cue(&mut self, entry: Entry<'d>) -> Cue {
+        let key = entry.key.to_string();
+        let parsed = self.key(&key, entry.name);
+        let mut cue = Cue {
+            step: Step {
+                name: parsed.name.to_owned(),
+                delay: Duration::ZERO,
+                wait: false,
+                parallel: true,
+                on_failure: OnFailure::GoOn,
+                handlers: Vec::new(),
+                tasks: Vec::new(),
+                span: entry.name.span,
+                key: key.clone(),
+            },
+            key: None,
+            operator_gone: self.defaults.operator_gone,
+        };
+        let mut limit = self.defaults.timeout;
+        for piece in &parsed.pieces {
+            let value = piece.value.unwrap_or_default();
+            match piece.name {
+                Some("key") => {
+                    cue.key = self.parsed(&entry, &key, *piece, params::cue_key(value));
+                }
+                Some("operator_gone") => {
+                    let read = params::operator_gone(value);
+                    let read = self.parsed(&entry, &key, *piece, read);
+                    cue.operator_gone = read.unwrap_or_default();
+                }
+                Some("timeout") => limit = self.limit(&entry, &key, *piece).unwrap_or(limit),
+                _ => {
+                    let known = ["key", "operator_gone", "timeout"];
+                    self.unknown(&entry, &key, *piece, "a cue", &known);
+                }
+            }
+        }
+        self.handlers(
+            (entry.value, entry.name.span),
+            ("cue", parsed.name),
+            limit,
+            &mut cue.step,
+        );
+        for task in &mut cue.step.tasks {
+            if !std::mem::take(&mut task.delay).is_zero() {
+                let message = "a cue starts its tasks at once: this delay has no effect";
+                self.doubt(task.span, message, None);
+            }
+        }
+        cue
     }
 
     fn step(&mut self, entry: Entry<'d>) -> Step {
@@ -204,15 +296,30 @@ impl<'d> Reader<'d> {
                 }
             }
         }
-        let at = entry.name.span;
-        for mut entry in self.level(entry.value, at, ("step", parsed.name), "handlers") {
+        self.handlers(
+            (entry.value, entry.name.span),
+            ("step", parsed.name),
+            limit,
+            &mut step,
+        );
+        step
+    }
+
+    /// The handlers of a step or cue, with their tasks.
+    fn handlers(
+        &mut self,
+        (value, at): (&'d Node, Span),
+        of: (&str, &str),
+        limit: Option<Duration>,
+        step: &mut Step,
+    ) {
+        for mut entry in self.level(value, at, of, "handlers") {
             let before = step.clone();
             self.look_through(&mut entry, |reader, lost| {
                 reader.handler(&lost, limit, &mut before.clone());
             });
-            self.handler(&entry, limit, &mut step);
+            self.handler(&entry, limit, step);
         }
-        step
     }
 
     fn handler(&mut self, entry: &Entry<'d>, limit: Option<Duration>, step: &mut Step) {

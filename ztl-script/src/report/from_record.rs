@@ -175,6 +175,14 @@ impl Reader {
                 }
             }
             RunEvent::Note { text } => self.run.notes.push((at, text)),
+            RunEvent::CueStarting { cue, part, .. } => {
+                let cue = self.run.outline().cues.get(cue);
+                let task = cue.and_then(|cue| Some((cue, cue.tasks.get(part)?)));
+                if let Some((cue, task)) = task {
+                    let text = format!("cue '{}': {}", cue.name, task.name());
+                    self.run.notes.push((at, text));
+                }
+            }
             RunEvent::RunEnded {
                 outcome,
                 running,

@@ -1,7 +1,7 @@
 //! What happened, in words.
 
 use super::run::{ReportedRun, RequestClass, WaitCause};
-use crate::event::{DecidedBy, Ending, RunCommand, RunOutcome, WaitReason};
+use crate::event::{DecidedBy, Ending, RunCommand, RunOutcome};
 
 pub(super) fn command(run: &ReportedRun, command: RunCommand) -> String {
     let word = match command {
@@ -44,24 +44,7 @@ pub(super) fn cause(cause: &WaitCause) -> String {
     match cause {
         WaitCause::Operator => "for the operator".to_owned(),
         WaitCause::Pause => "pause".to_owned(),
-        WaitCause::Unsettled(why) => why_text(why),
-    }
-}
-
-fn why_text(why: &WaitReason) -> String {
-    match why {
-        WaitReason::ServerSilent { remote } => format!("server '{remote}' is silent"),
-        WaitReason::ServerRestarted { remote } => format!("server '{remote}' was restarted"),
-        WaitReason::TaskUnknown => "a task is unknown to its server".to_owned(),
-        WaitReason::NotTold { remote } => {
-            format!("server '{remote}' does not say how its tasks are")
-        }
-        WaitReason::AnswerUnclear { remote } => {
-            format!("server '{remote}' gives no usable answer about a task")
-        }
-        WaitReason::StartUnknown => "whether a task was started is unknown".to_owned(),
-        WaitReason::Failed => "a task failed".to_owned(),
-        WaitReason::TooLong => "a task takes longer than its limit".to_owned(),
+        WaitCause::Unsettled(why) => why.to_string(),
     }
 }
 

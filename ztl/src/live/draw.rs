@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use ztl_script::event::{ServerState, TaskState};
 
-use super::board::{Board, SceneRun, ServerView, TaskRun};
 use super::choose::Chooser;
 use super::keys;
 use super::message::{self, message};
 use super::rows::{Seen, body, page, scene_line, scene_list, task_line, window};
 use super::text::{Line, Paragraph, Style, clip, clock};
+use ztl_script::board::{Board, SceneRun, ServerView, TaskRun};
 
 /// Lines of a long message that take precedence over keys.
 const MESSAGE_LEAST: usize = 2;

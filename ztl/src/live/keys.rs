@@ -2,7 +2,7 @@
 
 use ztl_script::event::{Question, RunCommand};
 
-use super::board::Board;
+use ztl_script::board::Board;
 
 /// Whether a key stops tasks.
 pub(super) fn stops(key: &str) -> bool {

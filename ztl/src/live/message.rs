@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use ztl_script::event::{Question, RunCommand, RunOutcome, ServerState, TaskState, WaitReason};
 
-use super::board::{Board, Stopping, TaskRun};
 use super::choose::Chooser;
 use super::text::{self, Line, Paragraph, Style, clock};
+use ztl_script::board::{Board, Stopping, TaskRun};
 
 /// Most lines of one paragraph.
 const LONGEST: usize = 40;

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use ztl_script::event::{Question, SceneOutline, StepOutline, TaskOutline, TaskState};
 
-use super::board::{Board, Progress, StepRun, TaskRun};
 use super::choose::Chooser;
 use super::text::{self, Line, Paragraph, Style, clip, clock};
+use ztl_script::board::{Board, Progress, StepRun, TaskRun};
 
 /// A row of the body.
 enum Row<'a> {
@@ -166,12 +166,12 @@ pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
 /// The tasks of the current take, by step.
 fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&TaskRun>> {
     let mut steps: BTreeMap<usize, Vec<&TaskRun>> = BTreeMap::new();
-    for task in board
-        .tasks
-        .values()
-        .filter(|task| task.current && task.scene == scene)
-    {
-        steps.entry(task.step).or_default().push(task);
+    for task in board.tasks.values().filter(|task| task.current) {
+        if let Some((of, step, _)) = task.place
+            && of == scene
+        {
+            steps.entry(step).or_default().push(task);
+        }
     }
     steps
 }

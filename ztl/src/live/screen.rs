@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 
 use ztl_script::event::{Question, RunCommand};
 
-use super::board::Board;
 use super::choose::{Chooser, Chosen};
 use super::draw::{self, Pane, View};
 use super::key_decoder::KeyDecoder;
@@ -16,6 +15,7 @@ use super::rows::Seen;
 use super::text::{Capabilities, Line};
 use crate::key_press::{KeyPress, LastPress};
 use crate::{signals, terminal, terminal_mode};
+use ztl_script::board::Board;
 
 /// Longest time from an event to its display.
 const PAUSE: Duration = Duration::from_millis(40);

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use ztl_script::RunnerHandle;
 use ztl_script::event::StampedEvent;
 use ztl_script::record::Recorder as Lines;
 use ztl_std::Remotes;
@@ -17,28 +16,28 @@ type Sounds<'a> = &'a [(String, ztl_record::SoundFormat)];
 type Sounds<'a> = ();
 
 /// Writes the events of a run.
-pub(super) enum RunRecord {
+pub(crate) enum RunRecord {
     Lines(Lines),
     #[cfg(feature = "record")]
     Recording(InRecording),
 }
 
 impl RunRecord {
-    /// Creates the file: a recording if its name ends with `.mcap`, of the publishers in `remotes`. `runner` is woken when
-    /// there are warnings.
-    pub(super) fn create(
+    /// Creates the file: a recording if its name ends with `.mcap`, of the publishers in `remotes`. `wake` is
+    /// called when there are warnings.
+    pub(crate) fn create(
         path: &Path,
         (remotes, sounds): (&Remotes, Sounds<'_>),
-        runner: RunnerHandle,
+        wake: impl Fn() + Send + Sync + 'static,
     ) -> Result<Self, Box<dyn std::error::Error>> {
         if !crate::report::is_called_recording(path) {
             return Ok(Self::Lines(Lines::create(path)?));
         }
         #[cfg(feature = "record")]
-        return InRecording::create(path, (remotes, sounds), runner).map(Self::Recording);
+        return InRecording::create(path, (remotes, sounds), wake).map(Self::Recording);
         #[cfg(not(feature = "record"))]
         {
-            let _ = (remotes, sounds, runner);
+            let _ = (remotes, sounds, wake);
             let path = path.display();
             Err(format!(
                 "{path} would be a recording, which this build cannot write (docs/dist.md); give a name such as run.jsonl"
@@ -48,7 +47,7 @@ impl RunRecord {
     }
 
     /// Writes an event. An error is a warning for the operator; the run goes on.
-    pub(super) fn write(&mut self, event: &StampedEvent) -> Result<(), String> {
+    pub(crate) fn write(&mut self, event: &StampedEvent) -> Result<(), String> {
         match self {
             Self::Lines(lines) => lines.write(event).map_err(|error| error.to_string()),
             #[cfg(feature = "record")]
@@ -57,7 +56,7 @@ impl RunRecord {
     }
 
     /// What the operator should know of it since the last call.
-    pub(super) fn warnings(&self) -> Vec<String> {
+    pub(crate) fn warnings(&self) -> Vec<String> {
         match self {
             Self::Lines(_) => Vec::new(),
             #[cfg(feature = "record")]
@@ -66,7 +65,7 @@ impl RunRecord {
     }
 
     /// Ends it after the run. An error says what it lacks.
-    pub(super) fn finish(self) -> Result<(), String> {
+    pub(crate) fn finish(self) -> Result<(), String> {
         match self {
             Self::Lines(_) => Ok(()),
             #[cfg(feature = "record")]
@@ -84,7 +83,6 @@ mod in_recording {
     use std::time::Instant;
 
     use ztl_record::{Formats, Message, Source};
-    use ztl_script::RunnerHandle;
     use ztl_script::event::StampedEvent;
     use ztl_std::Remotes;
 
@@ -93,7 +91,7 @@ mod in_recording {
     use crate::recorder::{Recorder, Session, Told, set_tellers};
 
     /// Writes events into a recording. A thread does it, so that the run never waits for the disk.
-    pub(in crate::run_script) struct InRecording {
+    pub(crate) struct InRecording {
         recorder: Recorder,
         events: Sender<(Message, Instant)>,
         writer: JoinHandle<()>,
@@ -106,7 +104,7 @@ mod in_recording {
         pub(super) fn create(
             path: &Path,
             (remotes, sounds): (&Remotes, super::Sounds<'_>),
-            runner: RunnerHandle,
+            wake: impl Fn() + Send + Sync + 'static,
         ) -> Result<Self, Box<dyn std::error::Error>> {
             let mut formats = Formats::default();
             set_tellers(&mut formats, remotes);
@@ -130,7 +128,7 @@ mod in_recording {
                 told.lock()
                     .unwrap_or_else(PoisonError::into_inner)
                     .push(text);
-                runner.wake();
+                wake();
             };
             let recorder = Recorder::start(path, formats, publishers, Box::new(tell))?;
             let (events, inbox) = channel();

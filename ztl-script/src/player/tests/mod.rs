@@ -1,5 +1,6 @@
 //! The player in virtual time.
 
+mod cues;
 mod failures;
 mod probes;
 mod stopping;

@@ -240,6 +240,13 @@ impl World {
         self.pump();
     }
 
+    /// Presses a cue.
+    pub(super) fn cue(&mut self, cue: usize) -> Result<(), &'static str> {
+        let started = self.player.start_cue(self.now, cue);
+        self.pump();
+        started
+    }
+
     /// Lets time pass until a question or the end of the run; returns the question.
     pub(super) fn until_asked(&mut self) -> Option<Question> {
         while self.outcome().is_none() && self.player.question().is_none() {

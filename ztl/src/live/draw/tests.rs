@@ -4,10 +4,10 @@ use ztl_script::event::{
 };
 use ztl_script::record::read;
 
-use super::super::board::{Progress, StepRun};
 use super::super::rows::percent;
 use super::super::text::Capabilities;
 use super::*;
+use ztl_script::board::{Progress, StepRun};
 
 const UNICODE: Capabilities = Capabilities {
     colour: false,

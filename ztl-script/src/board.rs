@@ -1,120 +1,156 @@
-//! The state that the live view shows, computed from the events of the run only.
+//! The state of a run as views show it, computed from its events only.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use ztl_script::event::{
+use crate::event::{
     DecidedBy, Ending, Outline, Question, RemoteOutline, RequestNumber, RunCommand, RunEvent,
-    RunOutcome, ServerState, StampedEvent, TaskNumber, TaskState, WaitReason,
+    RunOutcome, ServerState, StampedEvent, TaskNumber, TaskOutline, TaskState, WaitReason,
 };
 
 /// The state of a run.
 #[derive(Debug, Default)]
-pub(super) struct Board {
-    pub(super) script: String,
-    pub(super) outline: Outline,
+pub struct Board {
+    /// The script file, as given.
+    pub script: String,
+    /// What the script plans.
+    pub outline: Outline,
     /// The servers of the script, by name.
-    pub(super) servers: Vec<(String, ServerView)>,
+    pub servers: Vec<(String, ServerView)>,
     /// Time of the last event.
-    pub(super) at: Duration,
-    pub(super) scenes: Vec<Progress>,
+    pub at: Duration,
+    /// The progress of each scene.
+    pub scenes: Vec<Progress>,
     /// Duration of the last take of each scene.
-    pub(super) lengths: Vec<Option<Duration>>,
+    pub lengths: Vec<Option<Duration>>,
     /// The scene that is shown or playing.
-    pub(super) scene: Option<usize>,
+    pub scene: Option<usize>,
     /// The scene that is playing, or was played last.
-    pub(super) played: Option<SceneRun>,
-    pub(super) tasks: BTreeMap<TaskNumber, TaskRun>,
-    pub(super) question: Option<Question>,
+    pub played: Option<SceneRun>,
+    /// The tasks that run, and those of the last take of a scene.
+    pub tasks: BTreeMap<TaskNumber, TaskRun>,
+    /// The question that stands.
+    pub question: Option<Question>,
     /// Number of questions so far, so that an answer never counts for the next one.
-    pub(super) questions: u64,
+    pub questions: u64,
     choices: Vec<RunCommand>,
     /// Whether the operator ordered a pause after this step.
-    pub(super) pause: bool,
-    pub(super) paused: bool,
-    pub(super) waiting: Option<(WaitReason, Vec<TaskNumber>)>,
+    pub pause: bool,
+    /// Whether the run pauses.
+    pub paused: bool,
+    /// Why the step waits, and the tasks concerned.
+    pub waiting: Option<(WaitReason, Vec<TaskNumber>)>,
     /// Whether the operator leaves, while the final states of tasks are read once.
     leaving: bool,
     /// The last stop, until the next decision.
-    pub(super) stopping: Option<Stopping>,
+    pub stopping: Option<Stopping>,
     /// The last key, what it meant, and when it was pressed.
-    pub(super) key: Option<(String, Option<RunCommand>, Duration)>,
+    pub key: Option<(String, Option<RunCommand>, Duration)>,
     /// Notes since the last key.
-    pub(super) notes: Vec<String>,
-    pub(super) ended: Option<(RunOutcome, Vec<TaskNumber>, String)>,
+    pub notes: Vec<String>,
+    /// How the run ended, the tasks that may still run, and more about it.
+    pub ended: Option<(RunOutcome, Vec<TaskNumber>, String)>,
     requests: BTreeMap<RequestNumber, String>,
 }
 
 /// The tasks that are being stopped.
 #[derive(Debug)]
-pub(super) struct Stopping {
-    pub(super) command: RunCommand,
+pub struct Stopping {
+    /// What was ordered.
+    pub command: RunCommand,
     /// For each task whether the stop was confirmed, and the text; `None` until it is answered.
-    pub(super) answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
+    pub answers: BTreeMap<TaskNumber, Option<(bool, String)>>,
     /// For each server asked for the tasks that others started, whether its list is complete; `None` until
     /// it is answered.
-    pub(super) lists: BTreeMap<String, Option<bool>>,
+    pub lists: BTreeMap<String, Option<bool>>,
     /// Whether the run waits for no more answers.
-    pub(super) over: bool,
+    pub over: bool,
 }
 
+/// A server of the script.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(super) struct ServerView {
-    pub(super) state: Option<ServerState>,
-    pub(super) since: Duration,
+pub struct ServerView {
+    /// Its state; `None` if it was not asked yet.
+    pub state: Option<ServerState>,
+    /// Since when.
+    pub since: Duration,
     /// Latency of the last answer, without held ones.
-    pub(super) latency: Option<Duration>,
+    pub latency: Option<Duration>,
 }
 
 /// The progress of a scene or step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) enum Progress {
+pub enum Progress {
+    /// Not played.
     #[default]
     Pending,
+    /// It plays.
     Playing,
+    /// It is over.
     Completed,
+    /// It is over, and something failed.
     Failed,
+    /// It was left before its end.
     Stopped,
+    /// It was skipped.
     Skipped,
 }
 
 /// A take of a scene.
 #[derive(Debug)]
-pub(super) struct SceneRun {
-    pub(super) scene: usize,
-    pub(super) take: u32,
-    pub(super) from: Duration,
-    pub(super) to: Option<Duration>,
-    pub(super) steps: Vec<StepRun>,
+pub struct SceneRun {
+    /// Its scene.
+    pub scene: usize,
+    /// How many times the scene has started, from 1.
+    pub take: u32,
+    /// When it began.
+    pub from: Duration,
+    /// When it ended.
+    pub to: Option<Duration>,
+    /// The progress of its steps.
+    pub steps: Vec<StepRun>,
 }
 
+/// A step of a take.
 #[derive(Debug, Clone, Default)]
-pub(super) struct StepRun {
-    pub(super) progress: Progress,
-    pub(super) from: Duration,
-    pub(super) to: Option<Duration>,
+pub struct StepRun {
+    /// Whether it plays, or how it ended.
+    pub progress: Progress,
+    /// When it began.
+    pub from: Duration,
+    /// When it ended.
+    pub to: Option<Duration>,
 }
 
+/// A task.
 #[derive(Debug)]
-pub(super) struct TaskRun {
-    pub(super) name: String,
-    pub(super) scene: usize,
-    pub(super) step: usize,
+pub struct TaskRun {
+    /// `handler:component:goal`.
+    pub name: String,
+    /// Its scene, step and place there; `None` for one of a cue or of another client.
+    pub place: Option<(usize, usize, usize)>,
+    /// Its cue.
+    pub cue: Option<usize>,
     /// Whether it belongs to the current take of its scene.
-    pub(super) current: bool,
-    pub(super) again: bool,
-    pub(super) from: Duration,
-    pub(super) to: Option<Duration>,
-    pub(super) state: TaskState,
-    pub(super) text: String,
+    pub current: bool,
+    /// Whether it is a retry.
+    pub again: bool,
+    /// When it began.
+    pub from: Duration,
+    /// When it ended.
+    pub to: Option<Duration>,
+    /// Its state.
+    pub state: TaskState,
+    /// Progress, result or reason.
+    pub text: String,
 }
 
 impl TaskRun {
     fn new(from: Duration) -> Self {
         Self {
             name: String::new(),
-            scene: 0,
-            step: 0,
+            place: None,
+            cue: None,
             current: false,
             again: false,
             from,
@@ -127,7 +163,7 @@ impl TaskRun {
 
 impl Board {
     /// Applies an event, in time linear in the running tasks and the steps of one scene.
-    pub(super) fn handle(&mut self, StampedEvent { at, event, .. }: &StampedEvent) {
+    pub fn handle(&mut self, StampedEvent { at, event, .. }: &StampedEvent) {
         let at = *at;
         self.at = at;
         match event {
@@ -223,6 +259,19 @@ impl Board {
                 part,
                 retry_of,
             } => self.start_task(at, *task, (*scene, *step, *part), retry_of.is_some()),
+            RunEvent::CueStarting { task, cue, part } => {
+                // What it started before is over.
+                self.tasks
+                    .retain(|_, task| task.cue != Some(*cue) || !task.state.is_over());
+                let outline = self.outline.cues.get(*cue);
+                let plan = outline.and_then(|cue| cue.tasks.get(*part));
+                let started = TaskRun {
+                    name: plan.map(TaskOutline::name).unwrap_or_default(),
+                    cue: Some(*cue),
+                    ..TaskRun::new(at)
+                };
+                self.tasks.insert(*task, started);
+            }
             RunEvent::TaskState {
                 task, state, text, ..
             } => self.task_state(at, *task, *state, text),
@@ -298,7 +347,7 @@ impl Board {
     }
 
     /// The commands that are possible now.
-    pub(super) fn choices(&self) -> Vec<RunCommand> {
+    pub fn choices(&self) -> Vec<RunCommand> {
         if self.ended.is_some() {
             Vec::new()
         } else if let Some(stopping) = self.stopping.as_ref().filter(|it| !it.over) {
@@ -334,16 +383,17 @@ impl Board {
     }
 
     /// Tasks that may still run and are not part of the playing step.
-    pub(super) fn in_background(&self) -> impl Iterator<Item = &TaskRun> {
+    pub fn in_background(&self) -> impl Iterator<Item = &TaskRun> {
         let step = self.playing_step();
         self.tasks.values().filter(move |task| {
-            let here = task.current && Some((task.scene, task.step)) == step;
+            let place = task.place.map(|(scene, step, _)| (scene, step));
+            let here = task.current && place == step;
             !task.state.is_over() && !here
         })
     }
 
     /// Whether a task failed or a server is missing.
-    pub(super) fn has_details(&self) -> bool {
+    pub fn has_details(&self) -> bool {
         let wrong = |task: &TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
         let missing = |(_, server): &(String, ServerView)| {
             let state = server.state.as_ref();
@@ -363,7 +413,7 @@ impl Board {
     }
 
     /// The playing scene and step.
-    pub(super) fn playing_step(&self) -> Option<(usize, usize)> {
+    pub fn playing_step(&self) -> Option<(usize, usize)> {
         let played = self.played.as_ref().filter(|played| played.to.is_none())?;
         let playing = |step: &StepRun| step.progress == Progress::Playing;
         Some((played.scene, played.steps.iter().position(playing)?))
@@ -458,13 +508,12 @@ impl Board {
         let scenes = self.outline.scenes.get(scene);
         let steps = scenes.and_then(|scene| scene.steps.get(step));
         let name = match steps.and_then(|step| step.tasks.get(part)) {
-            Some(task) => format!("{}:{}:{}", task.handler, task.component, task.goal),
+            Some(task) => task.name(),
             None => format!("task {}", number.0),
         };
         let task = TaskRun {
             name,
-            scene,
-            step,
+            place: Some((scene, step, part)),
             current: true,
             again,
             ..TaskRun::new(at)

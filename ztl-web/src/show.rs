@@ -1,0 +1,394 @@
+//! The show: scenes of a script, played by the engine of `ztl run-script` on a thread of its own. Clients press, the thread
+//! decides; it also enforces what happens when nobody operates any more.
+
+mod connection;
+mod stage;
+
+use std::collections::{BTreeMap, HashSet};
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+use ztl_script::event::{DecidedBy, RunCommand, RunEvent, RunStarted, StampedEvent, TaskNumber};
+use ztl_script::{
+    Connect, OperatorGone, PlayOptions, Runner, RunnerHandle, Script, Seen as SeenStops,
+};
+
+use crate::aborts::AbortRequest;
+use crate::board::Board;
+use stage::Stage;
+
+/// How often the thread looks whether somebody operates.
+const TICK: Duration = Duration::from_millis(250);
+/// Events that are taken before presses are looked for again.
+const EVENTS: usize = 200;
+/// Presses that wait for the thread.
+const PRESSES: usize = 64;
+/// Presses of a cue that follow each other within this time count as one.
+const ONE_PRESS: Duration = Duration::from_millis(600);
+/// Longest note, in bytes.
+const NOTE: usize = 1000;
+
+/// A script, and how it is played.
+pub struct Show {
+    /// The script.
+    pub script: Arc<Script>,
+    /// How it is played.
+    pub options: PlayOptions,
+    /// Connects to its servers.
+    pub connect: Connect,
+    /// The first event of its record.
+    pub started: RunStarted,
+    /// What the operator should know before the first scene.
+    pub notes: Vec<String>,
+    /// Where its events are recorded.
+    pub record: Option<Box<dyn ShowRecord>>,
+    /// The show aborts its tasks and ends when the other end of this is dropped.
+    pub ending: Receiver<()>,
+    /// Is dropped when it has ended.
+    pub ended: SyncSender<()>,
+}
+
+/// Records the events of a show.
+pub trait ShowRecord: Send {
+    /// Writes an event.
+    ///
+    /// # Errors
+    /// What the operator should know; the show goes on.
+    fn write(&mut self, event: &StampedEvent) -> Result<(), String>;
+
+    /// What the operator should know since the last call.
+    fn warnings(&self) -> Vec<String>;
+
+    /// Ends it after the run.
+    ///
+    /// # Errors
+    /// What it lacks.
+    fn finish(self: Box<Self>) -> Result<(), String>;
+}
+
+/// Reaches the show from any thread.
+pub(crate) struct Desk {
+    runner: RunnerHandle,
+    presses: SyncSender<Press>,
+}
+
+/// What a client wants of the show.
+#[derive(Debug)]
+pub(crate) enum Wish {
+    Command(RunCommand, Option<u64>),
+    Cue(usize),
+    Note(String),
+}
+
+/// The answer to a press.
+pub(crate) type Told = Result<Value, String>;
+
+struct Press {
+    wish: Wish,
+    by: String,
+    /// What was stopped before.
+    seen: SeenStops,
+    told: oneshot::Sender<Told>,
+}
+
+impl Desk {
+    /// Stops everything. When this returns, nothing is sent any more that the show has decided before.
+    pub(crate) fn stop_all(&self) {
+        self.runner.stop_all();
+    }
+
+    /// Passes a press to the show.
+    ///
+    /// # Errors
+    /// If it is not passed.
+    pub(crate) fn press(
+        &self,
+        wish: Wish,
+        by: &str,
+        board: &Board,
+    ) -> Result<oneshot::Receiver<Told>, String> {
+        // Before the look at Stop: one that begins in between is noticed by the show.
+        let seen = self.runner.seen();
+        let starts = !matches!(&wish, Wish::Note(_)) && !wish.stops();
+        if starts && board.stops.are_under_way() {
+            return Err("a Stop is under way: press again when it has ended".to_owned());
+        }
+        let (told, telling) = oneshot::channel();
+        let press = Press {
+            wish,
+            by: by.to_owned(),
+            seen,
+            told,
+        };
+        self.presses
+            .try_send(press)
+            .map_err(|_| "the show does not answer: nothing was done".to_owned())?;
+        self.runner.wake();
+        Ok(telling)
+    }
+}
+
+impl Wish {
+    /// What `/ztl/show/command` asks for.
+    ///
+    /// # Errors
+    /// If it is not a command of the page.
+    pub(crate) fn command(args: Value) -> Result<Self, String> {
+        #[derive(Deserialize)]
+        struct Question {
+            question: Option<u64>,
+        }
+        let wrong = |error| {
+            format!(
+                "expected {{\"do\": command, \"question\": number of the open question}}: {error}"
+            )
+        };
+        let Question { question } = serde_json::from_value(args.clone()).map_err(wrong)?;
+        let command: RunCommand = serde_json::from_value(args).map_err(wrong)?;
+        match command {
+            RunCommand::Leave | RunCommand::Stop | RunCommand::StopAll => {
+                Err("the show ends with the console; /ztl/stop stops everything".to_owned())
+            }
+            command => Ok(Self::Command(command, question)),
+        }
+    }
+
+    /// Stops the scene that plays.
+    pub(crate) fn stop_scene() -> Self {
+        Self::Command(RunCommand::StopScene, None)
+    }
+
+    /// What `/ztl/show/note` asks for.
+    ///
+    /// # Errors
+    /// If there is no text.
+    pub(crate) fn note(args: &Value) -> Result<Self, String> {
+        let text = args.get("text").and_then(Value::as_str).map(str::trim);
+        match text {
+            None | Some("") => Err("expected {\"text\": the note}".to_owned()),
+            Some(text) if text.len() > NOTE => Err(format!("a note has at most {NOTE} bytes")),
+            Some(text) => Ok(Self::Note(text.to_owned())),
+        }
+    }
+
+    /// What `/ztl/show/cue` asks for.
+    ///
+    /// # Errors
+    /// If it is no cue.
+    pub(crate) fn cue(args: &Value) -> Result<Self, String> {
+        let cue = args.get("cue").and_then(Value::as_u64);
+        let cue = cue.ok_or("expected {\"cue\": number of the cue, from 0}")?;
+        usize::try_from(cue)
+            .map(Self::Cue)
+            .map_err(|error| error.to_string())
+    }
+
+    /// Whether it only stops something.
+    pub(crate) fn stops(&self) -> bool {
+        matches!(self, Self::Command(RunCommand::StopScene, _))
+    }
+}
+
+/// Starts the thread of the show.
+pub(crate) fn spawn(show: Show, board: &Arc<Board>) -> io::Result<()> {
+    let Show {
+        script,
+        options,
+        connect,
+        started,
+        notes,
+        record,
+        ending,
+        ended,
+    } = show;
+    let connect = connection::watched(connect, board);
+    let mut runner = Runner::new(Arc::clone(&script), options, connect);
+    let (presses, pressed) = sync_channel(PRESSES);
+    let desk = Desk {
+        runner: runner.handle(),
+        presses,
+    };
+    let stage = Stage::new(record.is_some());
+    board.set_show(desk);
+    runner.tell(RunEvent::RunStarted(Box::new(started)));
+    for text in notes {
+        runner.tell(RunEvent::Note { text });
+    }
+    runner.begin();
+    let mut thread = ShowThread {
+        board: Arc::clone(board),
+        script,
+        runner,
+        pressed,
+        stage,
+        record,
+        ending: Some(ending),
+        pressed_cues: BTreeMap::new(),
+        given_up: HashSet::new(),
+        scene_given_up: None,
+    };
+    let spawned = thread::Builder::new().name("ztl-web-show".to_owned());
+    spawned
+        .spawn(move || {
+            thread.run();
+            drop(ended);
+        })
+        .map(drop)
+}
+
+struct ShowThread {
+    board: Arc<Board>,
+    script: Arc<Script>,
+    runner: Runner,
+    pressed: Receiver<Press>,
+    stage: Stage,
+    record: Option<Box<dyn ShowRecord>>,
+    /// `None` once the show ends.
+    ending: Option<Receiver<()>>,
+    /// When each cue was pressed last.
+    pressed_cues: BTreeMap<usize, Instant>,
+    /// Tasks of cues that were aborted because nobody operates.
+    given_up: HashSet<TaskNumber>,
+    /// The scene and take that were stopped for that reason.
+    scene_given_up: Option<(usize, u32)>,
+}
+
+impl ShowThread {
+    fn run(&mut self) {
+        while !self.stage.has_ended() {
+            while let Ok(press) = self.pressed.try_recv() {
+                let told = self.on_press(press.wish, &press.by, press.seen);
+                // Fails if the client is gone.
+                let _ = press.told.send(told);
+            }
+            for text in self.record.iter().flat_map(|record| record.warnings()) {
+                self.runner.tell(RunEvent::Note { text });
+            }
+            if let Some(ending) = &self.ending
+                && ending.try_recv() == Err(TryRecvError::Disconnected)
+            {
+                self.ending = None;
+                let handle = self.runner.handle();
+                handle.command(RunCommand::Stop, DecidedBy::Signal);
+            }
+            self.look_for_the_operator();
+            let mut wait = TICK;
+            for _ in 0..EVENTS {
+                let Some(event) = self.runner.next(wait) else {
+                    break;
+                };
+                wait = Duration::ZERO;
+                self.on_event(&event);
+            }
+            self.board.publish_show(&self.stage.shown(&self.script));
+        }
+        if let Some(Err(lack)) = self.record.take().map(ShowRecord::finish) {
+            tracing::error!("{lack}");
+        }
+    }
+
+    fn on_event(&mut self, event: &StampedEvent) {
+        if let Some(record) = &mut self.record
+            && let Err(text) = record.write(event)
+        {
+            tracing::error!("{text}");
+            let event = RunEvent::Note { text };
+            let (at, wall) = (self.stage.at(), SystemTime::now());
+            self.stage.handle(&StampedEvent { at, wall, event });
+        }
+        self.stage.handle(event);
+    }
+
+    fn on_press(&mut self, wish: Wish, by: &str, seen: SeenStops) -> Told {
+        let may_start = self.runner.has_obeyed(seen);
+        let stopped = || "everything was stopped as you pressed: nothing was done".to_owned();
+        match wish {
+            Wish::Note(text) => {
+                let text = format!("{by}: {text}");
+                self.runner.tell(RunEvent::Note { text });
+                Ok(json!({}))
+            }
+            Wish::Command(RunCommand::StopScene, _) => {
+                match self.runner.decide(RunCommand::StopScene, None) {
+                    true => Ok(json!({})),
+                    false => Err("no scene plays".to_owned()),
+                }
+            }
+            _ if !may_start => Err(stopped()),
+            Wish::Command(command, question) => {
+                if question != self.stage.question_number() {
+                    return Err("nothing was done: the show has gone on as you pressed".to_owned());
+                }
+                match self.runner.decide(command, self.stage.question()) {
+                    true => Ok(json!({})),
+                    false => Err("nothing was done: that is not possible now".to_owned()),
+                }
+            }
+            Wish::Cue(cue) => {
+                let last = self.pressed_cues.get(&cue);
+                if last.is_some_and(|last| last.elapsed() < ONE_PRESS) {
+                    return Err("pressed twice: counts as one press".to_owned());
+                }
+                self.runner.cue(cue).map_err(str::to_owned)?;
+                self.pressed_cues.insert(cue, Instant::now());
+                Ok(json!({}))
+            }
+        }
+    }
+
+    /// Stops what must not go on without an operator.
+    fn look_for_the_operator(&mut self) {
+        let alone = self.board.operator.alone_for();
+        let is_due = |gone: OperatorGone| match gone {
+            OperatorGone::GoOn => false,
+            OperatorGone::Stop(after) => alone >= after,
+        };
+        if let Some(playing) = self.stage.playing()
+            && self.scene_given_up != Some(playing)
+            && let Some(scene) = self.script.scenes.get(playing.0)
+            && is_due(scene.operator_gone)
+        {
+            self.scene_given_up = Some(playing);
+            let name = scene.name.trim();
+            let text = format!(
+                "nobody operates for {} s: stopping scene '{name}'",
+                alone.as_secs()
+            );
+            self.runner.tell(RunEvent::Note { text });
+            let handle = self.runner.handle();
+            handle.command(RunCommand::StopScene, DecidedBy::Script);
+        }
+        for (number, cue, id) in self.stage.cue_tasks() {
+            let Some(plan) = self.script.cues.get(cue) else {
+                continue;
+            };
+            if !is_due(plan.operator_gone) || !self.given_up.insert(number) {
+                continue;
+            }
+            let name = plan.step.name.trim();
+            let text = format!(
+                "nobody operates for {} s: aborting cue '{name}'",
+                alone.as_secs()
+            );
+            let place = self.board.place_of(self.stage.remote_of(number));
+            let asked = match place {
+                Some((server, scope)) => {
+                    let request = AbortRequest::of_stop((scope, id));
+                    self.board.abort(server, request)
+                }
+                None => Err("its robot is not known".to_owned()),
+            };
+            let text = match asked {
+                Ok(()) => text,
+                Err(why) => format!("{text}: NOT SENT: {why}"),
+            };
+            self.runner.tell(RunEvent::Note { text });
+        }
+    }
+}
