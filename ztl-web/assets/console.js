@@ -109,7 +109,12 @@ function showConnection() {
 
 // A goal was sent: what was confirmed before says nothing of it.
 function started() {
+  hideStop();
+}
+
+function hideStop() {
   at('stopped').hidden = true;
+  setText(at('stopped-before'), '');
 }
 
 function ago(ms) {
@@ -184,6 +189,9 @@ function abort(made, button) {
 
 function stop() {
   closedStop = null;
+  // What the Stop before has said stays.
+  const before = at('stopped').hidden || !lastStop ? [] : [at('stopped-title'), ...at('confirmations').children];
+  setText(at('stopped-before'), before.length ? `Before: ${before.map((said) => said.textContent).join(' · ')}` : '');
   lastStop = null;
   at('stopped').hidden = false;
   setText(at('stopped-title'), 'Stop: sent, no robot has confirmed yet');
@@ -227,7 +235,7 @@ at('stop').addEventListener('click', stop);
 at('stopped-close').addEventListener('click', () => {
   closedStop = at('stopped').dataset.at;
   sessionStorage.setItem('closed-stop', closedStop);
-  at('stopped').hidden = true;
+  hideStop();
   at('stop').focus();
 });
 addEventListener('keydown', (event) => {

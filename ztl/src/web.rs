@@ -185,6 +185,38 @@ impl Web {
     }
 }
 
+/// Serves the console for one robot to this machine until the process ends. Returns its link.
+pub(crate) fn serve_on_this_machine(name: &str, endpoint: &str, scope: &str) -> io::Result<String> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+    let link = format!("http://{}/", listener.local_addr()?);
+    let at = endpoint.to_owned();
+    let connect =
+        move |scope: &str| RemoteTask::connect(&at, scope).map_err(|error| error.to_string());
+    let options = Options {
+        listener,
+        robots: vec![Robot {
+            name: name.to_owned(),
+            endpoint: endpoint.to_owned(),
+            scope: scope.to_owned(),
+            keys: None,
+            connect: Arc::new(connect),
+        }],
+        publishers: Vec::new(),
+        tokens: Tokens::random()?,
+        hosts: Vec::new(),
+        page: None,
+        tls: None,
+    };
+    let run = move || {
+        if let Err(error) = serve(options) {
+            error_line(format_args!("ztl: the console has ended: {error}"));
+        }
+    };
+    let thread = std::thread::Builder::new().name("ztl-web".to_owned());
+    thread.spawn(run)?;
+    Ok(link)
+}
+
 /// The address of this machine at which others reach what is bound to `bind`; without a network, `bind`.
 fn reachable(bind: IpAddr) -> IpAddr {
     // An address for documentation: it is only looked up by which interface it would be reached, nothing is sent.
