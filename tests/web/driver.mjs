@@ -391,6 +391,70 @@ const scenarios = {
     await check(page, 'demo-desk');
   },
 
+  // When each change of a task was on the screen, and how long the first paint takes over a slow network: for figures.rs.
+  async figures() {
+    const page = await open();
+    await page.evaluate(() => {
+      window.seen = {};
+      let ran = new Set();
+      const note = () => {
+        const at = performance.timeOrigin + performance.now();
+        const names = [...document.querySelectorAll('#running .name')].map((name) => name.textContent.split(':').at(-1));
+        const runs = new Set(names);
+        for (const name of runs) window.seen[`${name} true`] ??= at;
+        for (const name of ran) if (!runs.has(name)) window.seen[`${name} false`] ??= at;
+        ran = runs;
+      };
+      // When the second frame begins, the first one has been painted.
+      const painted = () => requestAnimationFrame(() => requestAnimationFrame(note));
+      new MutationObserver(painted).observe(document.getElementById('now'), { childList: true, subtree: true, characterData: true });
+    });
+    await outside('measure');
+    console.log(`seen: ${JSON.stringify(await page.evaluate(() => window.seen))}`);
+    await page.close();
+    const paints = [];
+    for (let round = 0; round < 5; round += 1) {
+      const slow = await browser.newPage();
+      const cdp = await browser.newCDPSession(slow);
+      await cdp.send('Network.enable');
+      // "Fast 3G" of Chromium's developer tools.
+      await cdp.send('Network.emulateNetworkConditions', {
+        offline: false, latency: 562.5, downloadThroughput: 1.6e6 / 8 * 0.9, uploadThroughput: 750e3 / 8 * 0.9,
+      });
+      await slow.goto(url);
+      const paint = () => slow.evaluate(() => performance.getEntriesByName('first-contentful-paint')[0]?.startTime);
+      while (await paint() === undefined) await slow.waitForTimeout(50);
+      paints.push(await paint());
+      await slow.close();
+    }
+    console.log(`paints: ${JSON.stringify(paints)}`);
+  },
+
+  // When the page is back after the console was killed, and shows a server that is back: for figures.rs.
+  async returns_in_time() {
+    const page = await open();
+    const until = (text) => page.evaluate((wanted) => new Promise((done) => {
+      const look = () => {
+        const [state, list] = ['connection', 'robot-list'].map((id) => document.getElementById(id));
+        if (!`${state.dataset.state} ${list.textContent}`.includes(wanted)) return;
+        watch.disconnect();
+        done(Date.now());
+      };
+      const watch = new MutationObserver(look);
+      watch.observe(document.body, { childList: true, subtree: true, characterData: true, attributes: true });
+      look();
+    }), text);
+    for (const [what, lost, back] of [['console', 'lost', 'open'], ['server', 'MISSING', 'there for']]) {
+      for (let round = 0; round < 5; round += 1) {
+        await outside(`kill the ${what}`);
+        await until(lost);
+        const told = until(back);
+        await outside(`start the ${what}`);
+        console.log(`${what}: ${await told}`);
+      }
+    }
+  },
+
   // Presses while the console does not answer.
   async impatient() {
     const page = await open();

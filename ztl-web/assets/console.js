@@ -82,15 +82,21 @@ bridge.subscribe('/ztl/robots', (told) => {
   streams.offer(told.publishers);
   show();
 });
-bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); show(); });
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); showNow(); });
 setInterval(show, 1000);
 setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
 
-function show() {
+// What tasks change, which they do many times a second.
+function showNow() {
   showConnection();
-  showRobots();
   showTasks();
   if (lastStop && !at('stopped').hidden) showVerdict(lastStop);
+}
+at('ended-box').addEventListener('toggle', showNow);
+
+function show() {
+  showNow();
+  showRobots();
   form.show();
   streams.show();
 }
@@ -160,7 +166,7 @@ function showTasks() {
   const ended = tasks.tasks.filter((task) => !task.runs);
   const lines = ['name', '', 'quiet'];
   showAll(at('running'), running, key, () => card(lines, buttons), update);
-  showAll(at('ended'), ended, key, () => card(lines, []), update);
+  if (at('ended-box').open) showAll(at('ended'), ended, key, () => card(lines, []), update);
   at('ended-box').hidden = ended.length === 0;
   at('idle').hidden = running.length > 0;
   setText(at('idle'), missing.size || tasks.gaps.length ? 'No running task is known.' : 'No task is running.');

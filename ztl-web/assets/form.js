@@ -152,8 +152,8 @@ export class Form {
     at('fields').hidden = !isField;
     at('goal-box').hidden = isField;
     const text = this.#text();
-    at('sends').hidden = !isField || text === undefined;
-    setText(at('sends'), text === '' ? 'sends an empty goal' : `sends: ${text}`);
+    at('sends').hidden = !isField;
+    setText(at('sends'), text === undefined ? 'sends nothing yet' : text === '' ? 'sends an empty goal' : `sends: ${text}`);
   }
 
   #isLocked() {
