@@ -91,7 +91,7 @@ mod transport;
 pub use client::{
     AbortOnDrop, BackgroundTask, DescribeQuestions, DescribedComponent, Obstacle, ParallelRequests,
     RemoteTask, RequestError, RunError, ServerInfo, Status, TriggerError, Triggered, WaitError,
-    by_scope, server_answer,
+    server_answer,
 };
 #[cfg(feature = "config")]
 pub use client::{Description, SavedDescription, ServerTask, ServerTasks};

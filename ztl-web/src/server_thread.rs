@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::{
     DescribeQuestions, Description, ParallelRequests, RemoteId, RequestError, ServerTask,
-    ServerTasks, State, Status, by_scope, server_answer,
+    ServerTasks, State, Status, server_answer,
 };
 
 use crate::aborts::{AbortRequest, Aborts, Key};
@@ -242,7 +242,7 @@ impl<'b> ServerThread<'b> {
     fn describe(&mut self) {
         if let (None, Some(requests)) = (&self.describing, &mut self.requests) {
             let questions = DescribeQuestions::of_server();
-            requests.ask_server(Asked::Describe, questions.next());
+            requests.ask_server(Asked::Describe, questions.question());
             self.describing = Some((questions, DefaultHasher::new()));
             self.next_describe = Instant::now() + DESCRIBE;
         }
@@ -262,11 +262,11 @@ impl<'b> ServerThread<'b> {
         answer.hash(&mut hash);
         match (questions.on_answer(&answer), &mut self.requests) {
             (true, Some(requests)) => {
-                requests.ask_server(Asked::Describe, questions.next());
+                requests.ask_server(Asked::Describe, questions.question());
                 self.describing = Some((questions, hash));
             }
             _ => {
-                let scopes = by_scope(questions.into_components());
+                let scopes = questions.into_scopes();
                 let number = match scopes.is_empty() {
                     true => 0,
                     // A number that JavaScript can tell from others.

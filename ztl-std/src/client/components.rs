@@ -69,9 +69,9 @@ impl RemoteTask {
     ) -> Result<Vec<DescribedComponent>, RequestError> {
         let mut asked = DescribeQuestions::new(scope, most);
         loop {
-            let answer = self.ask_server(&asked.next())?;
+            let answer = self.ask_server(&asked.question())?;
             if !answer.is_some_and(|answer| asked.on_answer(&answer)) {
-                return Ok(asked.into_components());
+                return Ok(asked.all);
             }
         }
     }
@@ -109,7 +109,7 @@ impl DescribeQuestions {
 
     /// The next question.
     #[must_use]
-    pub fn next(&self) -> String {
+    pub fn question(&self) -> String {
         format!("describe {};{}", self.scope, self.from)
     }
 
@@ -127,10 +127,10 @@ impl DescribeQuestions {
         next.is_some()
     }
 
-    /// What was read.
+    /// What was read, by scope.
     #[must_use]
-    pub fn into_components(self) -> Vec<DescribedComponent> {
-        self.all
+    pub fn into_scopes(self) -> BTreeMap<String, ScopeDescriptions> {
+        by_scope(self.all)
     }
 }
 
@@ -153,8 +153,7 @@ pub(super) fn of_scope(all: Vec<DescribedComponent>, scope: &str) -> ScopeDescri
 }
 
 /// The components by scope, handler and name.
-#[must_use]
-pub fn by_scope(all: Vec<DescribedComponent>) -> BTreeMap<String, ScopeDescriptions> {
+fn by_scope(all: Vec<DescribedComponent>) -> BTreeMap<String, ScopeDescriptions> {
     let mut scopes = BTreeMap::<_, ScopeDescriptions>::new();
     for it in all {
         let handlers = scopes.entry(it.scope).or_default();
