@@ -15,6 +15,22 @@ scopes:
       mark: {shell: 'echo started >> marks; echo begun; exec sleep 60', progress: '', at-once: 20}
 ";
 
+/// A robot whose components say what they take. Each completes with its goal.
+pub(crate) const DESCRIBED: &str = "\
+scopes:
+  /test:
+    test:
+      turn: {built-in: echo, goal: {type: number, least: -90, most: 90, step: 5, unit: deg}, about: turns the head, examples: [45], usually: 2 s}
+      count: {built-in: echo, goal: {type: whole, least: 1}}
+      say: {built-in: echo, goal: {type: text, longest: 5}}
+      side: {built-in: echo, goal: {one-of: [left, straight on, right]}}
+      light: {built-in: echo, goal: truth}
+      home: {built-in: echo, goal: nothing}
+      way: {built-in: echo, goal: {list-of: {type: number, most: 10}}}
+      grasp: {built-in: echo, goal: {fields: {force: {type: number, least: 0, most: 40, unit: N}, hand: {one-of: [left, right]}, words: {type: text, default: ok}}}}
+      free: echo
+";
+
 /// A console for the robot `ours`, and for `gone`, which nobody serves.
 pub(crate) struct Console {
     pub(crate) files: Scratch,
@@ -68,15 +84,22 @@ impl Console {
 
     /// The console for one robot.
     pub(crate) fn of_one() -> Self {
-        let mut console = Self::new();
-        console.process.kill();
-        let port = reserve_port();
-        let (process, url) = web(port, &[("ours", console.robot.port)], &[]);
+        Self::of(ROBOT)
+    }
+
+    /// The console for one robot with this configuration.
+    pub(crate) fn of(configuration: &str) -> Self {
+        let files = Scratch::new();
+        let robot = robot(&files, configuration, reserve_port());
+        let [port, gone] = [(); 2].map(|()| reserve_port());
+        let (process, url) = web(port, &[("ours", robot.port)], &[]);
         Self {
+            files,
+            robot,
             process,
             url,
             port,
-            ..console
+            gone,
         }
     }
 

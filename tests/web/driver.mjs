@@ -109,6 +109,10 @@ const scenarios = {
       await page.getByText('NOT every robot has confirmed').waitFor();
       await saying(page, '#goals', 'sleep 50').getByText('ABORTED').waitFor();
       await check(page, `${name}-stopped`);
+      // A second press hides nothing of what the first one has said.
+      await page.keyboard.press('Escape');
+      await page.locator('#stopped-before', { hasText: 'ours: confirmed: 1 task has ended' }).waitFor();
+      await page.locator('#stopped-title', { hasText: 'NOT every robot has confirmed' }).waitFor();
       await page.locator('#stopped-close').click();
       await page.close();
     }
@@ -191,6 +195,14 @@ const scenarios = {
     await saying(page, '#ended', '<img src=x').waitFor();
     assert.equal(await page.locator('main img, main script').count(), 0);
     assert.equal(page.alerts, 0);
+    const long = 'x '.repeat(5000);
+    await start(page, 'test/echo', `${long}end`);
+    const card = saying(page, '#goals', 'COMPLETED: x x').first();
+    await card.waitFor();
+    assert.ok((await card.textContent()).length < 1000);
+    await card.getByText(/^Show all/).last().click();
+    await card.getByText(`COMPLETED: ${long}end`).waitFor();
+    await card.getByText('Show less').click();
     await check(page, 'hostile');
   },
 
@@ -283,7 +295,7 @@ const scenarios = {
     await page.locator('#goal').focus();
     for (let repeat = 0; repeat < 45; repeat += 1) {
       await page.keyboard.press('Enter');
-      await page.waitForTimeout(33);
+      await page.waitForTimeout(repeat === 0 ? 660 : 33);
     }
     await goals(5);
     // The same goal twice, by two presses.
@@ -320,6 +332,210 @@ const scenarios = {
     assert.deepEqual(await value(), chosen);
     await page.locator('#start').click();
     await saying(page, '#running', 'test:mark').waitFor();
+  },
+
+  // A form for each kind of goal. What is sent is what the form shows.
+  async forms() {
+    const page = await open();
+    const goal = page.locator('#goal');
+    const field = (label) => page.locator('#fields').getByLabel(label, { exact: true });
+    const sends = (text) => page.locator('#sends', { hasText: text }).waitFor();
+    const completes = async (text) => {
+      await sends(`sends: ${text}`);
+      await ready(page);
+      await page.locator('#start').click();
+      await saying(page, '#goals', `COMPLETED: ${text}`).waitFor();
+    };
+    const refused = async (why) => {
+      await page.locator('#start').press('Enter');
+      await page.getByText(`NOT SENT: ${why}`).waitFor();
+    };
+    await choose(page, 'test turn');
+    await page.locator('#about', { hasText: 'turns the head · for example 45 · usually takes 2 s' }).waitFor();
+    await refused('The goal is not complete');
+    // Nothing is chosen for the person: only what is moved or written counts.
+    await field('Goal: slider').focus();
+    await page.keyboard.press('ArrowRight');
+    await completes('-85');
+    assert.equal(await field('Goal (deg)').inputValue(), '-85');
+    await field('Goal (deg)').fill('91');
+    await page.locator('#fields').getByText('This is not a number from -90 to 90 deg.').waitFor();
+    assert.equal(await field('Goal (deg)').getAttribute('aria-invalid'), 'true');
+    await check(page, 'form-wrong');
+    // When presses count again.
+    await page.waitForTimeout(1200);
+    await refused('The goal is not complete');
+    await field('Goal (deg)').fill('12.5');
+    assert.equal(await field('Goal: slider').inputValue(), '15');
+    await completes('12.5');
+    // As text, the console checks it.
+    await page.locator('#as-text').check();
+    assert.equal(await goal.inputValue(), '12.5');
+    await goal.fill('91');
+    await ready(page);
+    await page.locator('#start').click();
+    await saying(page, '#goals', "NOT_STARTED: the goal '91' is not a number from -90 to 90 deg").waitFor();
+    await choose(page, 'test count');
+    await field('Goal').fill('1.5');
+    await page.locator('#fields').getByText('This is not a whole number of at least 1.').waitFor();
+    await field('Goal').fill('3');
+    await completes('3');
+    await choose(page, 'test say');
+    await field('Goal').fill('too long');
+    await page.locator('#fields').getByText('This is not a text of at most 5 characters.').waitFor();
+    await field('Goal').fill('grüß!');
+    await completes('grüß!');
+    // Words by keys.
+    await choose(page, 'test side');
+    await field('straight on').focus();
+    await page.keyboard.press('ArrowRight');
+    await completes('right');
+    await choose(page, 'test light');
+    await page.locator('.word', { hasText: 'True' }).click();
+    await completes('True');
+    await choose(page, 'test home');
+    await sends('sends an empty goal');
+    await ready(page);
+    await page.locator('#start').click();
+    await saying(page, '#goals', 'test/home').getByText('COMPLETED').waitFor();
+    await choose(page, 'test way');
+    await sends('sends: []');
+    for (const value of ['1', '2.5', '11']) {
+      await field('Add to Goal').click();
+      await page.keyboard.type(value);
+    }
+    await page.locator('#fields').getByText('This is not a number of at most 10.').waitFor();
+    await field('Remove Goal 3').click();
+    await completes('[1, 2.5]');
+    await choose(page, 'test grasp');
+    await field('force (N)').fill('7');
+    await page.locator('.word', { hasText: 'left' }).click();
+    assert.equal(await field('words').isVisible(), false);
+    await completes('{"force": 7, "hand": "left"}');
+    await field('Give words (otherwise ok)').check();
+    await field('words').fill('a "b"');
+    await completes('{"force": 7, "hand": "left", "words": "a \\"b\\""}');
+    for (const [name, size] of Object.entries(SIZES)) {
+      await page.setViewportSize({ width: size[0], height: size[1] });
+      await page.emulateMedia({ colorScheme: name === 'tablet' ? 'dark' : 'light' });
+      await check(page, `form-${name}`);
+    }
+    // A goal that was sent fills in the fields again.
+    await choose(page, 'test free');
+    await goal.waitFor();
+    assert.equal(await page.locator('#as-text').isVisible(), false);
+    await saying(page, '#goals', 'test/grasp').first().getByText('Again').click();
+    await sends('sends: {"force": 7, "hand": "left", "words": "a \\"b\\""}');
+    await saying(page, '#goals', 'test/turn -85').getByText('Again').click();
+    await sends('sends: -85');
+    await field('Goal (deg)').fill('70');
+    await sends('sends: 70');
+    // What it takes changes, and what was written stays.
+    await outside('change the robot');
+    await page.locator('#fields').getByText('This is not a number from -90 to 60 deg.').waitFor();
+    assert.equal(await field('Goal (deg)').inputValue(), '70');
+  },
+
+  // The console of the demo: what a number of a device takes, one that moves, and a Stop. The pictures of docs/web.md.
+  async demo() {
+    const page = await open(SIZES.phone);
+    const finger = async (goal) => {
+      await choose(page, 'gripper finger', 'demo');
+      await page.locator('#fields input:not([type=range])').fill(goal);
+      await ready(page);
+      await page.locator('#start').click();
+    };
+    await finger('0');
+    await saying(page, '#goals', 'finger 0').getByText('COMPLETED').waitFor();
+    await finger('100');
+    await saying(page, '#running', 'gripper:finger:100').waitFor();
+    await check(page, 'web-phone');
+    await page.setViewportSize({ width: SIZES.desk[0], height: SIZES.desk[1] });
+    await page.locator('#stop').click();
+    await page.getByText('demo: confirmed').waitFor();
+    await saying(page, '#goals', 'finger 100').getByText('ABORTED').waitFor();
+    await check(page, 'demo-desk');
+  },
+
+  // When each change of a task was on the screen, and how long the first paint takes over a slow network: for figures.rs.
+  async figures() {
+    const page = await open();
+    await page.evaluate(() => {
+      window.seen = {};
+      let ran = new Set();
+      const note = () => {
+        const at = performance.timeOrigin + performance.now();
+        const names = [...document.querySelectorAll('#running .name')].map((name) => name.textContent.split(':').at(-1));
+        const runs = new Set(names);
+        for (const name of runs) window.seen[`${name} true`] ??= at;
+        for (const name of ran) if (!runs.has(name)) window.seen[`${name} false`] ??= at;
+        ran = runs;
+      };
+      // When the second frame begins, the first one has been painted.
+      const painted = () => requestAnimationFrame(() => requestAnimationFrame(note));
+      new MutationObserver(painted).observe(document.getElementById('now'), { childList: true, subtree: true, characterData: true });
+    });
+    await outside('measure');
+    console.log(`seen: ${JSON.stringify(await page.evaluate(() => window.seen))}`);
+    await page.close();
+    const paints = [];
+    for (let round = 0; round < 5; round += 1) {
+      const slow = await browser.newPage();
+      const cdp = await browser.newCDPSession(slow);
+      await cdp.send('Network.enable');
+      // "Fast 3G" of Chromium's developer tools.
+      await cdp.send('Network.emulateNetworkConditions', {
+        offline: false, latency: 562.5, downloadThroughput: 1.6e6 / 8 * 0.9, uploadThroughput: 750e3 / 8 * 0.9,
+      });
+      await slow.goto(url);
+      const paint = () => slow.evaluate(() => performance.getEntriesByName('first-contentful-paint')[0]?.startTime);
+      while (await paint() === undefined) await slow.waitForTimeout(50);
+      paints.push(await paint());
+      await slow.close();
+    }
+    console.log(`paints: ${JSON.stringify(paints)}`);
+  },
+
+  // When the page is back after the console was killed, and shows a server that is back: for figures.rs.
+  async returns_in_time() {
+    const page = await open();
+    const until = (text) => page.evaluate((wanted) => new Promise((done) => {
+      const look = () => {
+        const [state, list] = ['connection', 'robot-list'].map((id) => document.getElementById(id));
+        if (!`${state.dataset.state} ${list.textContent}`.includes(wanted)) return;
+        watch.disconnect();
+        done(Date.now());
+      };
+      const watch = new MutationObserver(look);
+      watch.observe(document.body, { childList: true, subtree: true, characterData: true, attributes: true });
+      look();
+    }), text);
+    for (const [what, lost, back] of [['console', 'lost', 'open'], ['server', 'MISSING', 'there for']]) {
+      for (let round = 0; round < 5; round += 1) {
+        await outside(`kill the ${what}`);
+        await until(lost);
+        const told = until(back);
+        await outside(`start the ${what}`);
+        console.log(`${what}: ${await told}`);
+      }
+    }
+  },
+
+  // Presses while the console does not answer.
+  async impatient() {
+    const page = await open();
+    await choose(page, 'test mark');
+    await page.locator('#goal').fill('x');
+    await outside('suspend the console');
+    await page.locator('#start').click();
+    await saying(page, '#goals', 'sent').waitFor();
+    await page.waitForTimeout(1200);
+    await page.locator('#start').press('Enter');
+    await page.getByText('NOT SENT: The goal before has no answer yet.').waitFor();
+    await outside('continue the console');
+    await saying(page, '#running', 'test:mark:x').waitFor();
+    await ready(page);
+    assert.equal(await page.locator('#goals .card').count(), 1);
   },
 
   // Each goal says until when it may start, by the console's clock, also if the clock of the browser is wrong.
@@ -360,6 +576,19 @@ const scenarios = {
     assert.equal(await page.locator('#goals .card').count(), 0);
     await page.locator('#goal').press('Enter');
     await saying(page, '#goals', 'COMPLETED: kept').waitFor();
+    // The robot has another name now: they are not sent to it by guessing.
+    await page.evaluate(() => {
+      const goals = JSON.parse(localStorage.getItem('ready-goals'));
+      for (const goal of goals) goal.chosen.robot = 'old';
+      localStorage.setItem('ready-goals', JSON.stringify(goals));
+    });
+    await page.reload();
+    await page.locator('#ready .fill', { hasText: 'old (gone)' }).first().click();
+    await page.getByText('No robot is named old: it may have another name now.').waitFor();
+    await page.locator('#goal').press('Enter');
+    await page.getByText('NOT SENT: No robot is named old').waitFor();
+    assert.equal(await page.locator('#goals .card').count(), 0);
+    await check(page, 'renamed');
   },
 
   // Streams are heard while their part is open.
@@ -388,7 +617,7 @@ const scenarios = {
   // The console keeps the tasks that have ended, for every page.
   async past() {
     const page = await open();
-    for (const [component, goal, end] of [['test/echo', 'one', 'COMPLETED'], ['test/sleep', 'x', 'REJECTED'], ['test/sleep', '60', 'ABORTED']]) {
+    for (const [component, goal, end] of [['test/echo', 'one', 'COMPLETED'], ['test/sleep', 'x', 'NOT_STARTED'], ['test/sleep', '60', 'ABORTED']]) {
       await start(page, component, goal);
       if (end === 'ABORTED') await saying(page, '#running', 'test:sleep:60').getByText('Abort').click();
       await saying(page, '#goals', end).waitFor();

@@ -1,17 +1,17 @@
-//! Measures what the console must reach, on a quiet machine:
-//! `cargo test -p ztl-tests --test web -- --ignored --nocapture figures`.
+//! Measures what the console must reach. It takes minutes and a quiet machine, so that `cargo xtask bench web` runs it, and
+//! `cargo xtask test` does not.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde_json::{Value, json};
 use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest};
-use ztl_tests::lab::{connect, port_of, serve};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, connect, port_of, serve, until};
 
 use crate::client::Client;
-use crate::console::{port, web};
+use crate::console::{Console, node, port, web};
 use crate::robot::Slow;
 
 const ROBOTS: usize = 5;
@@ -20,6 +20,9 @@ const BROWSERS: usize = 20;
 const TASKS_PER_SECOND: u32 = 10;
 const TIME: Duration = Duration::from_secs(20);
 const STOPS: usize = 20;
+
+/// Tasks of the run that looks at the memory: those of 8 hours at one a second.
+const MANY: u32 = 28_800;
 
 /// When each goal began and ended.
 type Changes = Arc<Mutex<HashMap<(String, bool), Instant>>>;
@@ -72,7 +75,7 @@ fn watch(mut client: Client, changes: &Changes, over: &AtomicBool) -> Vec<Durati
 }
 
 #[test]
-#[ignore = "measures on a quiet machine"]
+#[ignore = "measures: cargo xtask bench web"]
 fn figures_of_changes() {
     let changes = Changes::default();
     let servers: Vec<_> = (0..ROBOTS)
@@ -84,6 +87,13 @@ fn figures_of_changes() {
         .map(|(name, server)| (name.as_str(), port_of(server.endpoint())))
         .collect();
     let (console, url) = web(0, &robots, &[]);
+    let (files, clocks) = (Scratch::new(), (Instant::now(), SystemTime::now()));
+    let mut driver = Process::start(
+        node("driver.mjs")
+            .args(["figures", &url])
+            .arg(files.path("")),
+    );
+    driver.wait_for("do: measure");
     let over = AtomicBool::new(false);
     let next = AtomicU32::new(0);
     let delays = std::thread::scope(|scope| {
@@ -101,7 +111,7 @@ fn figures_of_changes() {
             });
         }
         // One client in four reads what it is told; the others only receive it.
-        let clients: Vec<_> = (0..BROWSERS)
+        let clients: Vec<_> = (1..BROWSERS)
             .map(|number| {
                 let client = Client::open(port(&url));
                 let (changes, over) = (&changes, &over);
@@ -121,6 +131,36 @@ fn figures_of_changes() {
             .flat_map(|client| client.join().expect("no panic"))
             .collect::<Vec<_>>()
     });
+    driver.write_line("done");
+    let told = driver.end(PATIENCE * 3);
+    let told = |what: &str| {
+        let mut lines = told.stdout.lines();
+        let line = lines.find_map(|line| line.strip_prefix(what));
+        serde_json::from_str::<Value>(line.unwrap_or_else(|| panic!("no {what}: {told:?}")))
+            .expect("JSON")
+    };
+    let changed_ms = |change: &(String, bool)| {
+        let changed = *changes.lock().expect("no panic").get(change)?;
+        let at = clocks.1 + changed.duration_since(clocks.0);
+        Some(at.duration_since(UNIX_EPOCH).expect("a time").as_secs_f64() * 1e3)
+    };
+    let seen = told("seen: ");
+    let painted = seen
+        .as_object()
+        .expect("times")
+        .iter()
+        .filter_map(|(change, at)| {
+            let (goal, runs) = change.split_once(' ')?;
+            let changed = changed_ms(&(goal.to_owned(), runs == "true"))?;
+            Some(Duration::from_secs_f64(
+                (at.as_f64()? - changed).max(0.0) / 1e3,
+            ))
+        });
+    let painted: Vec<_> = painted.collect();
+    let count = painted.len();
+    let [half, most, all] = percentiles(painted);
+    println!("change to screen: {half:.0} ms, 99% {most:.0} ms, at most {all:.0} ms, of {count}");
+    println!("first paint over Fast 3G, in ms: {}", told("paints: "));
     let cpu = ztl_tests::lab::processor_time(console.id());
     let count = delays.len();
     let [half, most, all] = percentiles(delays);
@@ -130,7 +170,7 @@ fn figures_of_changes() {
 }
 
 #[test]
-#[ignore = "measures on a quiet machine"]
+#[ignore = "measures: cargo xtask bench web"]
 fn figures_of_stops() {
     let robot = Slow::default();
     let servers: Vec<_> = (0..ROBOTS).map(|_| serve(robot.clone())).collect();
@@ -169,4 +209,97 @@ fn figures_of_stops() {
     println!(
         "Stop until {ROBOTS} robots have confirmed: {half:.1} ms, 99% {most:.1} ms, at most {all:.1} ms"
     );
+}
+
+#[test]
+#[ignore = "measures: cargo xtask bench web"]
+fn figures_of_returns() {
+    let mut console = Console::new();
+    let directory = console.files.path("");
+    let mut driver = Process::start(
+        node("driver.mjs")
+            .args(["returns_in_time", &console.url])
+            .arg(directory),
+    );
+    for what in ["console", "server"] {
+        let mut times = Vec::new();
+        for round in 1..=5 {
+            let asked = |driver: &Process, verb: &str| {
+                until("the page", PATIENCE, || {
+                    let said = format!("do: {verb} the {what}\n");
+                    (driver.stdout().matches(&said).count() == round).then_some(())
+                });
+            };
+            asked(&driver, "kill");
+            match what {
+                "console" => console.process.kill(),
+                _ => console.robot.process.kill(),
+            }
+            driver.write_line("done");
+            asked(&driver, "start");
+            // As long as a person needs, so that the pauses between attempts have become long.
+            std::thread::sleep(Duration::from_secs(3));
+            match what {
+                "console" => console.start_again(),
+                _ => console.start_robot_again(),
+            }
+            let back = SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .expect("a time");
+            driver.write_line("done");
+            let told = until("the page to be back", PATIENCE, || {
+                let stdout = driver.stdout();
+                let mut told = stdout
+                    .lines()
+                    .filter_map(|line| line.strip_prefix(what)?.strip_prefix(": "));
+                told.nth(round - 1)?.parse::<f64>().ok()
+            });
+            times.push(Duration::from_secs_f64(
+                (told / 1e3 - back.as_secs_f64()).max(0.0),
+            ));
+        }
+        let [half, _, all] = percentiles(times);
+        println!("return of the {what} until the page shows it: {half:.0} ms, at most {all:.0} ms");
+    }
+}
+
+#[test]
+#[ignore = "measures: cargo xtask bench web"]
+fn figures_of_memory() {
+    let files = Scratch::new();
+    let configuration = "scopes: {/test: {arm: {left: {built-in: echo, at-once: 200}}}}\n";
+    let robot = crate::console::robot(&files, configuration, ztl_tests::lab::reserve_port());
+    let (console, url) = web(0, &[("ours", robot.port)], &[]);
+    let mut remote = connect(&format!("tcp://127.0.0.1:{}", robot.port));
+    let mut browser = Client::open(port(&url));
+    browser.subscribe("/ztl/robots");
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| browser.drain(&over));
+        for number in 0..MANY {
+            if number % (MANY / 8) == 0 {
+                println!(
+                    "{number} tasks: the console has {} KiB",
+                    console.resident_kib()
+                );
+            }
+            // Each minute of the 8 hours, a page comes, starts a task by the console, and goes.
+            if number % 60 == 0 {
+                let mut page = Client::open(port(&url));
+                let name = format!("the name of page {number}");
+                page.call("/ztl/resume", &json!({ "client": name }));
+                page.call("/ztl/operate", &json!({}));
+                page.goal("g", "/test/arm/left", &json!({ "goal": "x" }));
+                page.result("g");
+            }
+            remote
+                .trigger("arm", "left", &number.to_string())
+                .expect("it is accepted");
+        }
+        println!(
+            "{MANY} tasks: the console has {} KiB",
+            console.resident_kib()
+        );
+        over.store(true, Ordering::SeqCst);
+    });
 }

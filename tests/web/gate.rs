@@ -194,6 +194,23 @@ fn one_address_gets_a_limited_number_of_sockets() {
     });
 }
 
+#[test]
+fn watchers_leave_sockets_to_operators() {
+    let console = Console::of_one();
+    let robots = [("ours", console.robot.port)];
+    // The first link is that of the watchers.
+    let (_process, link) = web(0, &robots, &["--bind", "0.0.0.0"]);
+    let link = from_port(&link);
+    let (port, token) = link.split_once("/?token=").expect("a token");
+    let port = port.trim_start_matches(':');
+    let operator = format!("Host: localhost:{port}\r\n");
+    let watcher = format!("{operator}Authorization: Bearer {token}\r\n");
+    let watchers: Vec<_> = (0..24).map(|_| socket(port, &watcher)).collect();
+    assert!(watchers.iter().all(|(status, _)| *status == 101));
+    assert_eq!(upgrade(port, &watcher), 429);
+    assert_eq!(upgrade(port, &operator), 101);
+}
+
 /// A connection to the console, which says nothing.
 fn silent(port: &str) -> TcpStream {
     let stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a connection");

@@ -208,6 +208,23 @@ fn a_client_that_comes_back_learns_what_became_of_its_goals_and_starts_none_twic
     client.send(&json!({ "op": "cancel_action_goal", "id": "runs", "action": "/test/arm/left" }));
     assert_eq!(client.result("runs")["values"]["state"], "ABORTED");
     assert_eq!(robot.given.load(Ordering::SeqCst), 2);
+    // A goal that the console refused has an answer, too.
+    client.goal("wrong", "/nowhere/arm/left", &json!({ "goal": "x" }));
+    client.result("wrong");
+    drop(client);
+    let mut client = Client::open(port(&url));
+    let goals = client.call("/ztl/resume", &name);
+    let goals = goals["goals"].as_array().expect("goals");
+    let wrong = goals.iter().find(|goal| goal["id"] == "wrong");
+    let wrong = &wrong.expect("it is told")["values"];
+    assert_eq!(wrong["state"], "NOT_STARTED", "{wrong}");
+    assert!(
+        wrong["text"]
+            .as_str()
+            .expect("why")
+            .starts_with("no action"),
+        "{wrong}"
+    );
     // Another client has its own ids, and no name is too easy to guess.
     let mut other = Client::open(port(&url));
     other.call("/ztl/operate", &json!({}));

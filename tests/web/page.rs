@@ -6,7 +6,7 @@ use ztl_pickle::{DType, Pickle};
 use ztl_std::Publisher;
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
 
-use crate::console::{Console, ROBOT, from_port, marks, node, robot, web};
+use crate::console::{Console, DESCRIBED, ROBOT, from_port, marks, node, robot, web};
 
 /// Starts a scenario of the driver.
 fn drive(scenario: &str, url: &str, console: &Console) -> Process {
@@ -66,6 +66,60 @@ fn one_press_starts_one_task() {
     let console = Console::of_one();
     passes("presses", &console.url, &console);
     assert_eq!(console.marks(), 6);
+}
+
+#[test]
+fn forms_are_made_from_what_components_say_of_themselves() {
+    let _busy = busy();
+    let console = Console::of(DESCRIBED);
+    let mut driver = drive("forms", &console.url, &console);
+    until("the page to have shown each form", PATIENCE * 3, || {
+        assert!(driver.stderr().is_empty(), "{}", driver.stderr());
+        driver
+            .stdout()
+            .contains("do: change the robot")
+            .then_some(())
+    });
+    let mut changed = console.robot;
+    changed.process.kill();
+    let _changed = robot(
+        &console.files,
+        &DESCRIBED.replace("most: 90", "most: 60"),
+        changed.port,
+    );
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+#[test]
+fn the_demo_has_a_console() {
+    let _busy = busy();
+    let files = Scratch::new();
+    let demo = Process::start(ztl().args(["demo", "--web", "--port", "0"]));
+    let line = demo.wait_for("console  at");
+    let url = format!("http://127.0.0.1{}", from_port(&line));
+    demo.wait_for("The gateway goes on serving");
+    let mut command = node("driver.mjs");
+    command.args(["demo", &url]).arg(files.path(""));
+    let ended = Process::start(&mut command).end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+#[test]
+fn a_press_without_an_answer_starts_nothing_more() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let mut driver = drive("impatient", &console.url, &console);
+    driver.wait_for("do: suspend the console");
+    console.process.signal("STOP");
+    driver.write_line("done");
+    driver.wait_for("do: continue the console");
+    console.process.signal("CONT");
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+    assert_eq!(console.marks(), 1);
 }
 
 #[test]

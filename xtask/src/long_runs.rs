@@ -65,9 +65,10 @@ impl Soak {
     }
 }
 
-/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, and parts of the server comparison.
-pub(crate) const PARTS: [&str; 11] = [
+/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, and parts of the server comparison.
+pub(crate) const PARTS: [&str; 12] = [
     "firmware",
+    "web",
     "rates",
     "most",
     "cpu",
@@ -83,8 +84,10 @@ pub(crate) const PARTS: [&str; 11] = [
 
 /// `cargo xtask bench`: compares figures within one run; never passes or fails by time.
 pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
-    let (firmware, server): (Vec<_>, Vec<_>) = parts.iter().partition(|part| *part == "firmware");
     let all = parts.is_empty();
+    let wanted = |part: &str| all || parts.iter().any(|wanted| wanted == part);
+    let others = |part: &&String| !["firmware", "web"].contains(&part.as_str());
+    let server: Vec<_> = parts.iter().filter(others).collect();
     if all || !server.is_empty() {
         install::python(project)?;
         project.cargo(BUILD).run()?;
@@ -92,7 +95,14 @@ pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
         let bench = project.cargo(&format!("bench --package ztl-tests{choice}"));
         bench.args(server).run()?;
     }
-    if all || !firmware.is_empty() {
+    if wanted("web") {
+        install::javascript(project)?;
+        project.cargo(BUILD).run()?;
+        let figures = project.cargo("test --release --package ztl-tests --test web --");
+        let choice = ["--ignored", "--nocapture", "--test-threads", "1", "figures"];
+        figures.args(choice).run()?;
+    }
+    if wanted("firmware") {
         firmware::bench(project)?;
     }
     Ok(())

@@ -89,8 +89,9 @@ pub mod time;
 mod transport;
 
 pub use client::{
-    AbortOnDrop, BackgroundTask, DescribedComponent, Obstacle, ParallelRequests, RemoteTask,
-    RequestError, RunError, ServerInfo, Status, TriggerError, Triggered, WaitError, server_answer,
+    AbortOnDrop, BackgroundTask, DescribeQuestions, DescribedComponent, Obstacle, ParallelRequests,
+    RemoteTask, RequestError, RunError, ServerInfo, Status, TriggerError, Triggered, WaitError,
+    server_answer,
 };
 #[cfg(feature = "config")]
 pub use client::{Description, SavedDescription, ServerTask, ServerTasks};

@@ -84,15 +84,21 @@ bridge.subscribe('/ztl/robots', (told) => {
   streams.offer(told.publishers);
   show();
 });
-bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); show(); });
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); showNow(); });
 setInterval(show, 1000);
 setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
 
-function show() {
+// What tasks change, which they do many times a second.
+function showNow() {
   showConnection();
-  showRobots();
   showTasks();
   if (lastStop && !at('stopped').hidden) showVerdict(lastStop);
+}
+at('ended-box').addEventListener('toggle', showNow);
+
+function show() {
+  showNow();
+  showRobots();
   form.show();
   stage.show();
   streams.show();
@@ -112,7 +118,12 @@ function showConnection() {
 
 // A goal was sent: what was confirmed before says nothing of it.
 function started() {
+  hideStop();
+}
+
+function hideStop() {
   at('stopped').hidden = true;
+  setText(at('stopped-before'), '');
 }
 
 function ago(ms) {
@@ -158,7 +169,7 @@ function showTasks() {
   const ended = tasks.tasks.filter((task) => !task.runs);
   const lines = ['name', '', 'quiet'];
   showAll(at('running'), running, key, () => card(lines, buttons), update);
-  showAll(at('ended'), ended, key, () => card(lines, []), update);
+  if (at('ended-box').open) showAll(at('ended'), ended, key, () => card(lines, []), update);
   at('ended-box').hidden = ended.length === 0;
   at('idle').hidden = running.length > 0;
   setText(at('idle'), missing.size || tasks.gaps.length ? 'No running task is known.' : 'No task is running.');
@@ -187,6 +198,9 @@ function abort(made, button) {
 
 function stop() {
   closedStop = null;
+  // What the Stop before has said stays.
+  const before = at('stopped').hidden || !lastStop ? [] : [at('stopped-title'), ...at('confirmations').children];
+  setText(at('stopped-before'), before.length ? `Before: ${before.map((said) => said.textContent).join(' · ')}` : '');
   lastStop = null;
   at('stopped').hidden = false;
   setText(at('stopped-title'), 'Stop: sent, no robot has confirmed yet');
@@ -230,7 +244,7 @@ at('stop').addEventListener('click', stop);
 at('stopped-close').addEventListener('click', () => {
   closedStop = at('stopped').dataset.at;
   sessionStorage.setItem('closed-stop', closedStop);
-  at('stopped').hidden = true;
+  hideStop();
   at('stop').focus();
 });
 addEventListener('keydown', (event) => {

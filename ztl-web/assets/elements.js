@@ -1,6 +1,7 @@
 // Elements whose text is always text: nothing of a robot or a client is ever read as HTML.
 
-const SHOWN = 1000;
+// How many characters of a text are shown. A result may have any length.
+const SHOWN = 240;
 
 export const at = (id) => document.getElementById(id);
 
@@ -15,9 +16,30 @@ export function setText(where, text) {
   if (where.textContent !== text) where.textContent = text;
 }
 
-// What of a text is shown: a result may have any length.
+// The beginning of a text.
 export function short(text) {
   return text.length <= SHOWN ? text : `${text.slice(0, SHOWN)} …`;
+}
+
+// Shows the beginning of a text, and a button under it that shows all.
+export function setLong(where, text) {
+  let more = where.nextElementSibling;
+  if (!more?.classList.contains('more')) {
+    more = element('button', 'more');
+    more.type = 'button';
+    more.addEventListener('click', () => {
+      const shows = more.getAttribute('aria-expanded') === 'true';
+      more.setAttribute('aria-expanded', String(!shows));
+      setLong(where, where.whole);
+    });
+    more.setAttribute('aria-expanded', 'false');
+    where.after(more);
+  }
+  where.whole = text;
+  more.hidden = short(text) === text;
+  const showsAll = more.getAttribute('aria-expanded') === 'true';
+  setText(more, showsAll ? 'Show less' : `Show all ${text.length} characters`);
+  setText(where, showsAll ? text : short(text));
 }
 
 // Shows items as children of a list. Keeps the element of each key, so that focus and clicks survive an update.

@@ -1,6 +1,7 @@
 // Do: one press starts one task, of the component that the person has chosen and of no other.
 
-import { at, card, element, setText, short, showAll } from './elements.js';
+import { at, card, element, setLong, setText, short, showAll, span } from './elements.js';
+import { goalText, makeField, valueOf } from './fields.js';
 import { Ready } from './ready.js';
 
 const KEPT_GOALS = 20;
@@ -9,6 +10,8 @@ const OTHER = '*';
 export const NOTHING = 'None';
 // A press that follows sooner belongs to the one before: a double click, or a key that is held on a remote desktop.
 const SAME_PRESS = 600;
+// The same for keys: so long do systems wait until they repeat a held one.
+const SAME_KEY = 1100;
 // Longest wait for the answer to a goal until the next press counts.
 const ANSWER = 1000;
 // How long after the press a goal may be sent on to its robot. What comes later is refused there.
@@ -25,16 +28,25 @@ export class Form {
   #pressed = -Infinity;
   #quiet = -Infinity;
   #answered = true;
+  // How soon after the last press another one counts.
+  #same = SAME_PRESS;
+  // What the component says of itself: for which choice it was asked, the robot's number of it, and what it said.
+  #described = { chosen: null, number: null, is: null };
+  // The field for its goals; without one, a goal is free text.
+  #field = null;
+  // A text that the field is to show when it is there.
+  #wanted = null;
   #ready;
 
   // The console tells its clock (now) and why nothing may be started (whyNot), and hears of a start (started).
   constructor(bridge, console) {
     this.#bridge = bridge;
     this.#console = console;
-    this.#ready = new Ready((goal) => this.#fill(goal));
+    this.#ready = new Ready((goal) => this.#fill(goal), () => this.show());
     at('component').addEventListener('change', () => {
       const value = at('component').value;
       this.#chosen = value ? JSON.parse(value) : null;
+      this.#wanted = null;
       setText(at('form-said'), '');
       this.show();
     });
@@ -43,7 +55,15 @@ export class Form {
     at('form').addEventListener('keydown', (event) => {
       if (event.key === 'Enter' && event.repeat) event.preventDefault();
     });
+    at('goal').addEventListener('input', () => { this.#wanted = null; this.show(); });
+    at('as-text').addEventListener('change', () => {
+      if (at('as-text').checked) at('goal').value = goalText(this.#field.read()) ?? '';
+      else this.#setGoal(at('goal').value);
+      this.show();
+    });
     at('start').addEventListener('click', (event) => {
+      // Keys press without a place.
+      this.#same = event.detail === 0 ? SAME_KEY : SAME_PRESS;
       // A double click, by the browser's own measure.
       if (event.detail < 2) return;
       event.preventDefault();
@@ -59,6 +79,8 @@ export class Form {
 
   show() {
     this.#showChoices();
+    this.#describe();
+    this.#showGoal();
     const why = this.#whyNot();
     at('start').setAttribute('aria-disabled', String(why !== '' || this.#isLocked()));
     // Two robots may have components of the same names.
@@ -66,7 +88,72 @@ export class Form {
     const said = at('form-said').textContent;
     setText(at('why-not'), said === `NOT SENT: ${why}` ? '' : why);
     this.#showGoals();
-    this.#ready.show();
+    this.#ready.show(this.#robots.map((robot) => robot.name));
+  }
+
+  // Learns what the chosen component takes, and again when that changes.
+  #describe() {
+    const of = this.#described;
+    const chosen = this.#chosen;
+    const isNew = !same(of.chosen, chosen);
+    const number = this.#robots.find((robot) => robot.name === chosen?.robot)?.described ?? null;
+    // A robot that has not told anything yet, since the console was started again, takes what it took.
+    if (!isNew && (number === null || number === of.number)) return;
+    Object.assign(of, { chosen, number });
+    if (isNew || number === 0) this.#take(null, isNew);
+    if (!number || chosen?.handler === undefined) return;
+    const action = `${chosen.action}/${chosen.handler}/${chosen.component}`;
+    this.#bridge.call('/ztl/describe', { action }).then(({ is }) => {
+      if (of.number !== number || !same(of.chosen, chosen)) return;
+      this.#take(is, false);
+      this.show();
+    }, () => {
+      // It is asked again over the next connection.
+      if (!this.#bridge.isOpen) of.number = null;
+    });
+  }
+
+  // The component takes what it says. What was filled in stays, unless it is for another component.
+  #take(is, isNew) {
+    if (!isNew && same(this.#described.is, is)) return;
+    const wasField = this.#field !== null && !at('as-text').checked;
+    const text = this.#wanted ?? (isNew ? '' : this.#text() ?? '');
+    this.#described.is = is;
+    const rule = is?.goal ?? { type: 'any' };
+    this.#field = rule.type === 'any' ? null : makeField(rule, 'Goal', () => { this.#wanted = null; this.show(); });
+    at('fields').replaceChildren(...(this.#field ? [this.#field.element] : []));
+    at('as-text').checked = false;
+    const examples = is?.examples?.length ? `for example ${is.examples.map(short).join(' or ')}` : '';
+    const usually = is?.usually_ms ? `usually takes ${span(is.usually_ms)}` : '';
+    const abort = is?.abort === false ? 'CANNOT BE ABORTED' : '';
+    setText(at('about'), [is?.about, examples, usually, abort].filter(Boolean).join(' · '));
+    this.#setGoal(text);
+    // What does not fit any longer stays in its field, which says so.
+    if (wasField && this.#wanted === null) at('as-text').checked = false;
+  }
+
+  // Shows a goal in the field, or as text if the field cannot show exactly this.
+  #setGoal(text) {
+    at('goal').value = text;
+    if (!this.#field) return;
+    const value = valueOf(this.#described.is.goal, text);
+    const shows = value !== undefined && this.#field.fill(value) && goalText(this.#field.read()) === text;
+    at('as-text').checked = text !== '' && !shows;
+  }
+
+  // The goal that the form shows; undefined if it is not complete.
+  #text() {
+    return this.#field && !at('as-text').checked ? goalText(this.#field.read()) : at('goal').value;
+  }
+
+  #showGoal() {
+    const isField = this.#field !== null && !at('as-text').checked;
+    at('as-text-label').hidden = this.#field === null;
+    at('fields').hidden = !isField;
+    at('goal-box').hidden = isField;
+    const text = this.#text();
+    at('sends').hidden = !isField;
+    setText(at('sends'), text === undefined ? 'sends nothing yet' : text === '' ? 'sends an empty goal' : `sends: ${text}`);
   }
 
   #isLocked() {
@@ -80,13 +167,23 @@ export class Form {
     if (why) return why;
     if (!this.#chosen) return 'Choose a component.';
     const robot = this.#robots.find((one) => one.name === this.#chosen.robot);
-    if (!robot) return `${this.#chosen.robot} is gone.`;
+    if (!robot) return `No robot is named ${this.#chosen.robot}: it may have another name now. Choose again.`;
     if (robot.health === 'missing') return `${robot.name} is missing.`;
     if (!this.#choices().some((choice) => same(choice, this.#chosen))) {
       return `${label(this.#chosen)} of ${robot.name} is gone. Choose again, or wait until it is back.`;
     }
     if (this.#chosen.handler === undefined && !at('other').value.trim()) return 'Name a handler and a component.';
+    if (this.#text() === undefined) return 'The goal is not complete.';
+    const action = `${this.#chosen.action}/${this.#name()}`;
+    const waits = (goal) => !goal.answered && goal.chosen.robot === robot.name && goal.action === action;
+    if (this.#goals.some(waits)) return 'The goal before has no answer yet.';
     return '';
+  }
+
+  // The chosen handler/component.
+  #name() {
+    const { handler, component } = this.#chosen;
+    return handler === undefined ? at('other').value.trim() : `${handler}/${component}`;
   }
 
   // One choice for each component that a robot tells, and one for any other of its scope.
@@ -139,11 +236,11 @@ export class Form {
       this.show();
       return;
     }
-    const { action, handler, component } = this.#chosen;
-    const name = handler === undefined ? at('other').value.trim() : `${handler}/${component}`;
-    const text = at('goal').value;
-    const goal = { chosen: this.#chosen, action: `${action}/${name}`, name, text, state: 'sent', progress: '', ended: false };
+    const [name, text] = [this.#name(), this.#text()];
+    const action = `${this.#chosen.action}/${name}`;
+    const goal = { chosen: this.#chosen, action, name, text, state: 'sent', progress: '', ended: false, answered: false };
     const answered = () => {
+      goal.answered = true;
       if (goal === this.#goals[0]) this.#answered = true;
       this.show();
     };
@@ -163,7 +260,7 @@ export class Form {
       return;
     }
     this.#pressed = now;
-    this.#quiet = now + SAME_PRESS;
+    this.#quiet = now + this.#same;
     this.#answered = false;
     this.#goals = [goal, ...this.#goals].slice(0, KEPT_GOALS);
     this.#ready.used({ chosen: this.#chosen, name, text });
@@ -175,23 +272,23 @@ export class Form {
 
   // As long as presses follow each other, none of them counts.
   #ignore() {
-    this.#quiet = performance.now() + SAME_PRESS;
+    this.#quiet = performance.now() + this.#same;
     setText(at('form-said'), 'Presses that follow at once do not count.');
     this.#showSoon();
   }
 
   #showSoon() {
-    setTimeout(() => this.show(), SAME_PRESS + 1);
-    setTimeout(() => this.show(), ANSWER + 1);
+    for (const pause of [this.#same, ANSWER]) setTimeout(() => this.show(), pause + 1);
   }
 
   #fill(goal) {
     this.#chosen = goal.chosen;
-    at('goal').value = goal.text;
+    this.#wanted = goal.text;
     at('other').value = goal.name;
+    this.#setGoal(goal.text);
     setText(at('form-said'), '');
     this.show();
-    at('goal').focus();
+    at('form').querySelector('#fields:not([hidden]) input, #goal-box:not([hidden]) input, button')?.focus();
   }
 
   #showGoals() {
@@ -205,15 +302,15 @@ export class Form {
     showAll(at('goals'), this.#goals, (goal) => goal.id, make, (made, goal) => {
       made.goal = goal;
       const [name, said, about] = made.lines;
-      setText(name, short(`${goal.name} ${goal.text}`));
+      setLong(name, `${goal.name} ${goal.text}`);
       said.className = goal.state === 'COMPLETED' ? 'good' : goal.ended ? 'bad' : '';
-      setText(said, short([goal.state, goal.progress].filter((text) => text && text !== NOTHING).join(': ')));
+      setLong(said, [goal.state, goal.progress].filter((text) => text && text !== NOTHING).join(': '));
       setText(about, goal.chosen.robot);
       const [abort, again] = made.buttons;
       abort.hidden = goal.ended;
       again.hidden = !goal.ended;
-      abort.setAttribute('aria-label', `Abort ${goal.name} ${goal.text}`);
-      again.setAttribute('aria-label', `Again ${goal.name} ${goal.text}: fill in the form`);
+      abort.setAttribute('aria-label', `Abort ${short(`${goal.name} ${goal.text}`)}`);
+      again.setAttribute('aria-label', `Again ${short(`${goal.name} ${goal.text}`)}: fill in the form`);
     });
   }
 }

@@ -1,6 +1,6 @@
 // Past: the tasks of the last hours that the console has seen end, while this part is open.
 
-import { at, card, setText, showAll } from './elements.js';
+import { at, card, setLong, setText, showAll } from './elements.js';
 import { NOTHING } from './form.js';
 
 // Between two questions, however many tasks end and keys are pressed.
@@ -31,9 +31,9 @@ export class Past {
     const key = (task) => JSON.stringify([task.robot, task.scope, task.id]);
     showAll(at('past'), told.tasks, key, () => card(['name', '', 'quiet'], []), (made, task) => {
       const [name, said, about] = made.lines;
-      setText(name, task.task || `task ${task.id}`);
+      setLong(name, task.task || `task ${task.id}`);
       said.className = task.state === 'COMPLETED' ? 'good' : 'bad';
-      setText(said, [task.state, task.text].filter((text) => text && text !== NOTHING).join(': '));
+      setLong(said, [task.state, task.text].filter((text) => text && text !== NOTHING).join(': '));
       const started = new Date(task.started_ms ?? task.seen_ms).toLocaleTimeString();
       setText(about, [started, `${task.robot} ${task.scope}`, task.by ? `by ${task.by}` : ''].filter(Boolean).join(' · '));
     });

@@ -10,11 +10,14 @@ export class Ready {
   // Each: { chosen, name, text, kept }.
   #goals = read();
   #fill;
+  #changed;
 
-  constructor(fill) {
+  // `fill` fills in the form with a goal; `changed` shows them again.
+  constructor(fill, changed) {
     this.#fill = fill;
+    this.#changed = changed;
     // Another page of this browser has changed them.
-    addEventListener('storage', () => { this.#goals = read(); this.show(); });
+    addEventListener('storage', () => { this.#goals = read(); this.#changed(); });
   }
 
   // A goal was started.
@@ -24,7 +27,8 @@ export class Ready {
     this.#set([{ ...goal, kept: known?.kept ?? false }, ...others]);
   }
 
-  show() {
+  // Shows them, and which of them are for a robot that is not one of these.
+  show(robots) {
     at('ready-box').hidden = this.#goals.length === 0;
     const ordered = [...this.#goals.filter((goal) => goal.kept), ...this.#goals.filter((goal) => !goal.kept)];
     showAll(at('ready'), ordered, keyOf, () => this.#row(), (row, goal) => {
@@ -32,7 +36,8 @@ export class Ready {
       const [fill, keep] = row.children;
       const what = short(`${goal.name} ${goal.text}`);
       setText(fill.firstChild, what);
-      setText(fill.lastChild, goal.chosen.robot);
+      const { robot } = goal.chosen;
+      setText(fill.lastChild, robots.includes(robot) ? robot : `${robot} (gone)`);
       setText(keep, goal.kept ? '★' : '☆');
       keep.setAttribute('aria-pressed', String(goal.kept));
       keep.setAttribute('aria-label', `Keep ${what} of ${goal.chosen.robot}`);
@@ -47,7 +52,7 @@ export class Ready {
     const keep = element('button', 'keep');
     keep.addEventListener('click', () => {
       this.#set(this.#goals.map((goal) => (goal === row.goal ? { ...goal, kept: !goal.kept } : goal)));
-      this.show();
+      this.#changed();
     });
     for (const button of [fill, keep]) button.type = 'button';
     row.append(fill, keep);

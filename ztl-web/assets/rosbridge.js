@@ -2,7 +2,7 @@
 
 const SILENCE = 6000;
 const FIRST_PAUSE = 200;
-const LONGEST_PAUSE = 1000;
+const LONGEST_PAUSE = 500;
 
 export class Bridge {
   #url;

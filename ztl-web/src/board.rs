@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::watch;
+use ztl_std::describe::{CheckGoal as _, ScopeDescriptions, find};
 use ztl_std::{Offers, RemoteId, State};
 
 use crate::aborts::AbortRequest;
@@ -15,7 +16,7 @@ use crate::clients::Clients;
 use crate::goal::Goal;
 use crate::operator::{Client, Operator};
 use crate::past::Past;
-use crate::robots::{ConfiguredScope, Server};
+use crate::robots::{self, ConfiguredScope, Server, Target};
 use crate::show::Desk;
 use crate::stop::Stops;
 use crate::streams::Streams;
@@ -24,6 +25,9 @@ use crate::streams::Streams;
 const SHOWN: usize = 200;
 /// Most aborts that wait for the thread of a server.
 const WAITING: usize = 1000;
+
+/// What the components of a server say of themselves, by scope.
+pub(crate) type Described = Arc<BTreeMap<String, ScopeDescriptions>>;
 
 /// A message that many sockets share: the value of a topic, as JSON.
 pub(crate) type Shared = Arc<str>;
@@ -43,6 +47,8 @@ pub(crate) struct Board {
     pub(crate) streams: Arc<Streams>,
     pub(crate) past: Past,
     seen: Mutex<Vec<Seen>>,
+    /// What the components of each server say of themselves.
+    described: Mutex<Vec<Described>>,
     goals: Mutex<Goals>,
     /// How many sockets are open.
     pub(crate) sockets: AtomicUsize,
@@ -77,6 +83,8 @@ pub(crate) struct Seen {
     /// The version, or why the server is missing.
     pub(crate) text: String,
     pub(crate) scopes: BTreeMap<String, Offers>,
+    /// Changes with what its components say of themselves; 0 if that is nothing, `None` until the server was asked.
+    pub(crate) described: Option<u64>,
     /// Whether the server lists its tasks.
     pub(crate) lists: bool,
     pub(crate) tasks: Vec<Task>,
@@ -123,6 +131,7 @@ impl Board {
         let topic = || watch::Sender::new(Shared::from("{}"));
         let board = Self {
             seen: Mutex::new(vec![Seen::default(); servers.len()]),
+            described: Mutex::new(vec![Described::default(); servers.len()]),
             stops: Stops::new(servers.iter().map(|server| server.name.clone())),
             posts: wakes.into_iter().map(post).collect(),
             servers,
@@ -220,7 +229,7 @@ impl Board {
     }
 
     /// What a scope of a server offers, if the server has told that.
-    pub(crate) fn offers(&self, server: usize, scope: &str) -> Option<Offers> {
+    fn offers(&self, server: usize, scope: &str) -> Option<Offers> {
         let seen = locked(&self.seen);
         seen.get(server)?.scopes.get(scope).cloned()
     }
@@ -235,6 +244,60 @@ impl Board {
             drop(seen);
             self.publish();
         }
+    }
+
+    /// Replaces what the components of a server say of themselves, and the number that changes with it.
+    pub(crate) fn set_described(&self, server: usize, number: u64, described: Described) {
+        if let Some(known) = locked(&self.described).get_mut(server) {
+            *known = described;
+        }
+        let mut seen = self.seen(server);
+        seen.described = Some(number);
+        self.set_seen(server, seen);
+    }
+
+    /// What a component says of itself, as JSON; `null` if it says nothing.
+    ///
+    /// # Errors
+    /// What is wrong with the name of its action.
+    pub(crate) fn describe(&self, args: &Value) -> Result<Value, String> {
+        let action = args.get("action").and_then(Value::as_str);
+        let action = action.ok_or("expected {\"action\": SCOPE/handler/component}")?;
+        let target = self.find(action)?;
+        let described = self.described(target.server);
+        let scope = described.get(&target.scope);
+        let is = scope.and_then(|scope| find(scope, &target.handler, &target.component));
+        let is = is.map(|is| serde_json::from_str::<Value>(&is.json().to_string()));
+        let is = is.transpose().map_err(|error| error.to_string())?;
+        Ok(json!({ "is": is }))
+    }
+
+    /// Checks a goal against what its component says of itself.
+    ///
+    /// # Errors
+    /// What is wrong, and what the goal should be.
+    pub(crate) fn check(&self, goal: &Goal) -> Result<(), String> {
+        let Goal { target, goal, .. } = goal;
+        let described = self.described(target.server);
+        let scope = described.get(&target.scope);
+        match scope.and_then(|scope| find(scope, &target.handler, &target.component)) {
+            Some(is) => is.goal.check(goal, false).map(drop),
+            None => Ok(()),
+        }
+    }
+
+    fn described(&self, server: usize) -> Described {
+        let described = locked(&self.described);
+        described.get(server).cloned().unwrap_or_default()
+    }
+
+    /// The component that an action names.
+    ///
+    /// # Errors
+    /// What is wrong with the name.
+    pub(crate) fn find(&self, action: &str) -> Result<Target, String> {
+        let offers = |server, scope: &str| self.offers(server, scope);
+        robots::find(&self.servers, offers, action)
     }
 
     /// Lets a client operate if nobody does.
@@ -331,6 +394,7 @@ impl Board {
                 "since_ms": seen.since_ms,
                 "text": seen.text,
                 "lists_tasks": seen.lists,
+                "described": seen.described,
                 "scopes": server.scopes.iter().map(scope).collect::<Vec<_>>(),
             })
         };

@@ -12,12 +12,14 @@ use crate::cut;
 use crate::goal::Goal;
 use crate::goals::Outcome;
 use crate::rosbridge;
-use crate::socket::Out;
+use crate::socket::{ID, Out};
 
 /// Most open goals of a client.
 const GOALS: usize = 32;
 /// Most ended goals of a client that are remembered.
 const ENDED: usize = 64;
+/// Most refused goals of a client that are remembered.
+const REFUSED: usize = 64;
 /// Most clients that are remembered by name.
 const CLIENTS: usize = 256;
 /// Shortest and longest name, in bytes. It has to be a secret.
@@ -67,6 +69,8 @@ struct State {
     out: Option<mpsc::Sender<Out>>,
     open: BTreeMap<String, (Arc<Goal>, String)>,
     ended: VecDeque<Ended>,
+    /// Goals that the console refused. Apart, because they keep no id from being sent again.
+    refused: VecDeque<Ended>,
     left_ms: u64,
 }
 
@@ -86,7 +90,7 @@ impl Client {
             let task = goal.id();
             json!({ "id": id, "action": action, "values": { "state": "OPEN", "text": "", "id": task } })
         });
-        let ended = state.ended.iter();
+        let ended = state.ended.iter().chain(&state.refused);
         let ended =
             ended.map(|of| json!({ "id": of.id, "action": of.action, "values": of.outcome }));
         json!({ "goals": open.chain(ended).collect::<Vec<_>>() })
@@ -108,10 +112,29 @@ impl Client {
                 "{GOALS} goals of this client are open: wait for one to end"
             ));
         }
+        state.refused.retain(|refused| refused.id != id);
         state
             .open
             .insert(id.to_owned(), (Arc::clone(goal), action.to_owned()));
         Ok(())
+    }
+
+    /// Remembers that a goal was refused, in case that the answer is lost.
+    pub(crate) fn refuse(&self, id: &str, action: &str, why: &str) {
+        let mut state = locked(&self.0);
+        let is_known =
+            state.open.contains_key(id) || state.ended.iter().any(|ended| ended.id == id);
+        if is_known || id.len() > ID {
+            return;
+        }
+        if state.refused.len() >= REFUSED {
+            state.refused.pop_front();
+        }
+        state.refused.push_back(Ended {
+            id: id.to_owned(),
+            action: cut::text(action, cut::LINE),
+            outcome: Outcome::not_started(cut::text(why, cut::PROGRESS)),
+        });
     }
 
     /// Forgets a goal that was not started.

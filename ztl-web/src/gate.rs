@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use crate::tokens::Tokens;
 
 /// What somebody may do. Everybody who may look may also stop: a stop is safe.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Role {
     /// Look and stop.
     Watcher,
@@ -24,6 +24,14 @@ impl Role {
         }
     }
 }
+
+/// Headers by which proxies tell for whom they ask, besides `Forwarded`, `Via` and `X-Forwarded-…`.
+const PROXY: [&str; 4] = [
+    "cf-connecting-ip",
+    "true-client-ip",
+    "x-client-ip",
+    "x-real-ip",
+];
 
 /// Checks requests.
 pub(crate) struct Gate {
@@ -109,7 +117,7 @@ impl Gate {
     fn is_local(&self, peer: IpAddr, host: &str, headers: &HeaderMap) -> bool {
         let forwarded = |name: &HeaderName| {
             [FORWARDED, VIA].contains(name)
-                || name == "x-real-ip"
+                || PROXY.contains(&name.as_str())
                 || name.as_str().starts_with("x-forwarded-")
         };
         let name = name_of(host);
@@ -291,6 +299,9 @@ mod tests {
             "x-forwarded-for",
             "x-forwarded-proto",
             "x-real-ip",
+            "x-client-ip",
+            "cf-connecting-ip",
+            "true-client-ip",
         ] {
             let forwarded = (HeaderName::from_static(name), "127.0.0.1");
             assert_eq!(

@@ -51,6 +51,8 @@ pub(crate) type Tell = Box<dyn Fn(News) + Send + Sync>;
 /// # Errors
 /// Why nothing was started.
 pub(crate) fn start(goal: &Arc<Goal>, board: &Arc<Board>, tell: Tell) -> Result<(), String> {
+    let fits = board.check(goal);
+    fits.map_err(|why| cut::text(&why, 2 * cut::LINE))?;
     let Some(number) = board.add_goal(goal, MOST) else {
         return Err(format!("{MOST} goals are open: wait for one to end"));
     };
@@ -171,7 +173,7 @@ fn init(goal: &Goal, remote: &mut RemoteTask, tell: &Tell) -> Result<Triggered, 
 }
 
 impl Outcome {
-    fn not_started(text: String) -> Self {
+    pub(crate) fn not_started(text: String) -> Self {
         Self {
             state: "NOT_STARTED",
             text,

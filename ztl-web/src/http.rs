@@ -44,11 +44,12 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 11] = [
+const FILES: [(&str, &str, &str); 12] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
     ("/form.js", "text/javascript; charset=utf-8", include_str!("../assets/form.js")),
+    ("/fields.js", "text/javascript; charset=utf-8", include_str!("../assets/fields.js")),
     ("/show.js", "text/javascript; charset=utf-8", include_str!("../assets/show.js")),
     ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
     ("/past.js", "text/javascript; charset=utf-8", include_str!("../assets/past.js")),
@@ -110,11 +111,11 @@ impl Connection {
     }
 
     /// A request has passed the gate; returns whether there is room for the connection.
-    fn admit(&self, connections: &Places) -> bool {
+    fn admit(&self, connections: &Places, role: Role) -> bool {
         if !self.is_stranger() {
             return true;
         }
-        let place = connections.take(self.address);
+        let place = connections.take(self.address, role);
         let admitted = place.map(|place| Standing::Admitted { _place: place });
         // Outside of the lock: dropping a place locks others.
         let before =
@@ -243,7 +244,7 @@ async fn check(
             (StatusCode::UNAUTHORIZED, closed, Html(LOCKED)).into_response()
         }
         (Err((status, why)), _) => (status, closed, why).into_response(),
-        (Ok(_), _) if !connection.admit(&console.connections) => {
+        (Ok(role), _) if !connection.admit(&console.connections, role) => {
             let why = "too many connections are open\n";
             (StatusCode::TOO_MANY_REQUESTS, closed, why).into_response()
         }
@@ -339,7 +340,7 @@ async fn upgrade(
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let address = connection.address;
-    let Some(place) = console.sockets.take(address) else {
+    let Some(place) = console.sockets.take(address, role) else {
         let why = "too many sockets are open\n";
         return (StatusCode::TOO_MANY_REQUESTS, why).into_response();
     };

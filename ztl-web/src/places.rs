@@ -7,19 +7,20 @@ use std::sync::{Arc, Mutex};
 use tokio::task::AbortHandle;
 
 use crate::board::locked;
+use crate::gate::Role;
 
-/// Places for connections.
+/// Places for connections. Watchers get three of four, so that there is always room for an operator.
 #[derive(Clone)]
 pub(crate) struct Places {
     most: usize,
     most_of_one: usize,
-    taken: Arc<Mutex<HashMap<IpAddr, usize>>>,
+    taken: Arc<Mutex<HashMap<(IpAddr, Role), usize>>>,
 }
 
 /// A place that is free again when it is dropped.
 pub(crate) struct Place {
     places: Places,
-    address: IpAddr,
+    holder: (IpAddr, Role),
 }
 
 impl Places {
@@ -32,18 +33,29 @@ impl Places {
     }
 
     /// A place for this address; `None` if there are too many.
-    pub(crate) fn take(&self, address: IpAddr) -> Option<Place> {
+    pub(crate) fn take(&self, address: IpAddr, role: Role) -> Option<Place> {
         let mut taken = locked(&self.taken);
-        let all: usize = taken.values().sum();
-        let own = taken.get(&address).copied().unwrap_or(0);
-        if all >= self.most || own >= self.most_of_one {
+        let roles = match role {
+            Role::Watcher => &[Role::Watcher][..],
+            Role::Operator => &[Role::Watcher, Role::Operator],
+        };
+        let counted = || taken.iter().filter(|((_, role), _)| roles.contains(role));
+        let all: usize = counted().map(|(_, count)| count).sum();
+        let own = counted().filter(|((of, _), _)| *of == address);
+        let own: usize = own.map(|(_, count)| count).sum();
+        let limit = |most: usize| match role {
+            Role::Watcher => most * 3 / 4,
+            Role::Operator => most,
+        };
+        if all >= limit(self.most) || own >= limit(self.most_of_one) {
             return None;
         }
-        taken.insert(address, own + 1);
+        let holder = (address, role);
+        *taken.entry(holder).or_default() += 1;
         drop(taken);
         Some(Place {
             places: self.clone(),
-            address,
+            holder,
         })
     }
 }
@@ -51,10 +63,10 @@ impl Places {
 impl Drop for Place {
     fn drop(&mut self) {
         let mut taken = locked(&self.places.taken);
-        if let Some(own) = taken.get_mut(&self.address) {
+        if let Some(own) = taken.get_mut(&self.holder) {
             *own -= 1;
             if *own == 0 {
-                taken.remove(&self.address);
+                taken.remove(&self.holder);
             }
         }
     }
@@ -133,13 +145,28 @@ mod tests {
 
     #[test]
     fn places_are_limited_by_address_and_free_again() {
-        let places = Places::new(3, 2);
+        let places = Places::new(6, 4);
         let [a, b] = [IpAddr::from([10, 0, 0, 1]), IpAddr::from([10, 0, 0, 2])];
-        let (first, second) = (places.take(a), places.take(a));
-        assert!(first.is_some() && second.is_some() && places.take(a).is_none());
-        let other = places.take(b);
-        assert!(other.is_some() && places.take(b).is_none());
-        drop((first, second, other));
+        let take = |address, role| places.take(address, role);
+        let mut held: Vec<_> = (0..4).map_while(|_| take(a, Role::Operator)).collect();
+        assert!(held.len() == 4 && take(a, Role::Operator).is_none());
+        held.extend((0..4).map_while(|_| take(b, Role::Operator)));
+        assert_eq!(held.len(), 6);
+        drop(held);
         assert!(locked(&places.taken).is_empty());
+    }
+
+    #[test]
+    fn watchers_leave_places_to_operators() {
+        let places = Places::new(12, 8);
+        let [a, b] = [IpAddr::from([10, 0, 0, 1]), IpAddr::from([10, 0, 0, 2])];
+        let take = |address, role| places.take(address, role);
+        let mut watchers: Vec<_> = (0..12).map_while(|_| take(a, Role::Watcher)).collect();
+        assert_eq!(watchers.len(), 6);
+        watchers.extend((0..12).map_while(|_| take(b, Role::Watcher)));
+        assert_eq!(watchers.len(), 9);
+        let operators: Vec<_> = (0..12).map_while(|_| take(a, Role::Operator)).collect();
+        assert_eq!(operators.len(), 2);
+        assert!(take(b, Role::Operator).is_some());
     }
 }

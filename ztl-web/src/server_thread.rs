@@ -2,6 +2,7 @@
 //! connection. So an ABORT never waits for an answer, and a server that hangs delays no other.
 
 use std::collections::{HashMap, HashSet};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -9,12 +10,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use ztl_std::{
-    Description, ParallelRequests, RemoteId, RequestError, ServerTask, ServerTasks, State, Status,
-    server_answer,
+    DescribeQuestions, Description, ParallelRequests, RemoteId, RequestError, ServerTask,
+    ServerTasks, State, Status, server_answer,
 };
 
 use crate::aborts::{AbortRequest, Aborts, Key};
-use crate::board::{Board, Health, Seen, Task};
+use crate::board::{Board, Described, Health, Seen, Task};
 use crate::clock::now_ms;
 use crate::cut;
 use crate::robots::Server;
@@ -39,6 +40,8 @@ const STOP_LIMIT: Duration = Duration::from_secs(4);
 const ENDED: usize = 20;
 /// Most tasks that a message names.
 const NAMED: usize = 5;
+/// How often a server is asked what its components say of themselves, if nothing has changed.
+const DESCRIBE: Duration = Duration::from_secs(5);
 
 /// Starts the thread of a server. It looks for work when it is woken.
 pub(crate) fn spawn(board: &Arc<Board>, index: usize, woken: Receiver<()>) -> io::Result<()> {
@@ -60,6 +63,8 @@ pub(crate) fn spawn(board: &Arc<Board>, index: usize, woken: Receiver<()>) -> io
 enum Asked {
     Probe,
     Tasks,
+    /// What its components say of themselves.
+    Describe,
     Abort(Key),
 }
 
@@ -92,6 +97,9 @@ struct ServerThread<'b> {
     requests: Option<ParallelRequests<Asked>>,
     look: Option<Look>,
     next_look: Instant,
+    /// The questions what its components say of themselves, while they are under way, and the hash of the answers.
+    describing: Option<(DescribeQuestions, DefaultHasher)>,
+    next_describe: Instant,
     /// Whether it does not list its tasks, as a server of the original.
     is_original: bool,
     boot: Option<u32>,
@@ -110,6 +118,8 @@ impl<'b> ServerThread<'b> {
             requests: None,
             look: None,
             next_look: Instant::now(),
+            describing: None,
+            next_describe: Instant::now(),
             is_original: false,
             boot: None,
             running: Vec::new(),
@@ -228,6 +238,48 @@ impl<'b> ServerThread<'b> {
         }
     }
 
+    /// Asks what the components say of themselves.
+    fn describe(&mut self) {
+        if let (None, Some(requests)) = (&self.describing, &mut self.requests) {
+            let questions = DescribeQuestions::of_server();
+            requests.ask_server(Asked::Describe, questions.question());
+            self.describing = Some((questions, DefaultHasher::new()));
+            self.next_describe = Instant::now() + DESCRIBE;
+        }
+    }
+
+    fn on_described(&mut self, answer: Answer) {
+        let Some((mut questions, mut hash)) = self.describing.take() else {
+            return;
+        };
+        let answer = match server_answer(answer) {
+            Ok(answer) => answer.unwrap_or_default(),
+            Err(_) => {
+                self.next_describe = Instant::now();
+                return;
+            }
+        };
+        answer.hash(&mut hash);
+        match (questions.on_answer(&answer), &mut self.requests) {
+            (true, Some(requests)) => {
+                requests.ask_server(Asked::Describe, questions.question());
+                self.describing = Some((questions, hash));
+            }
+            _ => {
+                let scopes = questions.into_scopes();
+                let number = match scopes.is_empty() {
+                    true => 0,
+                    // A number that JavaScript can tell from others.
+                    false => hash.finish() >> 12 | 1,
+                };
+                if self.board.seen(self.index).described != Some(number) {
+                    self.board
+                        .set_described(self.index, number, Arc::new(scopes));
+                }
+            }
+        }
+    }
+
     fn receive(&mut self) {
         let Some(requests) = &mut self.requests else {
             return;
@@ -251,6 +303,7 @@ impl<'b> ServerThread<'b> {
         for (asked, answer) in answers {
             match asked {
                 Asked::Abort(key) => self.on_abort(&key, answer),
+                Asked::Describe => self.on_described(answer),
                 Asked::Probe => self.on_look(|look| look.probe = Some(answer)),
                 Asked::Tasks => self.on_look(|look| look.tasks = Some(answer)),
             }
@@ -302,6 +355,10 @@ impl<'b> ServerThread<'b> {
                 self.is_original = true;
                 self.running.clear();
                 let known = self.board.seen(self.index);
+                if known.described != Some(0) {
+                    self.board
+                        .set_described(self.index, 0, Described::default());
+                }
                 self.board.set_seen(
                     self.index,
                     Seen {
@@ -309,6 +366,7 @@ impl<'b> ServerThread<'b> {
                         health: Health::There,
                         text: "a server of the original: it does not tell what it offers or does"
                             .to_owned(),
+                        described: Some(0),
                         gaps: vec![
                             "it does not list its tasks: others than these may run".to_owned(),
                         ],
@@ -340,7 +398,8 @@ impl<'b> ServerThread<'b> {
     /// The server has told what it offers and which tasks run.
     fn on_list(&mut self, described: Option<Description>, listed: &ServerTasks) {
         let known = self.board.seen(self.index);
-        let started = match listed.boot == self.boot {
+        let same_boot = listed.boot == self.boot;
+        let started = match same_boot {
             true => starts(&known),
             false => HashMap::new(),
         };
@@ -350,6 +409,7 @@ impl<'b> ServerThread<'b> {
             health: Health::There,
             text: known.text.clone(),
             scopes: known.scopes.clone(),
+            described: known.described,
             lists: true,
             tasks: Vec::new(),
             gaps: listed.gaps.clone(),
@@ -398,6 +458,9 @@ impl<'b> ServerThread<'b> {
             *gap = cut::text(gap, cut::LINE);
         }
         drop(started);
+        if !same_boot || seen.scopes != known.scopes || Instant::now() >= self.next_describe {
+            self.describe();
+        }
         self.board.set_seen(self.index, seen);
         self.stop_running();
     }

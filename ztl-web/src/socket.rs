@@ -21,10 +21,10 @@ use crate::clock::now_ms;
 use crate::gate::Role;
 use crate::goal::Goal;
 use crate::goals::{self, LATEST_MS, News, TOO_LATE};
+use crate::operator;
 use crate::rosbridge::{self, GoalArgs, Incoming};
 use crate::show::Wish;
 use crate::streams::{Listener, Wanted};
-use crate::{operator, robots};
 
 /// Answers that wait to be written.
 const QUEUE: usize = 256;
@@ -42,7 +42,7 @@ const GOAL_RATE: (f64, f64) = (10.0, 20.0);
 /// Stops the scene of the show that plays.
 const STOP_SCENE: &str = "/ztl/show/stop_scene";
 /// Longest id of a client's goal.
-const ID: usize = 256;
+pub(crate) const ID: usize = 256;
 
 /// What is written to a client, or what it wants to hear.
 pub(crate) enum Out {
@@ -231,6 +231,7 @@ impl Reader {
             return match message {
                 Incoming::SendActionGoal { id, action, .. } => {
                     let why = "too many messages: send fewer";
+                    self.client.refuse(&id, &action, why);
                     Some(Out::Text(rosbridge::goal_refused(&id, &action, why)))
                 }
                 _ => error("too many messages: send fewer"),
@@ -245,6 +246,7 @@ impl Reader {
             } => {
                 let started = self.start(&id, &action, args, feedback);
                 let why = started.err()?;
+                self.client.refuse(&id, &action, &why);
                 Some(Out::Text(rosbridge::goal_refused(&id, &action, &why)))
             }
             Incoming::CancelActionGoal { id, action } => {
@@ -287,8 +289,7 @@ impl Reader {
             ));
         }
         let not_after = not_after.min(now + LATEST_MS);
-        let offers = |server, scope: &str| self.board.offers(server, scope);
-        let target = robots::find(&self.board.servers, offers, action)?;
+        let target = self.board.find(action)?;
         let by = self.who.by.clone();
         let goal = Arc::new(Goal::new(target, args.goal, by, not_after));
         self.client.begin(id, action, &goal)?;
@@ -317,6 +318,7 @@ impl Reader {
             "/ztl/show" => self.newest(Topic::Show),
             "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
             "/ztl/when_gone" => self.when_gone(&args),
+            "/ztl/describe" => self.board.describe(&args),
             "/ztl/past" => self.board.past.find(args),
             "/ztl/operate" => self.board.take_over(&self.who, &args),
             "/ztl/resume" => self.resume(&args),
@@ -333,7 +335,7 @@ impl Reader {
                 Err(why) => Err(why),
             },
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/describe, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
             )),
         };
         Some(Out::Text(rosbridge::service_response(

@@ -26,6 +26,11 @@ pub(crate) struct Demo {
     /// Port to serve at, on this machine only
     #[arg(short, long, default_value_t = 12345, value_parser = port)]
     port: u16,
+
+    /// Also serve the web console for these devices, on this machine only, and print its link
+    #[cfg(feature = "web")]
+    #[arg(long)]
+    web: bool,
 }
 
 const SCOPE: &str = "/lab";
@@ -84,6 +89,11 @@ impl Demo {
         server.register_handler(SCOPE, gateway);
         line(format_args!("gateway  at {endpoint}, scope {SCOPE}"));
         let server = server.spawn()?;
+        #[cfg(feature = "web")]
+        if self.web {
+            let link = crate::web::serve_on_this_machine("demo", &endpoint, SCOPE)?;
+            line(format_args!("console  at {link}"));
+        }
 
         let mut remote = RemoteTask::connect(&endpoint, SCOPE)?;
         let start = Instant::now();

@@ -1,5 +1,6 @@
 //! `ztl web`: the web console.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -289,6 +290,40 @@ impl ShowRecord for RunRecord {
     fn finish(self: Box<Self>) -> Result<(), String> {
         (*self).finish()
     }
+}
+
+/// Serves the console for one robot to this machine until the process ends. Returns its link.
+pub(crate) fn serve_on_this_machine(name: &str, endpoint: &str, scope: &str) -> io::Result<String> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+    let link = format!("http://{}/", listener.local_addr()?);
+    let at = endpoint.to_owned();
+    let connect =
+        move |scope: &str| RemoteTask::connect(&at, scope).map_err(|error| error.to_string());
+    let options = Options {
+        listener,
+        robots: vec![Robot {
+            name: name.to_owned(),
+            endpoint: endpoint.to_owned(),
+            scope: scope.to_owned(),
+            keys: None,
+            connect: Arc::new(connect),
+        }],
+        publishers: Vec::new(),
+        sounds: BTreeSet::new(),
+        show: None,
+        tokens: Tokens::random()?,
+        hosts: Vec::new(),
+        page: None,
+        tls: None,
+    };
+    let run = move || {
+        if let Err(error) = serve(options) {
+            error_line(format_args!("ztl: the console has ended: {error}"));
+        }
+    };
+    let thread = std::thread::Builder::new().name("ztl-web".to_owned());
+    thread.spawn(run)?;
+    Ok(link)
 }
 
 /// The address of this machine at which others reach what is bound to `bind`; without a network, `bind`.

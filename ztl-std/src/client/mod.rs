@@ -21,7 +21,7 @@ mod tasks;
 
 pub use abort_on_drop::AbortOnDrop;
 pub use background::BackgroundTask;
-pub use components::DescribedComponent;
+pub use components::{DescribeQuestions, DescribedComponent};
 pub use connection::server_answer;
 #[cfg(feature = "config")]
 pub use description::Description;

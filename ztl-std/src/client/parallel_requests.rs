@@ -1,5 +1,6 @@
 //! Questions and ABORTs to one server that are under way at the same time.
 
+use std::borrow::Cow;
 use std::time::Duration;
 
 use super::connection::{Connection, Open, Question};
@@ -57,7 +58,7 @@ impl<K> ParallelRequests<K> {
     }
 
     /// Asks the server about itself. The answer is COMPLETED with a text, unless the server does not know the question.
-    pub fn ask_server(&mut self, key: K, question: &'static str) {
+    pub fn ask_server(&mut self, key: K, question: impl Into<Cow<'static, str>>) {
         self.open.ask(key, Question::Server(question.into()));
     }
 
