@@ -18,7 +18,9 @@ use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
 use crate::columns::spoken;
 use crate::data_format::DataFormat;
 use crate::exit::Done;
-use crate::server_query::{QueriedServer, QueryOptions, all_named, code, read, state};
+#[cfg(feature = "defmt")]
+use crate::server_query::QueriedServer;
+use crate::server_query::{QueryOptions, all_named, code, read, state};
 #[cfg(feature = "defmt")]
 use crate::signals;
 use crate::terminal::{flat, line};
