@@ -54,7 +54,12 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
     println!(
         "resident: {all} KiB, of its own {own} KiB; the watchdog {watchdog} KiB, of its own {watchdogs_own} KiB"
     );
-    assert!(own <= 3 * 1024, "{own} KiB");
+    // libzmq has a thread and buffers of its own.
+    let most = match std::env::var_os("ZTL_TRANSPORT") {
+        Some(_) => 4 * 1024,
+        None => 3 * 1024,
+    };
+    assert!(own <= most, "{own} KiB");
     assert!(watchdogs_own <= 2 * 1024, "{watchdogs_own} KiB");
     if std::env::var_os("ZTL_RELEASED").is_some() {
         assert!(all <= 8 * 1024, "{all} KiB");
