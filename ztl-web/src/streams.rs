@@ -386,6 +386,8 @@ fn numbers(value: ztl_pickle::Value<'_>) -> Vec<(String, f64)> {
 pub(crate) struct Listener {
     streams: Arc<Streams>,
     newest: watch::Receiver<Arc<[Shared]>>,
+    /// What was the newest when it was told last.
+    seen: Arc<[Shared]>,
     /// The publishers that it looks at, and what it was told last.
     looks: BTreeMap<usize, Shared>,
     /// The topics of publishers, and which value it was told last.
@@ -394,9 +396,12 @@ pub(crate) struct Listener {
 
 impl Listener {
     pub(crate) fn new(streams: &Arc<Streams>) -> Self {
+        let newest = streams.newest.subscribe();
+        let seen = Arc::clone(&newest.borrow());
         Self {
             streams: Arc::clone(streams),
-            newest: streams.newest.subscribe(),
+            newest,
+            seen,
             looks: BTreeMap::new(),
             topics: BTreeMap::new(),
         }
@@ -440,11 +445,17 @@ impl Listener {
     }
 
     fn news(&mut self) -> Vec<Message> {
-        let newest = self.newest.borrow_and_update();
+        let newest = Arc::clone(&self.newest.borrow_and_update());
+        // A publisher has news ten times a second at most. Those of another one make its topics no faster.
+        let has_news = |publisher: usize| match (newest.get(publisher), self.seen.get(publisher)) {
+            (Some(now), Some(seen)) => !Arc::ptr_eq(now, seen),
+            _ => false,
+        };
         let mut messages = Vec::new();
         for ((publisher, topic), told) in &mut self.topics {
             let channel = self.streams.publishers.get(*publisher);
             if let Some(channel) = channel
+                && (told.is_none() || has_news(*publisher))
                 && let Some((which, value)) = channel.value(topic, *told)
             {
                 *told = Some(which);
@@ -465,6 +476,7 @@ impl Listener {
                 messages.push(Message::from(rosbridge::publish(&topic, now)));
             }
         }
+        self.seen = newest;
         messages
     }
 }
