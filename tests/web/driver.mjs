@@ -163,6 +163,7 @@ const scenarios = {
       if (name === 'desk') {
         // As a remote desktop repeats a held key: each time pressed and let go.
         const cues = () => page.sent.filter((message) => message.service === '/ztl/show/cue').length;
+        await settle();
         const before = cues();
         for (let repeat = 0; repeat < 10; repeat += 1) {
           await page.keyboard.press('s');
