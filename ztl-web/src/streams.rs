@@ -491,3 +491,47 @@ impl Drop for Listener {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hear(streams: &Streams, publisher: usize, word: &str) {
+        let heard = Heard {
+            topic: "/lab/x".to_owned(),
+            body: word.as_bytes().to_vec(),
+            at: UNIX_EPOCH,
+        };
+        streams.publishers[publisher].on_heard(heard, || 1);
+    }
+
+    fn tell(streams: &Streams, publisher: usize) {
+        let told = streams.publishers[publisher].tell(None, &streams.sounds);
+        streams.publish(publisher, &told);
+    }
+
+    #[test]
+    fn the_news_of_one_publisher_make_the_topics_of_another_no_faster() {
+        let publisher = |name: &str| Publisher {
+            name: name.to_owned(),
+            connect: Arc::new(|| Err("nobody connects".to_owned())),
+        };
+        let publishers = vec![publisher("one"), publisher("other")];
+        let streams = Arc::new(Streams::new(publishers, BTreeSet::new()));
+        let mut listener = Listener::new(&streams);
+        for publisher in 0..2 {
+            let topic = Wanted::Topic(publisher, "/lab/x".to_owned());
+            assert!(listener.listen(topic, true).is_empty());
+            hear(&streams, publisher, "first");
+            tell(&streams, publisher);
+            assert_eq!(listener.news().len(), 1);
+        }
+        hear(&streams, 0, "second");
+        hear(&streams, 1, "second");
+        tell(&streams, 1);
+        assert_eq!(listener.news().len(), 1, "of the other one only");
+        tell(&streams, 0);
+        assert_eq!(listener.news().len(), 1);
+        assert!(listener.news().is_empty());
+    }
+}
