@@ -516,10 +516,17 @@ const scenarios = {
         done(said.textContent);
       }).observe(said, { childList: true });
     }));
+    // Until it has said what it takes now, nothing is started.
+    await page.evaluate(() => {
+      const why = document.getElementById('why-not');
+      new MutationObserver(() => { window.asked ||= why.textContent === 'Asking what it takes.'; }).observe(why, { childList: true });
+    });
     await field('Goal (deg)').fill('50');
     const count = await page.locator('#goals .card').count();
     await outside('change the robot');
-    assert.equal(await pressed, 'NOT SENT: what it takes changed as you pressed. Look, and press again.');
+    const said = await pressed;
+    assert.ok(await page.evaluate(() => window.asked));
+    assert.equal(said, 'NOT SENT: what it takes changed as you pressed. Look, and press again.');
     await page.locator('#fields').getByText('a number from -90 to 60 deg', { exact: true }).waitFor();
     assert.equal(await field('Goal (deg)').inputValue(), '50');
     await ready(page);

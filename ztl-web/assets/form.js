@@ -25,8 +25,8 @@ export class Form {
   #presses = new Presses();
   #answered = true;
   // What the component says of itself: for which choice it was asked, the robot's number of it, what it said, whether
-  // that is known for this choice, and since when it is something else than before.
-  #described = { chosen: null, number: null, is: null, isKnown: false, changed: -Infinity };
+  // that is known for this choice, whether an answer is awaited, and since when it is something else than before.
+  #described = { chosen: null, number: null, is: null, isKnown: false, waits: false, changed: -Infinity };
   // The field for its goals; without one, a goal is free text.
   #field = null;
   // A text that the field is to show when it is there.
@@ -94,20 +94,23 @@ export class Form {
     const number = this.#robots.find((robot) => robot.name === chosen?.robot)?.described ?? null;
     // A robot that has not told anything yet, since the console was started again, takes what it took.
     if (!isNew && (number === null || number === of.number)) return;
-    Object.assign(of, { chosen, number });
+    Object.assign(of, { chosen, number, waits: false });
     if (isNew) {
       of.isKnown = chosen?.handler === undefined;
       this.#take(null, true);
     }
     if (number === 0) this.#know(null);
     if (!number || chosen?.handler === undefined) return;
+    of.waits = true;
     const action = `${chosen.action}/${chosen.handler}/${chosen.component}`;
     this.#bridge.call('/ztl/describe', { action }).then(({ is }) => {
       if (of.number !== number || !same(of.chosen, chosen)) return;
+      of.waits = false;
       this.#know(is);
       this.show();
     }, () => {
       if (of.number !== number || !same(of.chosen, chosen)) return;
+      of.waits = false;
       // It is asked again over the next connection. What cannot be learnt is for the console to check.
       if (!this.#bridge.isOpen) of.number = null;
       else of.isKnown = true;
@@ -196,7 +199,7 @@ export class Form {
       return `${label(this.#chosen)} of ${robot.name} is gone. Choose again, or wait until it is back.`;
     }
     if (this.#chosen.handler === undefined && !at('other').value.trim()) return 'Name a handler and a component.';
-    if (!this.#described.isKnown) return 'Asking what it takes.';
+    if (!this.#described.isKnown || this.#described.waits) return 'Asking what it takes.';
     if (this.#text() === undefined) return 'The goal is not complete.';
     const action = `${this.#chosen.action}/${this.#name()}`;
     const waits = (goal) => !goal.answered && goal.chosen.robot === robot.name && goal.action === action;
