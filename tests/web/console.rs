@@ -21,7 +21,7 @@ scopes:
   /test:
     test:
       turn: {built-in: echo, goal: {type: number, least: -90, most: 90, step: 5, unit: deg}, about: turns the head, examples: [45], usually: 2 s}
-      count: {built-in: echo, goal: {type: whole, least: 1}}
+      count: {built-in: echo, goal: {type: whole, least: 1, most: 123456789012}}
       say: {built-in: echo, goal: {type: text, longest: 5}}
       side: {built-in: echo, goal: {one-of: [left, straight on, right]}}
       light: {built-in: echo, goal: truth}

@@ -39,6 +39,8 @@ async function open([width, height] = SIZES.desk, where = url) {
   await page.setViewportSize({ width, height });
   page.alerts = 0;
   page.on('dialog', (dialog) => { page.alerts += 1; dialog.dismiss(); });
+  page.sent = [];
+  page.on('websocket', (socket) => socket.on('framesent', ({ payload }) => page.sent.push(JSON.parse(payload))));
   await page.goto(where);
   await page.locator('#connection[data-state=open]').waitFor();
   await page.locator('#component option').first().waitFor({ state: 'attached' });
@@ -65,6 +67,17 @@ const ready = (page) => page.locator('#start[aria-disabled=false]').waitFor();
 const isOff = async (page) => await page.locator('#start').getAttribute('aria-disabled') === 'true';
 
 const saying = (page, list, text) => page.locator(`${list} .card`, { hasText: text });
+
+// Stop lies within the screen of a phone, and nothing is wider than it.
+async function checkPhone(page, name) {
+  const [stop, whole] = await page.evaluate(() => {
+    const { left, top, right, bottom } = document.getElementById('stop').getBoundingClientRect();
+    return [[left, top, right, bottom].map(Math.round), document.documentElement.scrollWidth];
+  });
+  const [width, height] = SIZES.phone;
+  assert.equal(whole, width, `${name}: wider than the window`);
+  assert.ok(stop[0] >= 0 && stop[1] >= 0 && stop[2] <= width && stop[3] <= height, `${name}: Stop is at ${stop}`);
+}
 
 // No violation of axe's rules, and nothing wider than the window.
 async function check(page, name) {
@@ -147,6 +160,17 @@ const scenarios = {
       for (let held = 0; held < 5; held += 1) await page.keyboard.down('h');
       await page.keyboard.up('h');
       await page.locator('#show-cues li', { hasText: 'test:mark:cue accepted' }).waitFor();
+      if (name === 'desk') {
+        // As a remote desktop repeats a held key: each time pressed and let go.
+        const cues = () => page.sent.filter((message) => message.service === '/ztl/show/cue').length;
+        await settle();
+        const before = cues();
+        for (let repeat = 0; repeat < 10; repeat += 1) {
+          await page.keyboard.press('s');
+          await page.waitForTimeout(repeat === 0 ? 660 : 33);
+        }
+        assert.equal(cues(), before + 1);
+      }
       await page.locator('#show-note-text').fill(`<b>note</b> of the ${name}`);
       await page.locator('#show-note-text').press('Enter');
       await page.locator('#show-notes li', { hasText: `<b>note</b> of the ${name}` }).waitFor();
@@ -160,6 +184,14 @@ const scenarios = {
       await page.locator('#show-play').click();
       await state('Plays: second');
       await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+      await settle();
+      // A double tap pauses, and does not go on at once.
+      const pauses = page.locator('#show-commands [data-do=pause]');
+      await pauses.click();
+      await pauses.getByText('Go on after pause').waitFor();
+      await pauses.click();
+      await page.getByText('NOT SENT: the show changed as you pressed').waitFor();
+      await state('a pause follows this step');
       await page.keyboard.press('Escape');
       await page.getByText('Stopped: every robot has confirmed').waitFor();
       await state('Next: second');
@@ -169,6 +201,8 @@ const scenarios = {
       await settle();
       await page.locator('#show-scenes button', { hasText: 'ask' }).click();
       await page.locator('#show-play', { hasText: 'Play: ask' }).waitFor();
+      const cut = await page.locator('#show-play').evaluate((it) => it.scrollWidth > it.clientWidth || it.scrollHeight > it.clientHeight);
+      assert.equal(cut, false, 'the name on Play is cut');
       await settle();
       await page.locator('#show-play').click();
       await state('DECIDE: a task failed');
@@ -189,7 +223,8 @@ const scenarios = {
     const page = await open();
     const evil = '<img src=x onerror=alert(1)><script>alert(2)</script>"\'&\u202e';
     await start(page, 'test/echo', evil);
-    await saying(page, '#goals', `COMPLETED: ${evil}`).waitFor();
+    // What turns the direction of a text is written out.
+    await saying(page, '#goals', `COMPLETED: ${evil.replace('\u202e', '\\u202e')}`).waitFor();
     await start(page, 'x/echo', 'W'.repeat(300));
     await page.locator('#ended-box summary').click();
     await saying(page, '#ended', '<img src=x').waitFor();
@@ -204,6 +239,25 @@ const scenarios = {
     await card.getByText(`COMPLETED: ${long}end`).waitFor();
     await card.getByText('Show less').click();
     await check(page, 'hostile');
+    // No text makes the page wider than a phone, or moves Stop off its screen.
+    const cdp = await browser.newCDPSession(page);
+    const [width, height] = SIZES.phone;
+    await cdp.send('Emulation.setDeviceMetricsOverride', { width, height, deviceScaleFactor: 2, mobile: true });
+    await checkPhone(page, 'goals');
+    for (const component of ['about', 'number', 'words', 'fields']) {
+      await choose(page, `long ${component}`);
+      await page.locator('#about', { hasText: 'https://' }).waitFor();
+      await checkPhone(page, component);
+    }
+    await page.locator('#fields input[type=checkbox]').first().check();
+    await checkPhone(page, 'fields');
+    // The field for a text shows what is in it; the line below, what it really is.
+    await choose(page, 'long about');
+    await page.locator('#fields input').first().fill('a\u202eb\u0007');
+    await page.locator('#sends', { hasText: 'sends: a\\u202eb\\u0007' }).waitFor();
+    await page.keyboard.press('Escape');
+    await page.getByText('ours: confirmed').waitFor();
+    await checkPhone(page, 'stopped');
   },
 
   // Two pages see the same, and a task of anybody can be aborted on each. One of them starts tasks.
@@ -350,7 +404,15 @@ const scenarios = {
       await page.locator('#start').press('Enter');
       await page.getByText(`NOT SENT: ${why}`).waitFor();
     };
-    await choose(page, 'test turn');
+    // Until it has said what it takes, nothing is started.
+    const turn = await page.locator('#component option', { hasText: 'test turn' }).first().getAttribute('value');
+    const asked = await page.evaluate((value) => {
+      const select = document.getElementById('component');
+      select.value = value;
+      select.dispatchEvent(new Event('change'));
+      return [document.getElementById('start').getAttribute('aria-disabled'), document.getElementById('why-not').textContent];
+    }, turn);
+    assert.deepEqual(asked, ['true', 'Asking what it takes.']);
     await page.locator('#about', { hasText: 'turns the head · for example 45 · usually takes 2 s' }).waitFor();
     await refused('The goal is not complete');
     // Nothing is chosen for the person: only what is moved or written counts.
@@ -377,10 +439,18 @@ const scenarios = {
     await saying(page, '#goals', "NOT_STARTED: the goal '91' is not a number from -90 to 90 deg").waitFor();
     await choose(page, 'test count');
     await field('Goal').fill('1.5');
-    await page.locator('#fields').getByText('This is not a whole number of at least 1.').waitFor();
+    await page.locator('#fields').getByText('This is not a whole number from 1 to 123456789012.').waitFor();
     await field('Goal').fill('3');
     await completes('3');
+    await field('Goal: slider').focus();
+    await page.keyboard.press('End');
+    await sends('sends: 123456789012');
     await choose(page, 'test say');
+    // Nothing is not an empty text, unless the person says so.
+    await sends('sends nothing yet');
+    assert.ok(await isOff(page));
+    await field('Send an empty text: Goal').check();
+    await sends('sends an empty goal');
     await field('Goal').fill('too long');
     await page.locator('#fields').getByText('This is not a text of at most 5 characters.').waitFor();
     await field('Goal').fill('grüß!');
@@ -399,6 +469,8 @@ const scenarios = {
     await page.locator('#start').click();
     await saying(page, '#goals', 'test/home').getByText('COMPLETED').waitFor();
     await choose(page, 'test way');
+    await sends('sends nothing yet');
+    await field('Send an empty list: Goal').check();
     await sends('sends: []');
     for (const value of ['1', '2.5', '11']) {
       await field('Add to Goal').click();
@@ -430,10 +502,37 @@ const scenarios = {
     await sends('sends: -85');
     await field('Goal (deg)').fill('70');
     await sends('sends: 70');
-    // What it takes changes, and what was written stays.
+    // What it takes changes, and what was written stays, unless its unit is another one. A press at that moment was
+    // meant for what it took before.
+    const other = await open();
+    await choose(other, 'test grasp');
+    await other.locator('#fields').getByLabel('force (N)', { exact: true }).fill('7');
+    const pressed = page.evaluate(() => new Promise((done) => {
+      const said = document.getElementById('form-said');
+      new MutationObserver((_, observer) => {
+        if (!said.textContent.includes('has changed')) return;
+        observer.disconnect();
+        document.getElementById('start').click();
+        done(said.textContent);
+      }).observe(said, { childList: true });
+    }));
+    // Until it has said what it takes now, nothing is started.
+    await page.evaluate(() => {
+      const why = document.getElementById('why-not');
+      new MutationObserver(() => { window.asked ||= why.textContent === 'Asking what it takes.'; }).observe(why, { childList: true });
+    });
+    await field('Goal (deg)').fill('50');
+    const count = await page.locator('#goals .card').count();
     await outside('change the robot');
-    await page.locator('#fields').getByText('This is not a number from -90 to 60 deg.').waitFor();
-    assert.equal(await field('Goal (deg)').inputValue(), '70');
+    const said = await pressed;
+    assert.ok(await page.evaluate(() => window.asked));
+    assert.equal(said, 'NOT SENT: what it takes changed as you pressed. Look, and press again.');
+    await page.locator('#fields').getByText('a number from -90 to 60 deg', { exact: true }).waitFor();
+    assert.equal(await field('Goal (deg)').inputValue(), '50');
+    await ready(page);
+    assert.equal(await page.locator('#goals .card').count(), count);
+    await other.getByText('What test grasp takes has changed: enter the goal again.').waitFor();
+    assert.equal(await other.locator('#fields').getByLabel('force (kN)', { exact: true }).inputValue(), '');
   },
 
   // The console of the demo: what a number of a device takes, one that moves, and a Stop. The pictures of docs/web.md.

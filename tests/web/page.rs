@@ -8,6 +8,14 @@ use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, unti
 
 use crate::console::{Console, DESCRIBED, ROBOT, from_port, marks, node, robot, web};
 
+/// Components that describe themselves with texts wider than a phone.
+const LONG: &str = "    long:
+      about: {built-in: echo, about: 'see https://wiki.example.org/display/robots/gripper-force-control-and-calibration', goal: text}
+      number: {built-in: echo, about: 'see https://example.org', goal: {type: number, least: 0, most: 5, unit: newton_per_square_millimetre_of_the_finger_pad_surface_area}}
+      words: {built-in: echo, about: 'see https://example.org', goal: {one-of: [a_word_that_is_as_long_as_the_name_of_a_recording_can_be.wav, b]}}
+      fields: {built-in: echo, about: 'see https://example.org', goal: {fields: {the_force_of_the_finger_as_it_was_measured_by_its_pad: {list-of: text}, the_name_of_the_object_that_is_to_be_grasped_by_the_hand: {type: text, default: an_object_that_was_grasped_before_this_one_by_the_hand}}}}
+";
+
 /// Starts a scenario of the driver.
 fn drive(scenario: &str, url: &str, console: &Console) -> Process {
     let directory = console.files.path("");
@@ -49,7 +57,7 @@ fn each_part_works_on_a_phone_a_tablet_and_a_desk() {
 #[test]
 fn hostile_text_is_text() {
     let _busy = busy();
-    let console = Console::of_one();
+    let console = Console::of(&[ROBOT, LONG].concat());
     passes("hostile", &console.url, &console);
 }
 
@@ -84,7 +92,9 @@ fn forms_are_made_from_what_components_say_of_themselves() {
     changed.process.kill();
     let _changed = robot(
         &console.files,
-        &DESCRIBED.replace("most: 90", "most: 60"),
+        &DESCRIBED
+            .replace("most: 90", "most: 60")
+            .replace("unit: N}", "unit: kN}"),
         changed.port,
     );
     driver.write_line("done");

@@ -329,7 +329,7 @@ fn a_broken_script_is_not_served_and_ctrl_c_aborts_the_tasks_of_the_show() {
 #[test]
 fn the_page_plays_the_show_on_a_phone_a_tablet_and_a_desk() {
     let _busy = busy();
-    let ask = "ask:\n  far (on_failure=ask): {test(remote=gone): {echo: 1}}\ncues:";
+    let ask = "ask_whether_a_name_that_is_wider_than_the_button_of_a_phone_can_be_read_to_its_very_end:\n  far (on_failure=ask): {test(remote=gone): {echo: 1}}\ncues:";
     let script = SCRIPT.replace("cues:", ask);
     let stage = Stage::new(&script, &[]);
     let directory = stage.console.files.path("");

@@ -455,6 +455,8 @@ impl Board {
 
     fn start_scene(&mut self, at: Duration, scene: usize, take: u32) {
         self.question = None;
+        // A pause that was ordered before is over.
+        self.pause = false;
         self.scene = Some(scene);
         self.set_progress(scene, Progress::Playing);
         // Ended tasks are covered by the sign of their scene; the others continue in the background.

@@ -2,18 +2,58 @@
 
 // How many characters of a text are shown. A result may have any length.
 const SHOWN = 240;
+// Controls, except for lines and tabs, and what turns the direction of a text or has no width.
+const UNSEEN = /(?![\n\t])[\p{Cc}\p{Bidi_Control}\p{Zl}\p{Zp}\u200b\u2060\ufeff]/gu;
+
+// A press on a button that has changed since was meant for what it said before.
+export const CHANGED = 600;
+// A press that follows sooner belongs to the one before: a double click, or a key that is held on a remote desktop.
+const SAME_PRESS = 600;
+// The same for keys: so long do systems wait until they repeat a held one.
+const SAME_KEY = 1100;
+
+// As long as presses follow each other, none of them counts but the first.
+export class Presses {
+  #until = -Infinity;
+  #gap = SAME_PRESS;
+
+  // How soon after the last press another one counts.
+  get gap() {
+    return this.#gap;
+  }
+
+  set isKey(isKey) {
+    this.#gap = isKey ? SAME_KEY : SAME_PRESS;
+  }
+
+  // Whether a press now belongs to the one before.
+  get follow() {
+    return performance.now() < this.#until;
+  }
+
+  // There was a press.
+  note() {
+    this.#until = performance.now() + this.#gap;
+  }
+}
 
 export const at = (id) => document.getElementById(id);
 
 export function element(tag, names, text) {
   const made = document.createElement(tag);
   if (names) made.className = names;
-  if (text !== undefined) made.textContent = text;
+  if (text !== undefined) made.textContent = plain(text);
   return made;
 }
 
 export function setText(where, text) {
-  if (where.textContent !== text) where.textContent = text;
+  const shown = plain(text);
+  if (where.textContent !== shown) where.textContent = shown;
+}
+
+// A text without what nobody sees but which changes how the rest reads: it is written as \uXXXX.
+export function plain(text) {
+  return String(text).replace(UNSEEN, (one) => `\\u${one.charCodeAt(0).toString(16).padStart(4, '0')}`);
 }
 
 // The beginning of a text.

@@ -12,6 +12,14 @@ const STEPS = 100;
 
 let count = 0;
 
+// What a value of this rule says, whatever its bounds are: as the value of another one, it says something else.
+export function meaning(rule) {
+  if (rule['one-of']) return 'a word';
+  if (rule['list-of']) return [meaning(rule['list-of'])];
+  if (rule.fields) return rule.fields.map((of) => [of.name, meaning(of)]);
+  return { type: rule.type, unit: rule.unit };
+}
+
 // What a goal must be, in words.
 export function words(rule) {
   if (rule['one-of']) return rule['one-of'].join(', ');
@@ -103,7 +111,11 @@ function number(rule, name, changed) {
     slider.value = least;
     slider.setAttribute('aria-label', `${name}: slider`);
     slider.classList.add('unset');
-    const slid = () => { input.value = String(Number(Number(slider.value).toPrecision(9))); changed(); };
+    const slid = () => {
+      const value = Number(slider.value);
+      input.value = String(whole ? value : Number(value.toPrecision(9)));
+      changed();
+    };
     // A click on where it stands already chooses that value, too.
     for (const event of ['input', 'click']) slider.addEventListener(event, slid);
     input.before(slider);
@@ -125,20 +137,40 @@ function number(rule, name, changed) {
   return { element: box, read, fill: (value) => { input.value = typeof value === 'number' ? String(value) : ''; return read() !== undefined; } };
 }
 
+// A box to tick: what is empty is sent only if the person says so.
+function emptiness(kind, name, changed) {
+  const label = element('label', 'given');
+  const box = element('input');
+  box.type = 'checkbox';
+  box.setAttribute('aria-label', `Send an empty ${kind}: ${name}`);
+  box.addEventListener('change', changed);
+  label.append(box, element('span', '', `Send an empty ${kind}`));
+  // Whether what is empty may be sent; without anything that is empty, there is no such question.
+  const allows = (isEmpty) => {
+    label.hidden = !isEmpty;
+    if (!isEmpty) box.checked = false;
+    return !isEmpty || box.checked;
+  };
+  return { label, box, allows };
+}
+
 function text(rule, name, changed) {
   const { box, input, judge } = labelled(rule, name);
+  const empty = emptiness('text', name, changed);
+  box.append(empty.label);
   const isAny = rule.type !== 'text';
   const read = () => {
     const isWrong = [...input.value].length > (rule.longest ?? Infinity);
     judge(isWrong);
-    if (isWrong) return undefined;
+    if (!empty.allows(input.value === '') || isWrong) return undefined;
     // Within a goal, anything may also be a number, a list, or the like.
     const value = isAny ? valueOf(rule, input.value) : undefined;
     return value === undefined ? input.value : value;
   };
   input.addEventListener('input', changed);
   const fill = (value) => {
-    input.value = typeof value === 'string' ? value : inner(value);
+    input.value = typeof value === 'string' ? value : inner(value) ?? '';
+    empty.box.checked = value === '';
     return read() !== undefined;
   };
   return { element: box, read, fill };
@@ -219,16 +251,19 @@ function list(rule, name, changed) {
     grow()?.element.querySelector('input')?.focus();
     changed();
   });
-  box.append(items, add);
+  const empty = emptiness('list', name, changed);
+  box.append(items, add, empty.label);
   return {
     element: box,
     read: () => {
+      if (!empty.allows(made.length === 0)) return undefined;
       const values = made.map(({ field }) => field.read());
       return values.includes(undefined) ? undefined : values;
     },
     fill: (value) => {
       made.length = 0;
       items.replaceChildren();
+      empty.box.checked = Array.isArray(value);
       return Array.isArray(value) && value.every((item) => grow()?.fill(item));
     },
   };

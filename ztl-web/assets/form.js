@@ -1,17 +1,13 @@
 // Do: one press starts one task, of the component that the person has chosen and of no other.
 
-import { at, card, element, setLong, setText, short, showAll, span } from './elements.js';
-import { goalText, makeField, valueOf } from './fields.js';
+import { at, card, CHANGED, element, Presses, setLong, setText, short, showAll, span } from './elements.js';
+import { goalText, makeField, meaning, valueOf } from './fields.js';
 import { Ready } from './ready.js';
 
 const KEPT_GOALS = 20;
 const OTHER = '*';
 // What a server says of a task without progress or result.
 export const NOTHING = 'None';
-// A press that follows sooner belongs to the one before: a double click, or a key that is held on a remote desktop.
-const SAME_PRESS = 600;
-// The same for keys: so long do systems wait until they repeat a held one.
-const SAME_KEY = 1100;
 // Longest wait for the answer to a goal until the next press counts.
 const ANSWER = 1000;
 // How long after the press a goal may be sent on to its robot. What comes later is refused there.
@@ -26,12 +22,11 @@ export class Form {
   #robots = [];
   #goals = [];
   #pressed = -Infinity;
-  #quiet = -Infinity;
+  #presses = new Presses();
   #answered = true;
-  // How soon after the last press another one counts.
-  #same = SAME_PRESS;
-  // What the component says of itself: for which choice it was asked, the robot's number of it, and what it said.
-  #described = { chosen: null, number: null, is: null };
+  // What the component says of itself: for which choice it was asked, the robot's number of it, what it said, whether
+  // that is known for this choice, whether an answer is awaited, and since when it is something else than before.
+  #described = { chosen: null, number: null, is: null, isKnown: false, waits: false, changed: -Infinity };
   // The field for its goals; without one, a goal is free text.
   #field = null;
   // A text that the field is to show when it is there.
@@ -63,7 +58,7 @@ export class Form {
     });
     at('start').addEventListener('click', (event) => {
       // Keys press without a place.
-      this.#same = event.detail === 0 ? SAME_KEY : SAME_PRESS;
+      this.#presses.isKey = event.detail === 0;
       // A double click, by the browser's own measure.
       if (event.detail < 2) return;
       event.preventDefault();
@@ -99,18 +94,44 @@ export class Form {
     const number = this.#robots.find((robot) => robot.name === chosen?.robot)?.described ?? null;
     // A robot that has not told anything yet, since the console was started again, takes what it took.
     if (!isNew && (number === null || number === of.number)) return;
-    Object.assign(of, { chosen, number });
-    if (isNew || number === 0) this.#take(null, isNew);
+    Object.assign(of, { chosen, number, waits: false });
+    if (isNew) {
+      of.isKnown = chosen?.handler === undefined;
+      this.#take(null, true);
+    }
+    if (number === 0) this.#know(null);
     if (!number || chosen?.handler === undefined) return;
+    of.waits = true;
     const action = `${chosen.action}/${chosen.handler}/${chosen.component}`;
     this.#bridge.call('/ztl/describe', { action }).then(({ is }) => {
       if (of.number !== number || !same(of.chosen, chosen)) return;
-      this.#take(is, false);
+      of.waits = false;
+      this.#know(is);
       this.show();
     }, () => {
-      // It is asked again over the next connection.
+      if (of.number !== number || !same(of.chosen, chosen)) return;
+      of.waits = false;
+      // It is asked again over the next connection. What cannot be learnt is for the console to check.
       if (!this.#bridge.isOpen) of.number = null;
+      else of.isKnown = true;
+      this.show();
     });
+  }
+
+  // The component has said what it takes. If that is something else than before, a press is not for it.
+  #know(is) {
+    const of = this.#described;
+    const [before, now] = [ruleOf(of.is), ruleOf(is)];
+    const isOther = of.isKnown && !same(before, now);
+    of.isKnown = true;
+    // A value of before is not to be sent with another unit.
+    const isCleared = isOther && !same(meaning(before), meaning(now));
+    if (isCleared) this.#wanted = null;
+    this.#take(is, isCleared);
+    if (!isOther) return;
+    of.changed = performance.now();
+    setText(at('form-said'), `What ${label(of.chosen)} takes has changed${isCleared ? ': enter the goal again' : ''}.`);
+    this.#showSoon();
   }
 
   // The component takes what it says. What was filled in stays, unless it is for another component.
@@ -119,7 +140,7 @@ export class Form {
     const wasField = this.#field !== null && !at('as-text').checked;
     const text = this.#wanted ?? (isNew ? '' : this.#text() ?? '');
     this.#described.is = is;
-    const rule = is?.goal ?? { type: 'any' };
+    const rule = ruleOf(is);
     this.#field = rule.type === 'any' ? null : makeField(rule, 'Goal', () => { this.#wanted = null; this.show(); });
     at('fields').replaceChildren(...(this.#field ? [this.#field.element] : []));
     at('as-text').checked = false;
@@ -136,8 +157,10 @@ export class Form {
   #setGoal(text) {
     at('goal').value = text;
     if (!this.#field) return;
-    const value = valueOf(this.#described.is.goal, text);
-    const shows = value !== undefined && this.#field.fill(value) && goalText(this.#field.read()) === text;
+    // Nothing is not yet an empty text, unless a goal that was sent was one.
+    const isNothing = text === '' && this.#wanted === null;
+    const value = isNothing ? undefined : valueOf(this.#described.is.goal, text);
+    const shows = this.#field.fill(value) && goalText(this.#field.read()) === text;
     at('as-text').checked = text !== '' && !shows;
   }
 
@@ -157,8 +180,11 @@ export class Form {
   }
 
   #isLocked() {
-    const now = performance.now();
-    return now < this.#quiet || (!this.#answered && now - this.#pressed < ANSWER);
+    return this.#presses.follow || this.#hasChanged() || (!this.#answered && performance.now() - this.#pressed < ANSWER);
+  }
+
+  #hasChanged() {
+    return performance.now() - this.#described.changed < CHANGED;
   }
 
   // Why a press starts nothing now; empty if it does.
@@ -173,6 +199,7 @@ export class Form {
       return `${label(this.#chosen)} of ${robot.name} is gone. Choose again, or wait until it is back.`;
     }
     if (this.#chosen.handler === undefined && !at('other').value.trim()) return 'Name a handler and a component.';
+    if (!this.#described.isKnown || this.#described.waits) return 'Asking what it takes.';
     if (this.#text() === undefined) return 'The goal is not complete.';
     const action = `${this.#chosen.action}/${this.#name()}`;
     const waits = (goal) => !goal.answered && goal.chosen.robot === robot.name && goal.action === action;
@@ -225,7 +252,10 @@ export class Form {
   }
 
   #press() {
-    const now = performance.now();
+    if (this.#hasChanged()) {
+      setText(at('form-said'), 'NOT SENT: what it takes changed as you pressed. Look, and press again.');
+      return;
+    }
     if (this.#isLocked()) {
       this.#ignore();
       return;
@@ -259,8 +289,8 @@ export class Form {
       setText(at('form-said'), 'NOT SENT: no connection');
       return;
     }
-    this.#pressed = now;
-    this.#quiet = now + this.#same;
+    this.#pressed = performance.now();
+    this.#presses.note();
     this.#answered = false;
     this.#goals = [goal, ...this.#goals].slice(0, KEPT_GOALS);
     this.#ready.used({ chosen: this.#chosen, name, text });
@@ -272,13 +302,13 @@ export class Form {
 
   // As long as presses follow each other, none of them counts.
   #ignore() {
-    this.#quiet = performance.now() + this.#same;
+    this.#presses.note();
     setText(at('form-said'), 'Presses that follow at once do not count.');
     this.#showSoon();
   }
 
   #showSoon() {
-    for (const pause of [this.#same, ANSWER]) setTimeout(() => this.show(), pause + 1);
+    for (const pause of [CHANGED, this.#presses.gap, ANSWER]) setTimeout(() => this.show(), pause + 1);
   }
 
   #fill(goal) {
@@ -317,6 +347,11 @@ export class Form {
 
 function same(one, other) {
   return JSON.stringify(one) === JSON.stringify(other);
+}
+
+// What a component takes, by what it says of itself.
+function ruleOf(is) {
+  return is?.goal ?? { type: 'any' };
 }
 
 function label(choice) {

@@ -1,9 +1,7 @@
 // The show: the scenes of a script, its cues, and notes. The console plays; this page shows, and says what was pressed.
 
-import { at, element, setText, showAll } from './elements.js';
+import { at, CHANGED, element, Presses, setText, showAll } from './elements.js';
 
-// A press on a button that has changed since was meant for what it said before.
-const CHANGED = 600;
 const SIGNS = { pending: '·', playing: '▶', completed: '✓', failed: '✗', stopped: '■', skipped: '−' };
 // Each with what it says, and what may be pressed for it.
 const COMMANDS = {
@@ -19,6 +17,8 @@ export class Show {
   // When the question changed, and which it is.
   #changed = -Infinity;
   #number = null;
+  // Of each cue.
+  #presses = new Map();
 
   constructor(bridge, whyNot) {
     this.#bridge = bridge;
@@ -63,12 +63,15 @@ export class Show {
     const scene = told.scene === null ? null : told.scenes[told.scene];
     const can = (name) => told.choices.includes(name) && this.#off() === '';
     enable(at('show-play'), can('start'));
-    setText(at('show-play'), scene && !told.plays && told.question?.about !== 'end' ? `Play: ${scene.name}` : 'Play');
+    // Also while it plays: nothing below moves as it is pressed.
+    setText(at('show-play'), scene && told.question?.about !== 'end' ? `Play: ${scene.name}` : 'Play');
     enable(at('show-stop'), told.choices.includes('stop_scene') && this.#bridge.isOpen);
     for (const button of at('show-commands').children) {
       const name = button.dataset.do;
       if (name === 'pause') {
-        setText(button, told.choices.includes('resume') ? 'Go on after pause' : 'Pause after step');
+        const resumes = told.choices.includes('resume');
+        if (button.resumes !== resumes) [button.resumes, button.changed] = [resumes, performance.now()];
+        setText(button, resumes ? 'Go on after pause' : 'Pause after step');
         enable(button, can('pause') || can('resume'));
       } else {
         enable(button, can(name));
@@ -172,7 +175,7 @@ export class Show {
     const button = element('button');
     button.type = 'button';
     button.append(element('span'), element('kbd'));
-    button.addEventListener('click', () => this.#cue(cue));
+    button.addEventListener('click', (event) => this.#cue(cue, event.detail === 0));
     made.append(button, element('p', 'quiet'));
     return made;
   }
@@ -183,10 +186,19 @@ export class Show {
     const cue = this.#told?.cues.findIndex((one) => one.key === event.key.toLowerCase()) ?? -1;
     if (cue < 0) return;
     event.preventDefault();
-    this.#cue(cue);
+    this.#cue(cue, true);
   }
 
-  #cue(cue) {
+  #cue(cue, isKey) {
+    const presses = this.#presses.get(cue) ?? new Presses();
+    this.#presses.set(cue, presses);
+    const follows = presses.follow;
+    presses.isKey = isKey;
+    presses.note();
+    if (follows) {
+      this.#say('Presses that follow at once do not count.');
+      return;
+    }
     const off = this.#off();
     if (off !== '') this.#say(`NOT SENT: ${off}`);
     else this.#call('/ztl/show/cue', { cue });
@@ -199,8 +211,8 @@ export class Show {
 
   #press(button, service, args) {
     if (button.getAttribute('aria-disabled') === 'true') return;
-    if (performance.now() - this.#changed < CHANGED) {
-      this.#say('NOT SENT: the show went on as you pressed. Look, and press again.');
+    if (performance.now() - Math.max(this.#changed, button.changed ?? -Infinity) < CHANGED) {
+      this.#say('NOT SENT: the show changed as you pressed. Look, and press again.');
       return;
     }
     this.#call(service, args);

@@ -386,6 +386,8 @@ fn numbers(value: ztl_pickle::Value<'_>) -> Vec<(String, f64)> {
 pub(crate) struct Listener {
     streams: Arc<Streams>,
     newest: watch::Receiver<Arc<[Shared]>>,
+    /// What was the newest when it was told last.
+    seen: Arc<[Shared]>,
     /// The publishers that it looks at, and what it was told last.
     looks: BTreeMap<usize, Shared>,
     /// The topics of publishers, and which value it was told last.
@@ -394,9 +396,12 @@ pub(crate) struct Listener {
 
 impl Listener {
     pub(crate) fn new(streams: &Arc<Streams>) -> Self {
+        let newest = streams.newest.subscribe();
+        let seen = Arc::clone(&newest.borrow());
         Self {
             streams: Arc::clone(streams),
-            newest: streams.newest.subscribe(),
+            newest,
+            seen,
             looks: BTreeMap::new(),
             topics: BTreeMap::new(),
         }
@@ -440,11 +445,17 @@ impl Listener {
     }
 
     fn news(&mut self) -> Vec<Message> {
-        let newest = self.newest.borrow_and_update();
+        let newest = Arc::clone(&self.newest.borrow_and_update());
+        // A publisher has news ten times a second at most. Those of another one make its topics no faster.
+        let has_news = |publisher: usize| match (newest.get(publisher), self.seen.get(publisher)) {
+            (Some(now), Some(seen)) => !Arc::ptr_eq(now, seen),
+            _ => false,
+        };
         let mut messages = Vec::new();
         for ((publisher, topic), told) in &mut self.topics {
             let channel = self.streams.publishers.get(*publisher);
             if let Some(channel) = channel
+                && (told.is_none() || has_news(*publisher))
                 && let Some((which, value)) = channel.value(topic, *told)
             {
                 *told = Some(which);
@@ -465,6 +476,7 @@ impl Listener {
                 messages.push(Message::from(rosbridge::publish(&topic, now)));
             }
         }
+        self.seen = newest;
         messages
     }
 }
@@ -477,5 +489,49 @@ impl Drop for Listener {
                 channel.looking.fetch_sub(1, Ordering::SeqCst);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hear(streams: &Streams, publisher: usize, word: &str) {
+        let heard = Heard {
+            topic: "/lab/x".to_owned(),
+            body: word.as_bytes().to_vec(),
+            at: UNIX_EPOCH,
+        };
+        streams.publishers[publisher].on_heard(heard, || 1);
+    }
+
+    fn tell(streams: &Streams, publisher: usize) {
+        let told = streams.publishers[publisher].tell(None, &streams.sounds);
+        streams.publish(publisher, &told);
+    }
+
+    #[test]
+    fn the_news_of_one_publisher_make_the_topics_of_another_no_faster() {
+        let publisher = |name: &str| Publisher {
+            name: name.to_owned(),
+            connect: Arc::new(|| Err("nobody connects".to_owned())),
+        };
+        let publishers = vec![publisher("one"), publisher("other")];
+        let streams = Arc::new(Streams::new(publishers, BTreeSet::new()));
+        let mut listener = Listener::new(&streams);
+        for publisher in 0..2 {
+            let topic = Wanted::Topic(publisher, "/lab/x".to_owned());
+            assert!(listener.listen(topic, true).is_empty());
+            hear(&streams, publisher, "first");
+            tell(&streams, publisher);
+            assert_eq!(listener.news().len(), 1);
+        }
+        hear(&streams, 0, "second");
+        hear(&streams, 1, "second");
+        tell(&streams, 1);
+        assert_eq!(listener.news().len(), 1, "of the other one only");
+        tell(&streams, 0);
+        assert_eq!(listener.news().len(), 1);
+        assert!(listener.news().is_empty());
     }
 }
