@@ -242,6 +242,76 @@ fn what_must_not_go_on_without_an_operator_is_stopped() {
 }
 
 #[test]
+fn a_press_that_reaches_the_show_too_late_does_nothing() {
+    let _busy = busy();
+    let stage = Stage::new(SCRIPT, &[]);
+    let mut client = stage.client();
+    let question = asked(&mut client, 0);
+    let limit = Duration::from_millis(500);
+    let not_after = client.now_ms() + 500;
+    stage.process.signal("STOP");
+    let start = json!({ "do": "start", "question": question, "not_after_ms": not_after });
+    client.ask("scene", "/ztl/show/command", &start);
+    let cue = json!({ "cue": 0, "not_after_ms": not_after });
+    client.ask("cue", "/ztl/show/cue", &cue);
+    std::thread::sleep(2 * limit);
+    stage.process.signal("CONT");
+    for id in ["scene", "cue"] {
+        let answer = client.answer(id);
+        let why = answer["values"].as_str().unwrap_or_default();
+        assert!(why.contains("too late"), "{answer}");
+    }
+    let show = client.call("/ztl/show", &json!({}));
+    assert_eq!(show["plays"], false, "{show}");
+    assert_eq!(stage.console.marks(), 0);
+}
+
+#[test]
+fn what_a_hanging_robot_starts_later_is_aborted_and_nothing_starts_twice() {
+    let _busy = busy();
+    let stage = Stage::new(SCRIPT, &[]);
+    let mut client = stage.client();
+    asked(&mut client, 0);
+    client.subscribe("/ztl/tasks");
+    // The show has a connection.
+    assert!(told(&mut client, "/ztl/show/cue", &json!({ "cue": 2 })).0);
+    client.topic("/ztl/tasks", |list| {
+        is(list, "test:echo:hello", "COMPLETED")
+    });
+    let robot = &stage.console.robot.process;
+    robot.signal("STOP");
+    let hold = json!({ "cue": 0 });
+    assert!(told(&mut client, "/ztl/show/cue", &hold).0);
+    // Nobody tells when the INIT has gone out.
+    std::thread::sleep(Duration::from_secs(1));
+    // A Stop is not confirmed, and takes longer than a request waits for its answer.
+    let stopped = client.call("/ztl/stop", &json!({}));
+    assert_eq!(stopped["robots"][0]["confirmed"], false, "{stopped}");
+    let pressed = told(&mut client, "/ztl/show/cue", &hold);
+    robot.signal("CONT");
+    assert!(!pressed.0, "the INIT was sent: {pressed:?}");
+    let held = |list: &Value, runs: bool| -> Vec<Value> {
+        let tasks = list["tasks"].as_array().expect("a list").iter();
+        let held = tasks.filter(|task| task["task"] == "test:mark:cue" && task["runs"] == runs);
+        held.map(|task| task["id"].clone()).collect()
+    };
+    let late = until("the cue to be free", PATIENCE, || {
+        let tasks = client.call("/ztl/tasks", &json!({}));
+        let is_free = held(&tasks, true).is_empty();
+        if is_free && told(&mut client, "/ztl/show/cue", &hold).0 {
+            return Some(held(&tasks, false));
+        }
+        std::thread::sleep(Duration::from_millis(700));
+        None
+    });
+    // Now it runs once, and what started late does not.
+    let running = |list: &Value| held(list, true);
+    let is_new = |list: &Value| running(list).iter().any(|id| !late.contains(id));
+    let tasks = client.topic("/ztl/tasks", is_new);
+    assert_eq!(running(&tasks).len(), 1, "{tasks}");
+}
+
+#[test]
 fn missing_robots_are_shown_and_a_killed_console_leaves_a_record_with_cues_and_notes() {
     let _busy = busy();
     let files = Scratch::new();

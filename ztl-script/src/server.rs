@@ -12,6 +12,12 @@ pub trait Connection: Send {
     /// called immediately before; otherwise the answer is [`ServerAnswer::Withdrawn`].
     fn request(&mut self, request: &ServerRequest, may_start: &dyn Fn() -> bool) -> ServerAnswer;
 
+    /// What became of the last INIT, which was not answered. It is given up: if it arrives later, it starts nothing. `None`
+    /// if its outcome cannot be learnt, or not any more.
+    fn outcome(&mut self) -> Option<ServerAnswer> {
+        None
+    }
+
     /// The handlers and components that the server lists; `None` if it does not list them.
     fn offers(&mut self) -> Option<Offers>;
 

@@ -3,6 +3,7 @@
 import { at, card, CHANGED, element, Presses, setLong, setText, short, showAll, span } from './elements.js';
 import { goalText, makeField, meaning, valueOf } from './fields.js';
 import { Ready } from './ready.js';
+import { LATE } from './rosbridge.js';
 
 const KEPT_GOALS = 20;
 const OTHER = '*';
@@ -10,8 +11,6 @@ const OTHER = '*';
 export const NOTHING = 'None';
 // Longest wait for the answer to a goal until the next press counts.
 const ANSWER = 1000;
-// How long after the press a goal may be sent on to its robot. What comes later is refused there.
-const LATE = 5000;
 
 export class Form {
   #bridge;

@@ -1,5 +1,7 @@
 // A client of rosbridge's protocol that connects again by itself. It never sends anything twice.
 
+// How long after a press the console may carry it out. What comes later is refused there.
+export const LATE = 5000;
 const SILENCE = 6000;
 const FIRST_PAUSE = 200;
 const LONGEST_PAUSE = 500;

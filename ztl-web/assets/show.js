@@ -1,6 +1,7 @@
 // The show: the scenes of a script, its cues, and notes. The console plays; this page shows, and says what was pressed.
 
 import { at, CHANGED, element, Presses, setText, showAll } from './elements.js';
+import { LATE } from './rosbridge.js';
 
 const SIGNS = { pending: '·', playing: '▶', completed: '✓', failed: '✗', stopped: '■', skipped: '−' };
 // Each with what it says, and what may be pressed for it.
@@ -11,6 +12,7 @@ const WRONG = new Set(['failed', 'rejected', 'not started', 'unknown', 'aborted'
 
 export class Show {
   #bridge;
+  #now;
   #whyNot;
   // What the console tells; nothing without a show.
   #told = null;
@@ -20,8 +22,9 @@ export class Show {
   // Of each cue.
   #presses = new Map();
 
-  constructor(bridge, whyNot) {
+  constructor(bridge, { now, whyNot }) {
     this.#bridge = bridge;
+    this.#now = now;
     this.#whyNot = whyNot;
     for (const [name, text] of Object.entries(COMMANDS)) {
       const button = element('button', '', text);
@@ -225,7 +228,7 @@ export class Show {
 
   async #call(service, args) {
     try {
-      await this.#bridge.call(service, args);
+      await this.#bridge.call(service, { ...args, not_after_ms: this.#now() + LATE });
       this.#say('');
       return true;
     } catch (error) {

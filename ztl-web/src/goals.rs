@@ -22,7 +22,7 @@ pub(crate) const LATEST_MS: u64 = 5000;
 /// is aborted.
 const ANSWER_MS: u64 = 5000;
 /// Between two questions what became of a goal.
-const ASK_AGAIN: Duration = Duration::from_millis(200);
+pub(crate) const ASK_AGAIN: Duration = Duration::from_millis(200);
 
 /// Why a goal was not sent.
 pub(crate) const TOO_LATE: &str = "too late, not sent";
@@ -90,7 +90,11 @@ pub(crate) fn cancel(goal: &Arc<Goal>, board: &Board) -> Result<(), String> {
     }
 }
 
-fn abort(goal: &Arc<Goal>, id: &RemoteId, board: &Board) -> Result<(), String> {
+/// Aborts its task.
+///
+/// # Errors
+/// If too many aborts are under way.
+pub(crate) fn abort(goal: &Arc<Goal>, id: &RemoteId, board: &Board) -> Result<(), String> {
     let request = AbortRequest::of_goal(goal, id);
     board.abort(goal.target.server, request)
 }

@@ -21,6 +21,8 @@ use ztl_script::{
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;
+use crate::clock::now_ms;
+use crate::goals::LATEST_MS;
 use stage::Stage;
 
 /// How often the thread looks whether somebody operates.
@@ -92,6 +94,8 @@ pub(crate) type Told = Result<Value, String>;
 struct Press {
     wish: Wish,
     by: String,
+    /// Until when it counts, by the console's clock.
+    not_after_ms: u64,
     /// What was stopped before.
     seen: SeenStops,
     told: oneshot::Sender<Told>,
@@ -111,18 +115,19 @@ impl Desk {
         &self,
         wish: Wish,
         by: &str,
+        not_after_ms: u64,
         board: &Board,
     ) -> Result<oneshot::Receiver<Told>, String> {
         // Before the look at Stop: one that begins in between is noticed by the show.
         let seen = self.runner.seen();
-        let starts = !matches!(&wish, Wish::Note(_)) && !wish.stops();
-        if starts && board.stops.are_under_way() {
+        if wish.starts() && board.stops.are_under_way() {
             return Err("a Stop is under way: press again when it has ended".to_owned());
         }
         let (told, telling) = oneshot::channel();
         let press = Press {
             wish,
             by: by.to_owned(),
+            not_after_ms: not_after_ms.min(now_ms() + LATEST_MS),
             seen,
             told,
         };
@@ -168,7 +173,7 @@ impl Wish {
     ///
     /// # Errors
     /// If there is no text.
-    pub(crate) fn note(args: &Value) -> Result<Self, String> {
+    pub(crate) fn note(args: Value) -> Result<Self, String> {
         let text = args.get("text").and_then(Value::as_str).map(str::trim);
         match text {
             None | Some("") => Err("expected {\"text\": the note}".to_owned()),
@@ -181,12 +186,17 @@ impl Wish {
     ///
     /// # Errors
     /// If it is no cue.
-    pub(crate) fn cue(args: &Value) -> Result<Self, String> {
+    pub(crate) fn cue(args: Value) -> Result<Self, String> {
         let cue = args.get("cue").and_then(Value::as_u64);
         let cue = cue.ok_or("expected {\"cue\": number of the cue, from 0}")?;
         usize::try_from(cue)
             .map(Self::Cue)
             .map_err(|error| error.to_string())
+    }
+
+    /// Whether it may start something.
+    fn starts(&self) -> bool {
+        !matches!(self, Self::Note(_)) && !self.stops()
     }
 
     /// Whether it only stops something.
@@ -263,7 +273,11 @@ impl ShowThread {
     fn run(&mut self) {
         while !self.stage.has_ended() {
             while let Ok(press) = self.pressed.try_recv() {
-                let told = self.on_press(press.wish, &press.by, press.seen);
+                let is_late = now_ms() > press.not_after_ms;
+                let told = match is_late && press.wish.starts() {
+                    true => Err("too late, not done: press again".to_owned()),
+                    false => self.on_press(press.wish, &press.by, press.seen),
+                };
                 // Fails if the client is gone.
                 let _ = press.told.send(told);
             }
@@ -331,12 +345,11 @@ impl ShowThread {
                 }
             }
             Wish::Cue(cue) => {
-                let last = self.pressed_cues.get(&cue);
+                let last = self.pressed_cues.insert(cue, Instant::now());
                 if last.is_some_and(|last| last.elapsed() < ONE_PRESS) {
                     return Err("pressed twice: counts as one press".to_owned());
                 }
                 self.runner.cue(cue).map_err(str::to_owned)?;
-                self.pressed_cues.insert(cue, Instant::now());
                 Ok(json!({}))
             }
         }

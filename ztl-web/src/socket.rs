@@ -326,10 +326,10 @@ impl Reader {
                 Ok(()) => return None,
                 Err(why) => Err(why),
             },
-            "/ztl/show/command" => return self.wish(id, "/ztl/show/command", Wish::command(args)),
-            "/ztl/show/cue" => return self.wish(id, "/ztl/show/cue", Wish::cue(&args)),
-            "/ztl/show/note" => return self.wish(id, "/ztl/show/note", Wish::note(&args)),
-            STOP_SCENE => return self.wish(id, STOP_SCENE, Ok(Wish::stop_scene())),
+            "/ztl/show/command" => return self.wish(id, "/ztl/show/command", args, Wish::command),
+            "/ztl/show/cue" => return self.wish(id, "/ztl/show/cue", args, Wish::cue),
+            "/ztl/show/note" => return self.wish(id, "/ztl/show/note", args, Wish::note),
+            STOP_SCENE => return self.wish(id, STOP_SCENE, args, |_| Ok(Wish::stop_scene())),
             "/ztl/abort" => match self.abort(id.clone(), args) {
                 Ok(()) => return None,
                 Err(why) => Err(why),
@@ -425,8 +425,12 @@ impl Reader {
         &mut self,
         id: Option<Value>,
         service: &'static str,
-        wish: Result<Wish, String>,
+        args: Value,
+        read: impl FnOnce(Value) -> Result<Wish, String>,
     ) -> Option<Out> {
+        let not_after = args.get("not_after_ms").and_then(Value::as_f64);
+        let not_after_ms = not_after.map_or(u64::MAX, |ms| ms as u64);
+        let wish = read(args);
         let passed = wish.and_then(|wish| {
             let show = self.board.show();
             let show = show.ok_or("there is no show: start `ztl web` with --script")?;
@@ -439,7 +443,10 @@ impl Reader {
             }
             let place = Arc::clone(&self.wishes).try_acquire_owned();
             let place = place.map_err(|_| format!("not done: {ANSWERS} answers are awaited"))?;
-            Ok((show.press(wish, &self.who.by, &self.board)?, place))
+            Ok((
+                show.press(wish, &self.who.by, not_after_ms, &self.board)?,
+                place,
+            ))
         });
         match passed {
             Ok((telling, place)) => {

@@ -9,7 +9,7 @@ use ztl_script::Connect;
 use ztl_script::server::{Acceptance, Connected, Connection, Server, ServerAnswer, ServerRequest};
 use ztl_std::describe::ScopeDescriptions;
 use ztl_std::{
-    Offers, RemoteTask, Remotes, RequestError, ServerTask, Status, TriggerError, encoded,
+    Offers, RemoteTask, Remotes, RequestError, ServerTask, Status, TriggerError, Triggered, encoded,
 };
 
 use crate::connect_options::ConnectOptions;
@@ -87,28 +87,8 @@ impl ServerConnection {
         };
         let payload = encoded(handler, component, goal);
         // Once it is sent, its answer tells what is to be aborted.
-        match self.remote.trigger_before(&payload, may_start, || true) {
-            Ok(task) => ServerAnswer::Started {
-                id: task.id,
-                text: task.reply,
-                server,
-            },
-            Err(TriggerError::Rejected { id, reason }) => {
-                ServerAnswer::Rejected { id, text: reason }
-            }
-            Err(TriggerError::GivenUp) => ServerAnswer::Withdrawn,
-            Err(error @ TriggerError::NeverCame) => ServerAnswer::NotStarted {
-                text: error.to_string(),
-            },
-            // The goal is too long: its author has to change it.
-            Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => {
-                ServerAnswer::Rejected {
-                    id: Integer::MINUS_ONE.into(),
-                    text: error.to_string(),
-                }
-            }
-            Err(TriggerError::Request(error)) => failed(&error),
-        }
+        let told = self.remote.trigger_before(&payload, may_start, || true);
+        started(told, server)
     }
 
     fn state(&mut self, told: Result<Status, RequestError>) -> ServerAnswer {
@@ -204,6 +184,15 @@ impl Connection for ServerConnection {
         }
     }
 
+    fn outcome(&mut self) -> Option<ServerAnswer> {
+        let told = self.remote.ask_outcome()?;
+        let server = match self.server() {
+            Ok(server) => server,
+            Err(error) => return Some(failed(&error)),
+        };
+        Some(started(told, server))
+    }
+
     fn offers(&mut self) -> Option<Offers> {
         let mut description = self.remote.describe().ok()??;
         description.scopes.remove(self.remote.scope())
@@ -225,6 +214,30 @@ impl Connection for ServerConnection {
             Acceptance::Unknown => told,
             said => said,
         }
+    }
+}
+
+/// What became of an INIT.
+fn started(told: Result<Triggered, TriggerError>, server: Server) -> ServerAnswer {
+    match told {
+        Ok(task) => ServerAnswer::Started {
+            id: task.id,
+            text: task.reply,
+            server,
+        },
+        Err(TriggerError::Rejected { id, reason }) => ServerAnswer::Rejected { id, text: reason },
+        Err(TriggerError::GivenUp) => ServerAnswer::Withdrawn,
+        Err(error @ TriggerError::NeverCame) => ServerAnswer::NotStarted {
+            text: error.to_string(),
+        },
+        // The goal is too long: its author has to change it.
+        Err(TriggerError::Request(error @ RequestError::TooLong { .. })) => {
+            ServerAnswer::Rejected {
+                id: Integer::MINUS_ONE.into(),
+                text: error.to_string(),
+            }
+        }
+        Err(TriggerError::Request(error)) => failed(&error),
     }
 }
 

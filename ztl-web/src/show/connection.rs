@@ -4,13 +4,16 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
+use std::thread;
 
 use ztl_script::Connect;
 use ztl_script::server::{Acceptance, Connection, ServerAnswer, ServerRequest};
 use ztl_std::{Offers, RemoteId};
 
 use crate::board::{Board, locked};
+use crate::clock::now_ms;
 use crate::goal::Goal;
+use crate::goals::{self, ASK_AGAIN, LATEST_MS};
 use crate::robots::Target;
 
 /// Who starts the tasks of the show, for people.
@@ -55,10 +58,27 @@ impl Watched {
         let Some(number) = self.board.add_goal(&goal, usize::MAX) else {
             return ServerAnswer::Withdrawn;
         };
-        let may_start = || may_start() && !goal.is_cancelled();
-        let answer = self.inner.request(request, &may_start);
+        let may_start = || may_start() && !goal.is_cancelled() && !goal.is_late();
+        let mut answer = self.inner.request(request, &may_start);
+        // What starts later than anybody expects is aborted. Until that is decided, the task counts as under way: its cue or
+        // scene does not start again, and no Stop is confirmed.
+        while is_open(&answer) {
+            goal.give_up();
+            let Some(told) = self.inner.outcome() else {
+                break;
+            };
+            answer = told;
+            if is_open(&answer) {
+                thread::sleep(ASK_AGAIN);
+            }
+        }
         if let ServerAnswer::Started { id, .. } = &answer {
             goal.set_id(id.clone());
+            if goal.is_cancelled()
+                && let Err(why) = goals::abort(&goal, id, &self.board)
+            {
+                tracing::error!("task {id} was not aborted: {why}");
+            }
             let key = (self.server, self.scope.clone(), id.clone());
             // A server of the original gives an id again when it is started again.
             let earlier = locked(&self.open).insert(key, (number, goal));
@@ -80,6 +100,16 @@ impl Watched {
     }
 }
 
+/// Whether an INIT with this answer may have started, or may start, a task that nobody knows.
+const fn is_open(answer: &ServerAnswer) -> bool {
+    matches!(
+        answer,
+        ServerAnswer::Nothing { sent: true, .. }
+            | ServerAnswer::Unclear { .. }
+            | ServerAnswer::NotTold { .. }
+    )
+}
+
 impl Connection for Watched {
     fn request(&mut self, request: &ServerRequest, may_start: &dyn Fn() -> bool) -> ServerAnswer {
         let id = match request {
@@ -94,7 +124,7 @@ impl Connection for Watched {
                     handler: handler.clone(),
                     component: component.clone(),
                 };
-                let goal = Goal::new(target, goal.clone(), BY.to_owned(), u64::MAX);
+                let goal = Goal::new(target, goal.clone(), BY.to_owned(), now_ms() + LATEST_MS);
                 return self.init(request, may_start, goal);
             }
             ServerRequest::Status { id, .. } | ServerRequest::Abort { id } => Some(id),
