@@ -8,6 +8,9 @@ use ztl_std::RemoteId;
 use crate::clock;
 use crate::robots::Target;
 
+/// After the last moment at which a goal may be sent, how long its answer may take.
+const ANSWER_MS: u64 = 5000;
+
 /// A goal that was asked for.
 pub(crate) struct Goal {
     pub(crate) target: Target,
@@ -70,6 +73,11 @@ impl Goal {
     /// Whether it is too late to send it.
     pub(crate) fn is_late(&self) -> bool {
         clock::now_ms() > self.not_after_ms
+    }
+
+    /// Whether a task of which nobody has heard yet is to be aborted.
+    pub(crate) fn is_answer_late(&self) -> bool {
+        clock::now_ms() > self.not_after_ms.saturating_add(ANSWER_MS)
     }
 
     /// Notes that nothing is waited for any more.

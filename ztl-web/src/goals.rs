@@ -9,7 +9,6 @@ use ztl_std::{RemoteId, RemoteTask, State, TriggerError, Triggered, encoded};
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;
-use crate::clock::now_ms;
 use crate::cut;
 use crate::goal::Goal;
 use crate::robots::Target;
@@ -18,9 +17,6 @@ use crate::robots::Target;
 const MOST: usize = 128;
 /// How long after its arrival a goal may be sent to its robot, in ms. The client can demand less.
 pub(crate) const LATEST_MS: u64 = 5000;
-/// After the last moment at which a goal may be sent, how long its answer may take. A task of which nobody heard until then
-/// is aborted.
-const ANSWER_MS: u64 = 5000;
 /// Between two questions what became of a goal.
 pub(crate) const ASK_AGAIN: Duration = Duration::from_millis(200);
 
@@ -151,8 +147,7 @@ fn init(goal: &Goal, remote: &mut RemoteTask, tell: &Tell) -> Result<Triggered, 
     } = &goal.target;
     let payload = encoded(handler, component, &goal.goal);
     let may_be_sent = || !goal.is_cancelled() && !goal.is_late();
-    let in_time = || now_ms() <= goal.not_after_ms.saturating_add(ANSWER_MS);
-    let wanted = || !goal.is_cancelled() && in_time();
+    let wanted = || !goal.is_cancelled() && !goal.is_answer_late();
     let mut started = remote.trigger_before(&payload, may_be_sent, wanted);
     while let Err(TriggerError::Request(error)) = &started
         && !error.nothing_was_sent()
@@ -170,7 +165,7 @@ fn init(goal: &Goal, remote: &mut RemoteTask, tell: &Tell) -> Result<Triggered, 
             thread::sleep(ASK_AGAIN);
         }
     }
-    if !in_time() {
+    if goal.is_answer_late() {
         goal.give_up();
     }
     started

@@ -72,6 +72,9 @@ impl Watched {
                 thread::sleep(ASK_AGAIN);
             }
         }
+        if goal.is_answer_late() {
+            goal.give_up();
+        }
         if let ServerAnswer::Started { id, .. } = &answer {
             goal.set_id(id.clone());
             if goal.is_cancelled()
