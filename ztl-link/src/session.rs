@@ -110,6 +110,12 @@ impl<J: SessionJournal> Session<J> {
             if now >= wait && in_flight.command == CommandKind::Hello {
                 // Keep the session, in case the answer is only late.
                 in_flight.sent = now;
+                // The session that this one was to follow is lost.
+                if std::mem::replace(&mut self.ending, NO_SESSION) != NO_SESSION {
+                    self.counters.lost += 1;
+                    self.events.push_back(LinkEvent::Lost);
+                    self.lose();
+                }
                 self.events.push_back(LinkEvent::Silent);
             } else if now >= wait {
                 self.lose();

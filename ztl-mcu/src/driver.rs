@@ -2,8 +2,10 @@
 //! executor or any other, without an allocator. Requires the features `async` and `critical-section`.
 //!
 //! Implement [`Driver`], create a [`Slot`] for it, pass `&slot` to the [`Node`](crate::Node) as a component, and run
-//! [`Slot::run`] in a task of the executor, or joined with [`Pump::run`](crate::pump::Pump::run). The executor's task holds
-//! the future, so the slot needs no memory for it.
+//! [`Slot::run`] in a task of the executor. The executor's task holds the future, so the slot needs no memory for it. In one
+//! task with [`Pump::run`](crate::pump::Pump::run), join it with a loop that runs the pump again after each error of the
+//! port: `join(async { loop { let _ = pump.run(..).await; } }, slot.run(&mut motor))`. Otherwise the first error ends the
+//! node's turns, and with them its timer for a lost link. Neither `run` nor `make_safe` may block.
 //!
 //! ```
 //! use embedded_hal_async::delay::DelayNs;
@@ -100,8 +102,9 @@ pub trait Driver {
         progress: Progress<'_>,
     ) -> impl Future<Output = Result<(), Failed>>;
 
-    /// Goes to the safe state: after an abort, when the link is lost, in an emergency stop, and before the first task.
-    /// Returns when it is reached; no task begins before. Try again if the hardware does not answer.
+    /// Goes to the safe state: after an abort or a failure, when the link is lost, in an emergency stop, and before the
+    /// first task. Returns when it is reached; the task ends, and another one begins, only then. An ordinary abort comes
+    /// here, too: an arm that would drop its load without torque is to stop and hold. Try again if the hardware does not answer.
     fn make_safe(&mut self) -> impl Future<Output = ()>;
 }
 
@@ -237,6 +240,7 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
         if interrupted == Some(true) {
             self.set_text(INTERRUPTED);
         }
+        let _leaving = Leaving(self);
         loop {
             match poll_fn(|context| self.poll_next(context)).await {
                 Some(goal) => {
@@ -249,7 +253,11 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
                         state.end = end;
                         // It may have been stopped at the last moment.
                         if state.stage == Stage::Runs {
-                            state.stage = Stage::Rests;
+                            state.stage = match end {
+                                // Nobody knows where it stands, and it may still move.
+                                Run::Failed => Stage::Stop,
+                                _ => Stage::Rests,
+                            };
                         }
                     });
                 }
@@ -284,6 +292,19 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
             task.as_mut().poll(context).map(Some)
         })
         .await
+    }
+}
+
+/// The future of a slot's driver: without it, no task can be carried out.
+struct Leaving<'s, 'o, D, const GOAL: usize>(&'s Slot<'o, D, GOAL>);
+
+impl<D, const GOAL: usize> Drop for Leaving<'_, '_, D, GOAL> {
+    fn drop(&mut self) {
+        with(&self.0.state, |state| {
+            if state.stage == Stage::Rests {
+                state.stage = Stage::Stop;
+            }
+        });
     }
 }
 

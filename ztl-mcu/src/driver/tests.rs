@@ -147,10 +147,35 @@ fn a_task_runs_and_tells_progress_result_and_failure() {
             assert_eq!(world.take(), ["begins"]);
             world.moved.set(true);
             turn(running);
+            if goal == "fail" {
+                // It may still move: the end is told when it is safe.
+                assert_eq!(poll(slot), said(Run::Running, "stuck"));
+                assert_eq!(world.take(), ["over", "stops"]);
+                world.stopped.set(true);
+                turn(running);
+                assert_eq!(world.take(), ["safe"]);
+            } else {
+                assert_eq!(world.take(), ["over"]);
+            }
             assert_eq!(poll(slot), end);
-            assert_eq!(world.take(), ["over"]);
         }
     });
+}
+
+#[test]
+fn a_slot_whose_future_was_dropped_takes_no_task() {
+    let world = Rc::new(World::default());
+    world.stopped.set(true);
+    let mut arm = Arm(world.clone());
+    let slot = ArmSlot::new(Offer::new("arm"));
+    {
+        let mut running = pin!(slot.run(&mut arm));
+        turn(&mut (running.as_mut() as Running<'_>));
+    }
+    assert_eq!(
+        start(&slot, "out"),
+        Err("its driver is not ready".to_string())
+    );
 }
 
 #[test]
