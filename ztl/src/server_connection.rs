@@ -21,6 +21,8 @@ struct ServerConnection {
     answers_takes: bool,
     /// What its components say of themselves, once that was asked.
     described: Option<ScopeDescriptions>,
+    /// Who got the last INIT.
+    asked: Option<Server>,
 }
 
 /// Connects to a server once.
@@ -56,6 +58,7 @@ impl ServerConnection {
             remote,
             answers_takes: true,
             described: None,
+            asked: None,
         })
     }
 
@@ -86,6 +89,7 @@ impl ServerConnection {
             }
         };
         let payload = encoded(handler, component, goal);
+        self.asked = Some(server.clone());
         // Once it is sent, its answer tells what is to be aborted.
         let told = self.remote.trigger_before(&payload, may_start, || true);
         started(told, server)
@@ -186,11 +190,7 @@ impl Connection for ServerConnection {
 
     fn outcome(&mut self) -> Option<ServerAnswer> {
         let told = self.remote.ask_outcome()?;
-        let server = match self.server() {
-            Ok(server) => server,
-            Err(error) => return Some(failed(&error)),
-        };
-        Some(started(told, server))
+        Some(started(told, self.asked.clone()?))
     }
 
     fn offers(&mut self) -> Option<Offers> {
