@@ -80,7 +80,7 @@ mod in_recording {
     use std::sync::mpsc::{Receiver, Sender, channel};
     use std::sync::{Arc, Mutex, PoisonError};
     use std::thread::JoinHandle;
-    use std::time::Instant;
+    use std::time::{Duration, Instant};
 
     use ztl_record::{Formats, Message, Source};
     use ztl_script::event::StampedEvent;
@@ -89,6 +89,9 @@ mod in_recording {
     use crate::chosen_publisher::ChosenPublisher;
     use crate::connect_options::KeyOptions;
     use crate::recorder::{Recorder, Session, Told, set_tellers};
+
+    /// How long servers may take to publish what has become of the last tasks; a client hears of it earlier.
+    const LAST_EVENTS: Duration = Duration::from_millis(300);
 
     /// Writes events into a recording. A thread does it, so that the run never waits for the disk.
     pub(crate) struct InRecording {
@@ -167,6 +170,7 @@ mod in_recording {
         pub(super) fn finish(self) -> Result<(), String> {
             drop(self.events);
             let _ = self.writer.join();
+            std::thread::sleep(LAST_EVENTS);
             let counts = self.recorder.finish()?;
             match counts.is_complete() {
                 true => Ok(()),
