@@ -166,7 +166,7 @@ fn rates_are_shown_each_second() {
     let subscriber = Process::start(&mut subscribe(port, &["--rate"]));
     let now = || std::time::SystemTime::UNIX_EPOCH.elapsed().expect("a time");
     let line = until("a rate", PATIENCE, || {
-        // The second is no time of a clock in seconds.
+        // The second value has a time that no clock shows: it is not counted.
         publisher.write_line(&format!("{{time: {}}}", now().as_secs_f64()));
         publisher.write_line("{time: 1e300}");
         std::thread::sleep(std::time::Duration::from_millis(50));

@@ -70,7 +70,7 @@ fn the_values_of_a_topic_and_the_level_of_sound() {
     assert_eq!(sound["text"], "-6 dB of full scale", "{sound}");
     assert_eq!(sound["numbers"][0][0], "dB");
 
-    // Nobody looks any more: the publisher is left alone.
+    // Without clients the console unsubscribes.
     client.unsubscribe("/ztl/streams/lab/lab/pose");
     drop(late);
     until("nobody to subscribe", PATIENCE, || {

@@ -110,10 +110,7 @@ impl<J: SessionJournal> Session<J> {
             if now >= wait && in_flight.command == CommandKind::Hello {
                 // Keep the session, in case the answer is only late.
                 in_flight.sent = now;
-                // The session that this one was to follow is lost.
-                if std::mem::replace(&mut self.ending, NO_SESSION) != NO_SESSION {
-                    self.counters.lost += 1;
-                    self.events.push_back(LinkEvent::Lost);
+                if self.ending != NO_SESSION {
                     self.lose();
                 }
                 self.events.push_back(LinkEvent::Silent);
@@ -255,7 +252,9 @@ impl<J: SessionJournal> Session<J> {
 
     /// Handles the loss of the link, and reports it as the progress of tasks that carry on.
     pub(crate) fn lose(&mut self) {
-        if self.answers() {
+        // Also if the full session is lost before the one that follows it has begun.
+        let ending = std::mem::replace(&mut self.ending, NO_SESSION);
+        if self.answers() || ending != NO_SESSION {
             self.counters.lost += 1;
             self.events.push_back(LinkEvent::Lost);
         }

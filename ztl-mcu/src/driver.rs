@@ -254,7 +254,7 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
                         // It may have been stopped at the last moment.
                         if state.stage == Stage::Runs {
                             state.stage = match end {
-                                // Nobody knows where it stands, and it may still move.
+                                // Its driver does not know where it is, and it may still move.
                                 Run::Failed => Stage::Stop,
                                 _ => Stage::Rests,
                             };

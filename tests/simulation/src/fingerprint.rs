@@ -99,7 +99,8 @@ pub struct Origin {
 pub struct Fingerprint {
     hash: u64,
     origin: Origin,
-    /// Session numbers in the order of their appearance, each with its first sequence number. The first is no session.
+    /// The sessions that were met so far, in this order: the number of each, and the first sequence number met in it. Entry
+    /// 0 stands for frames without a session.
     sessions: Vec<(u32, Option<u64>)>,
     /// The last one that appeared, to which the next sequence number belongs.
     current: usize,

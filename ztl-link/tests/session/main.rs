@@ -578,30 +578,35 @@ fn an_answer_that_arrives_255_commands_later_answers_no_abort() {
 
 #[test]
 fn a_link_that_is_lost_while_a_session_begins_is_told() {
-    let mut lab = Pair::new(1);
-    lab.pass(Duration::from_secs(1));
-    lab.ask("belt", 600_000);
-    lab.pass(Duration::from_millis(100));
-    let sessions = lab.session.counters().sessions;
-    while lab.session.counters().sessions == sessions {
-        lab.settle();
-        lab.now = lab.now + Duration::from_micros(50);
-    }
-    lab.down.lose();
-    lab.up.lose();
-    lab.trace.clear();
-    for _ in 0..5000 {
-        lab.session.handle_timeout(lab.now);
-        // Nobody receives it.
-        lab.session.poll_transmit();
-        while let Some(event) = lab.session.poll_event() {
-            lab.note(format!("{event:?}"));
+    for is_unplugged in [false, true] {
+        let mut lab = Pair::new(1);
+        lab.pass(Duration::from_secs(1));
+        lab.ask("belt", 600_000);
+        lab.pass(Duration::from_millis(100));
+        let sessions = lab.session.counters().sessions;
+        while lab.session.counters().sessions == sessions {
+            lab.settle();
+            lab.now = lab.now + Duration::from_micros(50);
         }
-        lab.now = lab.now + Duration::from_millis(2);
+        lab.down.lose();
+        lab.up.lose();
+        lab.trace.clear();
+        if is_unplugged {
+            lab.session.handle_disconnected();
+        }
+        for _ in 0..5000 {
+            lab.session.handle_timeout(lab.now);
+            // The device is off: what the gateway sends is dropped.
+            lab.session.poll_transmit();
+            while let Some(event) = lab.session.poll_event() {
+                lab.note(format!("{event:?}"));
+            }
+            lab.now = lab.now + Duration::from_millis(2);
+        }
+        assert_eq!(lab.session.counters().lost, 1, "{is_unplugged}");
+        let told = |line: &String| line.contains("not answering");
+        assert!(lab.trace.iter().any(told), "{:?}", lab.trace);
     }
-    assert_eq!(lab.session.counters().lost, 1);
-    let told = |line: &String| line.contains("not answering");
-    assert!(lab.trace.iter().any(told), "{:?}", lab.trace);
 }
 
 /// Seed 10733 of the simulation: the gateway took the reset device for the earlier one, and later
