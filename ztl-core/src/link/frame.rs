@@ -9,7 +9,7 @@ use super::body::{Body, LinkCommand};
 use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
-/// Address of the only node on a line; other addresses are reserved for shared buses.
+/// Address of the only node on a line; the nodes of a bus have others.
 pub const ADDR_ONLY_NODE: u8 = 0;
 
 /// A frame with a valid checksum, as a view of a decoder's buffer.
@@ -262,8 +262,7 @@ pub struct Decoder<const N: usize> {
 impl<const N: usize> Decoder<N> {
     /// The state that affects later frames, without the remains of earlier ones.
     fn state(&self) -> (&[u8], usize, u8, bool, bool) {
-        let frame = self.buffer.get(..self.len).unwrap_or_default();
-        (frame, self.len, self.left, self.zero, self.complete)
+        (self.bytes(), self.len, self.left, self.zero, self.complete)
     }
 }
 
@@ -430,10 +429,14 @@ impl<const N: usize> Decoder<N> {
         })
     }
 
+    /// The decoded bytes.
+    pub(super) fn bytes(&self) -> &[u8] {
+        self.buffer.get(..self.len).unwrap_or_default()
+    }
+
     /// The index of the session, the address, the sequence number, and the body.
-    fn checked(&self, sessions: &[u32]) -> Result<(usize, u8, u8, &[u8]), FrameError> {
-        let whole = self.buffer.get(..self.len).unwrap_or_default();
-        let (covered, sent) = whole.split_last_chunk::<4>().ok_or(FrameError::Truncated)?;
+    pub(super) fn checked(&self, sessions: &[u32]) -> Result<(usize, u8, u8, &[u8]), FrameError> {
+        let (covered, sent) = self.bytes().split_last_chunk::<4>().ok_or(FrameError::Truncated)?;
         let [addr, seq, body @ ..] = covered else {
             return Err(FrameError::Truncated);
         };

@@ -5,6 +5,7 @@
 //! `ztl_link::Session`; this module has the parts that they share.
 
 mod body;
+mod bus;
 mod codec;
 mod frame;
 mod ids;
@@ -12,6 +13,7 @@ mod link_id;
 mod wire;
 
 pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
+pub use bus::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
 pub use frame::{
     ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, Pushed, encode,
 };

@@ -1,0 +1,218 @@
+//! Messages that only shared lines have: who may speak, and who is there (`docs/link.md` section 13).
+//!
+//! All are checked under [`NO_SESSION`](super::NO_SESSION) and have no sequence number. A node that is alone on its line
+//! needs none of this.
+
+use super::frame::{Decoder, FrameError, FrameWriter};
+use super::wire::{BodyError, Reader, WriteValues};
+use super::{NO_SEQ, NO_SESSION};
+use crate::sink::Sink;
+
+/// Address of a node that has none yet. It answers only [`BusMessage::Search`] and [`BusMessage::Assign`].
+pub const ADDR_NONE: u8 = 0;
+/// Address of all nodes of a bus.
+pub const ADDR_ALL: u8 = 255;
+/// Highest address of a node. The lowest is 1.
+pub const ADDR_MOST: u8 = 32;
+
+/// A message of a shared line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BusMessage<'a> {
+    /// Gateway: the node may send one frame.
+    Poll,
+    /// Node: it has nothing to send.
+    Idle,
+    /// Gateway, to all: nodes whose id begins like this, and that have not had an [`Assign`](Self::Assign) in this round,
+    /// answer [`Here`](Self::Here).
+    Search {
+        /// Number of the round.
+        round: u8,
+        /// How many of the first bits of the id count, 0 to 64.
+        bits: u8,
+        /// The bits, as the most significant of the number.
+        prefix: u64,
+    },
+    /// Node: answers `Search` and `Assign`. The frame has the node's address.
+    Here {
+        /// Unique among all nodes that can be on one bus.
+        id: u64,
+        /// Name of the device.
+        name: &'a str,
+    },
+    /// Gateway, to all: the node with this id has this address from now on, and answers `Here`.
+    Assign {
+        /// Number of the round.
+        round: u8,
+        /// The node.
+        id: u64,
+        /// Its address, 1 to [`ADDR_MOST`].
+        address: u8,
+    },
+}
+
+impl<'a> BusMessage<'a> {
+    /// Parses a message.
+    ///
+    /// # Errors
+    /// [`BodyError`] if the bytes are not exactly one message of a shared line.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, BodyError> {
+        let mut reader = Reader::new(bytes);
+        let message = match reader.u32() {
+            64 => Self::Poll,
+            65 => Self::Idle,
+            66 => Self::Search {
+                round: reader.u8(),
+                bits: reader.u8(),
+                prefix: reader.u64(),
+            },
+            67 => Self::Here {
+                id: reader.u64(),
+                name: reader.text(),
+            },
+            68 => Self::Assign {
+                round: reader.u8(),
+                id: reader.u64(),
+                address: reader.u8(),
+            },
+            tag => reader.fail(BodyError::UnknownTag { tag }, Self::Idle),
+        };
+        reader.finish(message)
+    }
+
+    /// Writes the message.
+    pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
+        match *self {
+            Self::Poll => sink.byte(64),
+            Self::Idle => sink.byte(65),
+            Self::Search {
+                round,
+                bits,
+                prefix,
+            } => sink.byte(66).byte(round).byte(bits).long(prefix),
+            Self::Here { id, name } => sink.byte(67).long(id).bytes(name.as_bytes()),
+            Self::Assign { round, id, address } => {
+                sink.byte(68).byte(round).long(id).byte(address)
+            }
+        };
+    }
+
+    /// Writes a frame into `buffer`, and returns its length with the delimiter; `None` if it does not fit. All but `Here`
+    /// fit 32 bytes.
+    #[must_use]
+    pub fn encode(&self, addr: u8, buffer: &mut [u8]) -> Option<usize> {
+        let mut frame = FrameWriter::new(NO_SESSION, addr, NO_SEQ, buffer);
+        self.put(&mut frame);
+        frame.finish()
+    }
+
+    /// Whether a node with this id answers a `Search` for these bits.
+    #[must_use]
+    pub const fn matches(id: u64, bits: u8, prefix: u64) -> bool {
+        match 64u32.checked_sub(bits as u32) {
+            None => false,
+            Some(64) => true,
+            Some(rest) => (id ^ prefix) >> rest == 0,
+        }
+    }
+}
+
+impl<const N: usize> Decoder<N> {
+    /// The address of the complete frame; its checksum is not verified.
+    #[must_use]
+    pub fn address(&self) -> Option<u8> {
+        self.bytes().first().copied()
+    }
+
+    /// The complete frame as a message of a shared line, and its address.
+    ///
+    /// # Errors
+    /// [`FrameError::Body`] for valid messages of the link, else see [`FrameError`].
+    pub fn bus_message(&self) -> Result<(u8, BusMessage<'_>), FrameError> {
+        let (_, addr, _, body) = self.checked(&[NO_SESSION])?;
+        let message = BusMessage::parse(body).map_err(FrameError::Body)?;
+        Ok((addr, message))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Serialize;
+
+    const MESSAGES: [BusMessage<'static>; 5] = [
+        BusMessage::Poll,
+        BusMessage::Idle,
+        BusMessage::Search {
+            round: 3,
+            bits: 64,
+            prefix: u64::MAX,
+        },
+        BusMessage::Here {
+            id: 300,
+            name: "gripper",
+        },
+        BusMessage::Assign {
+            round: 255,
+            id: 1 << 63,
+            address: 32,
+        },
+    ];
+
+    #[test]
+    fn messages_are_those_of_postcard() {
+        #[derive(Serialize)]
+        struct Here(u32, u64, &'static str);
+        #[derive(Serialize)]
+        struct Search(u32, u8, u8, u64);
+        #[derive(Serialize)]
+        struct Assign(u32, u8, u64, u8);
+        let twins = [
+            postcard::to_allocvec(&64u32).unwrap(),
+            postcard::to_allocvec(&65u32).unwrap(),
+            postcard::to_allocvec(&Search(66, 3, 64, u64::MAX)).unwrap(),
+            postcard::to_allocvec(&Here(67, 300, "gripper")).unwrap(),
+            postcard::to_allocvec(&Assign(68, 255, 1 << 63, 32)).unwrap(),
+        ];
+        for (message, twin) in MESSAGES.iter().zip(&twins) {
+            let mut bytes = std::vec::Vec::new();
+            message.put(&mut |piece: &[u8]| bytes.extend_from_slice(piece));
+            assert_eq!(&bytes, twin);
+            assert_eq!(BusMessage::parse(twin), Ok(*message));
+            for len in 0..twin.len() {
+                assert!(BusMessage::parse(&twin[..len]).is_err());
+            }
+        }
+    }
+
+    #[test]
+    fn a_frame_carries_the_address_and_nodes_of_a_line_of_their_own_know_none() {
+        for message in MESSAGES {
+            let mut buffer = [0; 32];
+            let len = message.encode(7, &mut buffer).unwrap();
+            let mut decoder = Decoder::<64>::new();
+            for &byte in &buffer[..len - 1] {
+                assert_eq!(decoder.push(byte), Ok(false));
+            }
+            assert_eq!(decoder.push(0), Ok(true));
+            assert_eq!(decoder.address(), Some(7));
+            assert_eq!(decoder.bus_message(), Ok((7, message)));
+            assert!(decoder.command(&[NO_SESSION]).is_err());
+        }
+    }
+
+    #[test]
+    fn a_search_compares_the_first_bits() {
+        let id = 0xC000_0000_0000_0001;
+        for (bits, prefix, matches) in [
+            (0, 0, true),
+            (1, 1 << 63, true),
+            (2, 1 << 63, false),
+            (64, id, true),
+            (64, id - 1, false),
+            (65, id, false),
+        ] {
+            assert_eq!(BusMessage::matches(id, bits, prefix), matches, "{bits}");
+        }
+    }
+}
