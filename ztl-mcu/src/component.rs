@@ -8,6 +8,8 @@ use ztl_core::link::Offer;
 use ztl_core::sink::{Sink, SliceSink, put_fixed};
 use ztl_core::tasks::push_cut;
 
+use crate::bus::BusState;
+
 /// The state of a component's task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -188,6 +190,16 @@ pub trait Components {
     /// The component with this index, mutable.
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component>;
 
+    /// The state of a node on a shared line, from [`OnBus`](crate::bus::OnBus). Without it, the node has no code for that.
+    fn bus(&self) -> Option<&BusState> {
+        None
+    }
+
+    /// Like [`bus`](Self::bus), mutable.
+    fn bus_mut(&mut self) -> Option<&mut BusState> {
+        None
+    }
+
     /// What a component says of itself, in JSON (`docs/protocol.md` [11.7]); empty if it says nothing.
     /// [`Described`](crate::describe::Described) knows it from the components' types. All of them together must fit
     /// into 48 bytes for each index up to 255 that is not a component's; more is never sent.
@@ -244,6 +256,14 @@ impl<C: Components + ?Sized> Components for &mut C {
     fn description(&self, index: usize) -> &str {
         C::description(self, index)
     }
+
+    fn bus(&self) -> Option<&BusState> {
+        C::bus(self)
+    }
+
+    fn bus_mut(&mut self) -> Option<&mut BusState> {
+        C::bus_mut(self)
+    }
 }
 
 /// Components that the node also polls without a task, each when its [`next_tick`](Component::next_tick) asks for
@@ -278,6 +298,14 @@ impl<C: Components> Components for Ticking<C> {
 
     fn description(&self, index: usize) -> &str {
         self.0.description(index)
+    }
+
+    fn bus(&self) -> Option<&BusState> {
+        self.0.bus()
+    }
+
+    fn bus_mut(&mut self) -> Option<&mut BusState> {
+        self.0.bus_mut()
     }
 }
 

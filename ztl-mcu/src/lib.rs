@@ -67,6 +67,7 @@
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
 //! | use a port of a HAL on `embedded-io` 0.6 | `pump::Io06` | `embedded-io-06` |
 //! | share data with interrupts | `shared`: received bytes (also by DMA), emergency stop, limit switches, log | `critical-section` |
+//! | share a half-duplex line with other nodes (RS-485) | [`bus`] | |
 //! | send defmt's log over the link | `defmt_logger!` | `defmt` |
 //! | use the protocol directly | [`link`], and `docs/link.md` | |
 //! | serve clients without a gateway, over TCP or USB | `zmtp`, and `docs/zmtp.md` | `zmtp` |
@@ -75,6 +76,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod bus;
 mod component;
 #[cfg(feature = "components")]
 pub mod components;

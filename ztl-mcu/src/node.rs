@@ -1,5 +1,6 @@
 //! The device end of the link.
 
+mod bus;
 mod commands;
 mod frame_out;
 mod link_state;
@@ -224,6 +225,9 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
 
     /// Handles a complete frame.
     fn on_frame(&mut self, now: Instant) {
+        if self.on_bus_frame(now) {
+            return self.decoder.reset();
+        }
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
             Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
@@ -234,6 +238,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
 
     /// Counts a dropped frame.
     fn on_damage(&mut self) {
+        self.end_turn();
         count(&mut self.counters.errors);
     }
 

@@ -3,7 +3,7 @@
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::{
-    ADDR_ONLY_NODE, CommandFrame, Hello, LinkCommand, LinkId, NO_SEQ, NO_SESSION, VERSION,
+    CommandFrame, Hello, LinkCommand, LinkId, NO_SEQ, NO_SESSION, VERSION,
     next_seq, session_key, session_number,
 };
 
@@ -22,16 +22,20 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         counters: &mut Counters,
     ) {
         count(&mut counters.frames);
-        if frame.addr != ADDR_ONLY_NODE {
+        if frame.addr != self.address() {
             return;
         }
         let in_session = frame.session_index == 0 && self.session != NO_SESSION;
         match (in_session, frame.seq, frame.command) {
-            (false, NO_SEQ, LinkCommand::Hello(hello)) => self.on_hello(now, hello),
+            (false, NO_SEQ, LinkCommand::Hello(hello)) => {
+                self.ask(now);
+                self.on_hello(now, hello);
+            }
             (true, NO_SEQ, LinkCommand::Ack { task }) => {
                 self.runner.tasks.acknowledge(task);
             }
             (true, seq, command) if seq != NO_SEQ => {
+                self.ask(now);
                 self.on_command(now, seq, command, counters);
             }
             _ => {}

@@ -2,7 +2,7 @@
 
 use core::hash::{Hash, Hasher};
 
-use ztl_core::link::{ADDR_ONLY_NODE, FrameWriter};
+use ztl_core::link::FrameWriter;
 
 /// How much fits into a frame.
 pub(super) mod longest {
@@ -69,11 +69,12 @@ impl<const FRAME: usize> FrameOut<FRAME> {
     /// Encodes a frame. Returns `false`, and sends nothing, if it does not fit.
     pub(super) fn encode(
         &mut self,
+        address: u8,
         session: u32,
         seq: u8,
         put: impl FnOnce(&mut FrameWriter<'_>),
     ) -> bool {
-        let mut frame = FrameWriter::new(session, ADDR_ONLY_NODE, seq, &mut self.buffer);
+        let mut frame = FrameWriter::new(session, address, seq, &mut self.buffer);
         put(&mut frame);
         let len = frame.finish();
         (self.len, self.sent) = (len.unwrap_or_default(), 0);

@@ -31,14 +31,18 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     // Not inlined in firmware: that saves 108 bytes in `microbit-quiet`.
     #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn transmit_buf(&mut self, now: Instant, log: &dyn LogSource) -> &[u8] {
-        if self.frame_out.pending().is_empty() {
+        if self.frame_out.pending().is_empty() && self.take_turn(now) {
             self.next_frame(now, log);
+            self.end_turn();
         }
         self.frame_out.pending()
     }
 
     /// When there is something to send, or [`Instant::NEVER`].
     pub(super) fn next_transmit(&self, now: Instant) -> Instant {
+        if let Some(turn) = self.next_turn(now) {
+            return turn;
+        }
         let at_once =
             self.answer_due || self.refusal.is_some() || !self.frame_out.pending().is_empty();
         if at_once {
@@ -96,13 +100,15 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         self.awake_due = now + AWAKE_INTERVAL;
         let version = VERSION;
         let boot = self.boot;
-        self.frame_out.encode(NO_SESSION, NO_SEQ, |frame| {
+        let address = self.address();
+        self.frame_out.encode(address, NO_SESSION, NO_SEQ, |frame| {
             Body::Awake { version, boot }.put(frame);
         });
     }
 
     /// Reports a task that is due, an ended one first. Returns whether there was one.
     fn encode_task(&mut self, now: Instant) -> bool {
+        let address = self.address();
         let mut first: Option<&mut Task> = None;
         for task in self.runner.tasks.held_mut() {
             let more_urgent = |known: &&mut Task| known.end().is_none() && task.end().is_some();
@@ -121,7 +127,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             } else {
                 PROGRESS_INTERVAL
             };
-        self.frame_out.encode(self.session, NO_SEQ, |frame| {
+        self.frame_out.encode(address, self.session, NO_SEQ, |frame| {
             let text = if waits { WAITS } else { slot.text.as_str() };
             match end {
                 Some(state) => Body::Ended {
@@ -142,6 +148,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         if now < self.readings_at {
             return false;
         }
+        let address = self.address();
         let (begin, room) = self.frame_out.room(const { longest::reading(FRAME) });
         // The earliest time at which a component without a reading wants to be asked again.
         let mut wake = Instant::NEVER;
@@ -177,7 +184,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 continue;
             };
             self.published = true;
-            return self.frame_out.encode(self.session, NO_SEQ, |frame| {
+            return self.frame_out.encode(address, self.session, NO_SEQ, |frame| {
                 Body::put_publish(topic, reading.len, frame);
                 frame.put_own(begin, reading.len);
             });
@@ -185,11 +192,12 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     }
 
     fn encode_log(&mut self, log: &dyn LogSource) {
+        let address = self.address();
         let (begin, room) = self.frame_out.room(const { longest::log(FRAME) });
         let count = log.read(room).min(room.len());
         if count > 0 {
             let lost = log.lost();
-            self.frame_out.encode(self.session, NO_SEQ, |frame| {
+            self.frame_out.encode(address, self.session, NO_SEQ, |frame| {
                 Body::put_log(lost, count, frame);
                 frame.put_own(begin, count);
             });
@@ -204,7 +212,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             held += 1;
         }
         let clock_ms = now.as_millis();
-        let fits = self.frame_out.encode(session, seq, |frame| match answer {
+        let address = self.address();
+        let fits = self.frame_out.encode(address, session, seq, |frame| match answer {
             Answer::Nothing => {}
             Answer::Welcome => Body::Welcome(Welcome {
                 version: VERSION,
@@ -250,7 +259,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str();
             self.frame_out
-                .encode(session, seq, |frame| Body::Refused { reason }.put(frame));
+                .encode(address, session, seq, |frame| Body::Refused { reason }.put(frame));
         }
     }
 }

@@ -1,0 +1,98 @@
+//! A node on a shared line: it listens to frames with its address, and speaks when it has the turn.
+
+use ztl_core::Instant;
+use ztl_core::link::{ADDR_ONLY_NODE, BusMessage};
+
+use super::link_state::LinkState;
+use super::{Node, count};
+use crate::component::Components;
+
+impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, FRAME> {
+    /// Handles what only a node on a shared line handles: frames for others, and messages of the bus. Returns `false` for a
+    /// frame of the link.
+    pub(super) fn on_bus_frame(&mut self, now: Instant) -> bool {
+        let Some(bus) = self.state.runner.components.bus_mut() else {
+            return false;
+        };
+        bus.end_turn();
+        let Some(address) = self.decoder.address() else {
+            return false;
+        };
+        if !bus.is_for(address) {
+            return true;
+        }
+        let Ok((_, message)) = self.decoder.bus_message() else {
+            return false;
+        };
+        count(&mut self.counters.frames);
+        bus.handle(now, address, message);
+        true
+    }
+
+    /// Somebody else has spoken since the node was asked.
+    pub(super) fn end_turn(&mut self) {
+        if let Some(bus) = self.state.runner.components.bus_mut() {
+            bus.end_turn();
+        }
+    }
+}
+
+impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
+    /// The address of the frames that the node sends and handles.
+    pub(super) fn address(&self) -> u8 {
+        match self.runner.components.bus() {
+            Some(bus) => bus.address(),
+            None => ADDR_ONLY_NODE,
+        }
+    }
+
+    /// A command asks for an answer.
+    pub(super) fn ask(&mut self, now: Instant) {
+        if let Some(bus) = self.runner.components.bus_mut() {
+            bus.ask(now);
+        }
+    }
+
+    /// When the node may speak, on a shared line.
+    pub(super) fn next_turn(&self, now: Instant) -> Option<Instant> {
+        let bus = self.runner.components.bus()?;
+        let speaks = !self.frame_out.pending().is_empty() || bus.has_turn(now);
+        Some(if speaks { now } else { Instant::NEVER })
+    }
+
+    /// Takes the turn, and answers a question that only the bus has. Returns whether to choose a frame of the link.
+    pub(super) fn take_turn(&mut self, now: Instant) -> bool {
+        let Some(bus) = self.runner.components.bus_mut() else {
+            return true;
+        };
+        let id = bus.id();
+        match bus.take_turn(now) {
+            None => return false,
+            Some(true) => {
+                let name = self.name;
+                self.encode_bus(&BusMessage::Here { id, name });
+                return false;
+            }
+            Some(false) => {}
+        }
+        // Without a session: announces itself at once, in one frame.
+        self.flushed = true;
+        self.awake_due = Instant::ZERO;
+        true
+    }
+
+    /// Answers that there is nothing to send.
+    pub(super) fn end_turn(&mut self) {
+        if self.runner.components.bus().is_some() && self.frame_out.pending().is_empty() {
+            self.encode_bus(&BusMessage::Idle);
+        }
+    }
+
+    fn encode_bus(&mut self, message: &BusMessage<'_>) {
+        let address = self.address();
+        self.frame_out
+            .encode(address, ztl_core::link::NO_SESSION, ztl_core::link::NO_SEQ, |frame| {
+                message.put(frame);
+            });
+    }
+}
