@@ -3,6 +3,7 @@
 //! `docs/link.md` specifies the link. The parts that both ends share are in `ztl_core::link`; this crate needs an
 //! allocator.
 
+pub mod bus;
 mod device;
 mod event;
 mod journal;
@@ -17,5 +18,5 @@ mod task;
 pub use device::{ComponentInfo, DeviceInfo};
 pub use event::LinkEvent;
 pub use journal::{Entry, Restored, Sent, SessionJournal};
-pub use state::Session;
+pub use state::{BusNeeds, Session};
 pub use statistics::{LinkCounters, RoundTrips};

@@ -47,7 +47,7 @@ impl<J: SessionJournal> Session<J> {
                     Some(_) => {}
                     None => self.counters.duplicates += 1,
                 }
-                let ack = frame_bytes(self.session, NO_SEQ, Body::Ack { task });
+                let ack = frame_bytes(self.address, self.session, NO_SEQ, Body::Ack { task });
                 self.out.extend_from_slice(&ack);
             }
             (0, NO_SEQ, Body::Progress { task, text }) => {

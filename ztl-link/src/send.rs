@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode,
+    Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode,
     next_seq, session_number,
 };
 use ztl_core::{Instant, TaskId};
@@ -49,7 +49,7 @@ impl<J: SessionJournal> Session<J> {
             session: self.session,
             gateway: self.gateway,
         });
-        let bytes = frame_bytes(NO_SESSION, NO_SEQ, hello);
+        let bytes = frame_bytes(self.address, NO_SESSION, NO_SEQ, hello);
         self.send(now, CommandKind::Hello, NO_SEQ, bytes);
     }
 
@@ -68,7 +68,7 @@ impl<J: SessionJournal> Session<J> {
     pub(crate) fn command(&mut self, now: Instant, command: CommandKind, body: Body<'_>) {
         self.seq = next_seq(self.seq);
         self.commanded = now;
-        let bytes = frame_bytes(self.session, self.seq, body);
+        let bytes = frame_bytes(self.address, self.session, self.seq, body);
         self.send(now, command, self.seq, bytes);
     }
 
@@ -191,9 +191,9 @@ impl<J: SessionJournal> Session<J> {
 }
 
 /// Encodes a frame.
-pub(crate) fn frame_bytes(session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
+pub(crate) fn frame_bytes(addr: u8, session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
     let frame = Frame {
-        addr: ADDR_ONLY_NODE,
+        addr,
         seq,
         body,
     };

@@ -5,7 +5,7 @@
 //! `Start` is never sent again in another session. While a `Start` is unanswered, the task may run, so it is
 //! reported as REJECTED only if the device itself says so.
 
-use ztl_core::link::{Decoder, LINK_TIMEOUT, Loss, NO_SEQ, NO_SESSION};
+use ztl_core::link::{ADDR_ONLY_NODE, Decoder, LINK_TIMEOUT, Loss, NO_SEQ, NO_SESSION};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
@@ -15,7 +15,7 @@ use std::time::Duration;
 use crate::device::DeviceInfo;
 use crate::event::LinkEvent;
 use crate::journal::SessionJournal;
-use crate::state::{CommandKind, Phase, START_LIMIT, Session};
+use crate::state::{BusNeeds, CommandKind, Phase, START_LIMIT, Session};
 use crate::statistics::{LinkCounters, RoundTrips};
 use crate::task::{Stage, Task};
 
@@ -31,6 +31,7 @@ impl<J: SessionJournal> Session<J> {
     pub fn with_journal(journal: J, gateway: u64, baud: Option<u32>, random: fn() -> u32) -> Self {
         Self {
             journal,
+            address: ADDR_ONLY_NODE,
             gateway,
             baud,
             random,
@@ -54,6 +55,24 @@ impl<J: SessionJournal> Session<J> {
             turnaround: None,
             round_trips: RoundTrips::default(),
             counters: LinkCounters::default(),
+        }
+    }
+
+    /// The node's address on a [`Bus`](crate::bus::Bus).
+    #[must_use]
+    pub fn with_address(mut self, address: u8) -> Self {
+        self.address = address;
+        self
+    }
+
+    /// What the session needs of a [`Bus`](crate::bus::Bus) now.
+    #[must_use]
+    pub fn bus_needs(&self) -> BusNeeds {
+        let mut tasks = self.tasks.values();
+        BusNeeds {
+            busy: self.tasks.values().any(Task::may_run),
+            urgent: !self.strangers.is_empty()
+                || tasks.any(|task| task.waits() || task.abort && task.may_run()),
         }
     }
 
@@ -247,7 +266,9 @@ impl<J: SessionJournal> Session<J> {
     }
 
     pub(crate) fn ping_due(&self) -> Instant {
-        self.commanded + self.link_timeout() / 4
+        // A bus has less room for pings, and repeats them as soon.
+        let part = if self.address == ADDR_ONLY_NODE { 4 } else { 2 };
+        self.commanded + self.link_timeout() / part
     }
 
     /// Handles the loss of the link, and reports it as the progress of tasks that carry on.

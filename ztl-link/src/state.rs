@@ -14,7 +14,7 @@ use crate::task::Task;
 /// A node refuses a `Start` that arrives later than this after the client's INIT.
 pub(crate) const START_LIMIT: Duration = Duration::from_millis(1000);
 /// Longest decoded frame. The bodies of a node have at most 1 KiB.
-const FRAME: usize = 1100;
+pub(crate) const FRAME: usize = 1100;
 
 /// How far the connection to the device is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,6 +52,15 @@ pub(crate) struct InFlight {
     pub(crate) repeated: bool,
 }
 
+/// What a session needs of a [`Bus`](crate::bus::Bus).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct BusNeeds {
+    /// The device may hold tasks that have not ended.
+    pub busy: bool,
+    /// A `Start` or an `Abort` is to be sent.
+    pub urgent: bool,
+}
+
 /// The gateway's end of one link, over many sessions: it opens a new one after each loss. It writes into a
 /// [`SessionJournal`](crate::SessionJournal) before it acts; `()` keeps no journal.
 ///
@@ -64,6 +73,8 @@ pub(crate) struct InFlight {
 #[derive(Debug, Clone)]
 pub struct Session<J = ()> {
     pub(crate) journal: J,
+    /// The address of the node.
+    pub(crate) address: u8,
     pub(crate) gateway: u64,
     pub(crate) baud: Option<u32>,
     pub(crate) random: fn() -> u32,

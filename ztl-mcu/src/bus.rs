@@ -89,24 +89,25 @@ impl BusState {
         has.then_some(question == Question::Identity)
     }
 
-    /// Handles a message that was sent to this node or to all.
-    pub(crate) fn handle(&mut self, now: Instant, to: u8, message: BusMessage<'_>) {
+    /// Handles a message to all.
+    pub(crate) fn handle(&mut self, now: Instant, message: BusMessage<'_>) {
         let identity = match message {
-            BusMessage::Poll if to != ADDR_ALL => return self.ask(now),
             BusMessage::Search {
                 round,
                 bits,
                 prefix,
             } => self.found != Some(round) && BusMessage::matches(self.id, bits, prefix),
             BusMessage::Assign { round, id, address } => {
-                let own = id == self.id && (1..=ADDR_MOST).contains(&address);
+                let own = id == self.id && address <= ADDR_MOST;
                 if own {
-                    self.address = address;
                     self.found = Some(round);
+                }
+                if own && address != ADDR_NONE {
+                    self.address = address;
                 }
                 own
             }
-            _ => false,
+            BusMessage::Here { .. } => false,
         };
         if identity {
             self.question = Question::Identity;

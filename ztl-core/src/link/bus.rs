@@ -15,14 +15,44 @@ pub const ADDR_ALL: u8 = 255;
 /// Highest address of a node. The lowest is 1.
 pub const ADDR_MOST: u8 = 32;
 
-/// A message of a shared line.
+/// The shortest frames of a bus: address and check, in four bytes. A damaged one can only make two nodes speak at once, which
+/// damages their frames, so they need no longer check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum BusMessage<'a> {
+pub enum Turn {
     /// Gateway: the node may send one frame.
     Poll,
     /// Node: it has nothing to send.
     Idle,
+}
+
+impl Turn {
+    const fn check(self, addr: u8) -> u8 {
+        match self {
+            Self::Poll => addr ^ 0xff,
+            Self::Idle => addr ^ 0xaa,
+        }
+    }
+
+    /// The frame with its delimiter. `addr` is 1 to [`ADDR_MOST`].
+    #[must_use]
+    pub const fn encode(self, addr: u8) -> [u8; 4] {
+        [3, addr, self.check(addr), 0]
+    }
+
+    const fn parse(bytes: &[u8]) -> Option<(u8, Self)> {
+        match *bytes {
+            [addr, check] if check == Self::Poll.check(addr) => Some((addr, Self::Poll)),
+            [addr, check] if check == Self::Idle.check(addr) => Some((addr, Self::Idle)),
+            _ => None,
+        }
+    }
+}
+
+/// A message of a shared line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BusMessage<'a> {
     /// Gateway, to all: nodes whose id begins like this, and that have not had an [`Assign`](Self::Assign) in this round,
     /// answer [`Here`](Self::Here).
     Search {
@@ -40,13 +70,14 @@ pub enum BusMessage<'a> {
         /// Name of the device.
         name: &'a str,
     },
-    /// Gateway, to all: the node with this id has this address from now on, and answers `Here`.
+    /// Gateway, to all: the node with this id has this address from now on, and answers `Here`. The address 0 changes
+    /// nothing.
     Assign {
         /// Number of the round.
         round: u8,
         /// The node.
         id: u64,
-        /// Its address, 1 to [`ADDR_MOST`].
+        /// Its address, at most [`ADDR_MOST`].
         address: u8,
     },
 }
@@ -59,23 +90,21 @@ impl<'a> BusMessage<'a> {
     pub fn parse(bytes: &'a [u8]) -> Result<Self, BodyError> {
         let mut reader = Reader::new(bytes);
         let message = match reader.u32() {
-            64 => Self::Poll,
-            65 => Self::Idle,
-            66 => Self::Search {
+            64 => Self::Search {
                 round: reader.u8(),
                 bits: reader.u8(),
                 prefix: reader.u64(),
             },
-            67 => Self::Here {
+            65 => Self::Here {
                 id: reader.u64(),
                 name: reader.text(),
             },
-            68 => Self::Assign {
+            66 => Self::Assign {
                 round: reader.u8(),
                 id: reader.u64(),
                 address: reader.u8(),
             },
-            tag => reader.fail(BodyError::UnknownTag { tag }, Self::Idle),
+            tag => reader.fail(BodyError::UnknownTag { tag }, Self::Here { id: 0, name: "" }),
         };
         reader.finish(message)
     }
@@ -83,16 +112,14 @@ impl<'a> BusMessage<'a> {
     /// Writes the message.
     pub fn put(&self, sink: &mut (impl Sink + ?Sized)) {
         match *self {
-            Self::Poll => sink.byte(64),
-            Self::Idle => sink.byte(65),
             Self::Search {
                 round,
                 bits,
                 prefix,
-            } => sink.byte(66).byte(round).byte(bits).long(prefix),
-            Self::Here { id, name } => sink.byte(67).long(id).bytes(name.as_bytes()),
+            } => sink.byte(64).byte(round).byte(bits).long(prefix),
+            Self::Here { id, name } => sink.byte(65).long(id).bytes(name.as_bytes()),
             Self::Assign { round, id, address } => {
-                sink.byte(68).byte(round).long(id).byte(address)
+                sink.byte(66).byte(round).long(id).byte(address)
             }
         };
     }
@@ -124,6 +151,12 @@ impl<const N: usize> Decoder<N> {
         self.bytes().first().copied()
     }
 
+    /// The complete frame as a turn, and its address.
+    #[must_use]
+    pub fn turn(&self) -> Option<(u8, Turn)> {
+        Turn::parse(self.bytes())
+    }
+
     /// The complete frame as a message of a shared line, and its address.
     ///
     /// # Errors
@@ -140,9 +173,7 @@ mod tests {
     use super::*;
     use serde::Serialize;
 
-    const MESSAGES: [BusMessage<'static>; 5] = [
-        BusMessage::Poll,
-        BusMessage::Idle,
+    const MESSAGES: [BusMessage<'static>; 3] = [
         BusMessage::Search {
             round: 3,
             bits: 64,
@@ -168,11 +199,9 @@ mod tests {
         #[derive(Serialize)]
         struct Assign(u32, u8, u64, u8);
         let twins = [
-            postcard::to_allocvec(&64u32).unwrap(),
-            postcard::to_allocvec(&65u32).unwrap(),
-            postcard::to_allocvec(&Search(66, 3, 64, u64::MAX)).unwrap(),
-            postcard::to_allocvec(&Here(67, 300, "gripper")).unwrap(),
-            postcard::to_allocvec(&Assign(68, 255, 1 << 63, 32)).unwrap(),
+            postcard::to_allocvec(&Search(64, 3, 64, u64::MAX)).unwrap(),
+            postcard::to_allocvec(&Here(65, 300, "gripper")).unwrap(),
+            postcard::to_allocvec(&Assign(66, 255, 1 << 63, 32)).unwrap(),
         ];
         for (message, twin) in MESSAGES.iter().zip(&twins) {
             let mut bytes = std::vec::Vec::new();
@@ -198,6 +227,30 @@ mod tests {
             assert_eq!(decoder.address(), Some(7));
             assert_eq!(decoder.bus_message(), Ok((7, message)));
             assert!(decoder.command(&[NO_SESSION]).is_err());
+        }
+    }
+
+    #[test]
+    fn a_turn_is_four_bytes_and_no_single_fault_changes_it() {
+        for addr in 1..=ADDR_MOST {
+            for turn in [Turn::Poll, Turn::Idle] {
+                let frame = turn.encode(addr);
+                assert_eq!(frame.iter().position(|byte| *byte == 0), Some(3));
+                for bit in 0..=16 {
+                    let mut bytes = [frame[1], frame[2]];
+                    if bit < 16 {
+                        bytes[bit / 8] ^= 1 << (bit % 8);
+                    }
+                    let expected = (bit == 16).then_some((addr, turn));
+                    assert_eq!(Turn::parse(&bytes), expected);
+                }
+                let mut decoder = Decoder::<64>::new();
+                for byte in frame {
+                    let _ = decoder.push(byte);
+                }
+                assert_eq!(decoder.turn(), Some((addr, turn)));
+                assert!(decoder.command(&[NO_SESSION]).is_err());
+            }
         }
     }
 

@@ -13,7 +13,7 @@ mod link_id;
 mod wire;
 
 pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
-pub use bus::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
+pub use bus::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage, Turn};
 pub use frame::{
     ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, Pushed, encode,
 };

@@ -5,7 +5,7 @@ use crate::component::{Refused, Report, Run};
 use crate::{Identity, Node};
 use std::vec::Vec;
 use ztl_core::link::{
-    Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, Offer, VERSION, encode, session_key,
+    Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, Offer, Turn, VERSION, encode, session_key,
 };
 
 const BOOT: u32 = 77;
@@ -84,6 +84,9 @@ fn said(node: &mut BusNode, now: Instant) -> Option<std::string::String> {
     }
     assert_eq!(decoder.push(*last), Ok(true));
     let addr = decoder.address().unwrap();
+    if let Some((_, turn)) = decoder.turn() {
+        return Some(std::format!("{addr} {turn:?}"));
+    }
     if let Ok((_, message)) = decoder.bus_message() {
         return Some(std::format!("{addr} {message:?}"));
     }
@@ -104,7 +107,7 @@ fn a_node_speaks_only_when_it_is_asked_and_says_one_frame() {
     for at in 0..2000 {
         assert_eq!(said(&mut node, ms(at)), None);
     }
-    let poll = bus_frame(3, BusMessage::Poll);
+    let poll = Turn::Poll.encode(3);
     assert_eq!(after(&mut node, 2000, &poll).unwrap(), "3 Awake");
     assert_eq!(said(&mut node, ms(2001)), None);
     assert_eq!(after(&mut node, 2001, &poll).unwrap(), "3 Awake");
@@ -134,11 +137,12 @@ fn a_node_speaks_only_when_it_is_asked_and_says_one_frame() {
 fn frames_of_others_are_not_answered_and_not_counted_as_errors() {
     let mut node = node(3);
     let others = [
-        bus_frame(4, BusMessage::Poll),
-        bus_frame(4, BusMessage::Idle),
+        Turn::Poll.encode(4).to_vec(),
+        Turn::Idle.encode(4).to_vec(),
+        Turn::Idle.encode(3).to_vec(),
         hello(4),
         link_frame(4, 99, 1, Body::Ping),
-        bus_frame(ADDR_ALL, BusMessage::Poll),
+        Turn::Poll.encode(ADDR_ALL).to_vec(),
         hello(ADDR_ALL),
         hello(0),
     ];
@@ -154,10 +158,10 @@ fn frames_of_others_are_not_answered_and_not_counted_as_errors() {
 #[test]
 fn a_turn_ends_when_others_speak_or_its_time_has_passed() {
     let mut node = node(3);
-    let (poll, other) = (bus_frame(3, BusMessage::Poll), bus_frame(4, BusMessage::Poll));
+    let (poll, other) = (Turn::Poll.encode(3), Turn::Poll.encode(4));
     node.handle_bytes(ms(0), &poll);
     assert_eq!(said(&mut node, ms(5)), None, "too late");
-    node.handle_bytes(ms(10), &[poll.clone(), other].concat());
+    node.handle_bytes(ms(10), &[poll, other].concat());
     assert_eq!(said(&mut node, ms(10)), None, "another was asked");
     node.handle_bytes(ms(20), &poll);
     node.handle_bytes(ms(20), &[7, 1, 0]);
@@ -202,10 +206,11 @@ fn a_node_without_an_address_is_found_by_its_id_and_gets_one() {
         };
         bus_frame(ADDR_ALL, assign)
     };
-    for (id, address) in [(ID + 1, 9), (ID, 0), (ID, 33)] {
+    for (id, address) in [(ID + 1, 9), (ID, 33)] {
         assert_eq!(after(&mut node, 3, &assign(id, address)), None);
         assert_eq!(node.components().address(), ADDR_NONE);
     }
+    assert_eq!(after(&mut node, 3, &assign(ID, 0)).unwrap(), here_at(0));
     assert_eq!(after(&mut node, 4, &assign(ID, 9)).unwrap(), here_at(9));
     assert_eq!(after(&mut node, 5, &assign(ID, 9)).unwrap(), here_at(9));
     assert_eq!(after(&mut node, 6, &search(1, 0, 0)), None, "found already");

@@ -1,7 +1,7 @@
 //! A node on a shared line: it listens to frames with its address, and speaks when it has the turn.
 
 use ztl_core::Instant;
-use ztl_core::link::{ADDR_ONLY_NODE, BusMessage};
+use ztl_core::link::{ADDR_ALL, ADDR_ONLY_NODE, BusMessage, NO_SEQ, NO_SESSION, Turn};
 
 use super::link_state::LinkState;
 use super::{Node, count};
@@ -21,11 +21,14 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
         if !bus.is_for(address) {
             return true;
         }
-        let Ok((_, message)) = self.decoder.bus_message() else {
+        if self.decoder.turn() == Some((address, Turn::Poll)) {
+            bus.ask(now);
+        } else if let Ok((ADDR_ALL, message)) = self.decoder.bus_message() {
+            bus.handle(now, message);
+        } else {
             return false;
-        };
+        }
         count(&mut self.counters.frames);
-        bus.handle(now, address, message);
         true
     }
 
@@ -70,7 +73,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             None => return false,
             Some(true) => {
                 let name = self.name;
-                self.encode_bus(&BusMessage::Here { id, name });
+                let address = self.address();
+                self.frame_out.encode(address, NO_SESSION, NO_SEQ, |frame| {
+                    BusMessage::Here { id, name }.put(frame);
+                });
                 return false;
             }
             Some(false) => {}
@@ -84,15 +90,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     /// Answers that there is nothing to send.
     pub(super) fn end_turn(&mut self) {
         if self.runner.components.bus().is_some() && self.frame_out.pending().is_empty() {
-            self.encode_bus(&BusMessage::Idle);
+            self.frame_out.put(&Turn::Idle.encode(self.address()));
         }
-    }
-
-    fn encode_bus(&mut self, message: &BusMessage<'_>) {
-        let address = self.address();
-        self.frame_out
-            .encode(address, ztl_core::link::NO_SESSION, ztl_core::link::NO_SEQ, |frame| {
-                message.put(frame);
-            });
     }
 }

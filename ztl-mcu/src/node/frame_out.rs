@@ -66,6 +66,14 @@ impl<const FRAME: usize> FrameOut<FRAME> {
         }
     }
 
+    /// Stores a short frame that is encoded already.
+    pub(super) fn put(&mut self, frame: &[u8; 4]) {
+        if let Some(begin) = self.buffer.first_chunk_mut() {
+            *begin = *frame;
+            (self.len, self.sent) = (frame.len(), 0);
+        }
+    }
+
     /// Encodes a frame. Returns `false`, and sends nothing, if it does not fit.
     pub(super) fn encode(
         &mut self,

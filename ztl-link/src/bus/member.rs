@@ -1,0 +1,166 @@
+//! One node of a bus: what waits for it, and when it is asked next.
+
+use std::time::Duration;
+
+use ztl_core::Instant;
+use ztl_core::link::{NO_SEQ, Turn};
+
+use crate::state::BusNeeds;
+
+/// A node with tasks has its turn at least this often, if the line is fast enough for all; and no more than this often, if
+/// it has nothing to say.
+const BUSY: (Duration, Duration) = (Duration::from_millis(25), Duration::from_millis(50));
+/// A node without tasks.
+const REST: (Duration, Duration) = (Duration::from_millis(200), Duration::from_millis(250));
+/// A command waits at most this long for the turns of others.
+const COMMAND: Duration = Duration::from_millis(50);
+/// A node that does not answer this often in a row is asked less often.
+const SILENCE: u32 = 3;
+/// Pause before a silent node is asked again: doubled up to the longest.
+const BACK_OFF: Duration = Duration::from_millis(50);
+const BACK_OFF_MOST: Duration = Duration::from_millis(800);
+
+/// A command that waits for the line.
+#[derive(Debug, Clone)]
+struct Waiting {
+    bytes: Vec<u8>,
+    /// A `Start` or an `Abort`.
+    urgent: bool,
+    since: Instant,
+}
+
+/// When a node is asked next.
+pub(super) struct Next {
+    /// Not before this.
+    pub(super) ready: Instant,
+    /// If the line allows it, by this time.
+    pub(super) due: Instant,
+    /// Before all others.
+    pub(super) urgent: bool,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Member {
+    pub(super) needs: BusNeeds,
+    /// Acknowledgements, which ask for nothing. They go with the next question.
+    unasked: Vec<Vec<u8>>,
+    command: Option<Waiting>,
+    /// The command that was sent last.
+    sent: Vec<u8>,
+    /// When it was last polled.
+    polled: Instant,
+    /// Its last answer said that there may be more to send.
+    more: bool,
+    silent: u32,
+    garbled: u32,
+    /// It is not asked before this.
+    not_before: Instant,
+}
+
+impl Member {
+    pub(super) fn new(now: Instant) -> Self {
+        Self {
+            needs: BusNeeds::default(),
+            unasked: Vec::new(),
+            command: None,
+            sent: Vec::new(),
+            polled: now,
+            more: false,
+            silent: 0,
+            garbled: 0,
+            not_before: Instant::ZERO,
+        }
+    }
+
+    /// Queues a frame with its delimiter.
+    pub(super) fn queue(&mut self, now: Instant, frame: &[u8]) {
+        let Some([_, seq, tag]) = head(frame) else {
+            return;
+        };
+        // A `Hello` has no sequence number, but asks.
+        if seq == NO_SEQ && tag != 0 {
+            if !self.unasked.iter().any(|queued| queued == frame) {
+                self.unasked.push(frame.to_vec());
+            }
+            return;
+        }
+        let before = self.command.take();
+        let since = before.filter(|before| before.bytes == frame);
+        self.command = Some(Waiting {
+            bytes: frame.to_vec(),
+            urgent: seq != NO_SEQ && matches!(tag, 2 | 3),
+            since: since.map_or(now, |before| before.since),
+        });
+    }
+
+    /// When it is asked next.
+    pub(super) fn next(&self) -> Next {
+        let (least, most) = if self.needs.busy { BUSY } else { REST };
+        let poll_due = self.polled + most;
+        let urgent = self.needs.urgent || self.command.as_ref().is_some_and(|it| it.urgent);
+        let (ready, due, urgent) = match &self.command {
+            Some(command) if urgent => (command.since, command.since, true),
+            Some(command) => (command.since, (command.since + COMMAND).min(poll_due), false),
+            None if self.more || !self.unasked.is_empty() => (Instant::ZERO, poll_due, false),
+            None => (self.polled + least, poll_due, false),
+        };
+        let ready = ready.max(self.not_before);
+        Next { ready, due, urgent }
+    }
+
+    /// Takes the frames of the next question.
+    pub(super) fn take(&mut self, now: Instant, address: u8) -> Vec<Vec<u8>> {
+        let mut frames = std::mem::take(&mut self.unasked);
+        match self.command.take() {
+            Some(command) => {
+                self.sent.clone_from(&command.bytes);
+                frames.push(command.bytes);
+            }
+            None => {
+                self.polled = now;
+                frames.push(Turn::Poll.encode(address).to_vec());
+            }
+        }
+        frames
+    }
+
+    /// Handles an answer. Returns whether the answers of this node are damaged again and again.
+    pub(super) fn on_answer(&mut self, valid: bool, idle: bool) -> bool {
+        self.silent = 0;
+        self.not_before = Instant::ZERO;
+        // A repetition that was queued meanwhile; the session repeats it again if the answer was damaged.
+        self.command.take_if(|command| command.bytes == self.sent);
+        self.more = valid && !idle;
+        self.garbled = if valid { 0 } else { self.garbled + 1 };
+        self.garbled == SILENCE
+    }
+
+    /// Handles that there was no answer. Returns whether the node has just become silent.
+    pub(super) fn on_silence(&mut self, now: Instant) -> bool {
+        self.more = false;
+        self.silent = self.silent.saturating_add(1);
+        if let Some(times) = self.silent.checked_sub(SILENCE) {
+            let pause = BACK_OFF * 2u32.saturating_pow(times.min(8));
+            self.not_before = now + pause.min(BACK_OFF_MOST);
+        }
+        self.silent == SILENCE
+    }
+}
+
+/// The first three bytes of a frame: address, sequence number, and the tag of the message.
+fn head(frame: &[u8]) -> Option<[u8; 3]> {
+    let mut head = [0; 3];
+    let mut bytes = frame.iter();
+    let mut left = bytes.next()?.checked_sub(1)?;
+    for decoded in &mut head {
+        let byte = *bytes.next()?;
+        if left > 0 {
+            left -= 1;
+            *decoded = byte;
+        } else {
+            // The end of a piece stands for a zero; this byte begins the next piece.
+            left = byte.checked_sub(1)?;
+        }
+    }
+    Some(head)
+}

@@ -1,0 +1,155 @@
+//! Sessions and real nodes on one shared line, byte by byte on virtual time.
+#![expect(
+    clippy::unwrap_used,
+    clippy::indexing_slicing,
+    reason = "helpers of tests may panic"
+)]
+
+mod lab;
+
+use std::time::Duration;
+
+use lab::{Lab, Trouble};
+use ztl_core::State;
+use ztl_link::bus::BusEvent;
+
+const SECOND: Duration = Duration::from_secs(1);
+
+/// Starts an endless task on each node, and waits until all run.
+fn all_busy(lab: &mut Lab, nodes: u8) {
+    lab.until(10 * SECOND, "all are up", |lab| (1..=nodes).all(|at| lab.is_up(at)));
+    for address in 1..=nodes {
+        lab.start(address, u32::from(address), "1 600000");
+    }
+    lab.until(5 * SECOND, "all tasks run", |lab| {
+        (1..=nodes).all(|at| lab.nodes[usize::from(at) - 1].moves())
+    });
+}
+
+#[test]
+fn sixteen_nodes_with_tasks_have_their_turn_every_50_ms() {
+    let mut lab = Lab::new(16, 1);
+    all_busy(&mut lab, 16);
+    lab.forget_turns();
+    lab.run(10 * SECOND);
+    for address in 1..=16 {
+        let pause = lab.longest_pause(address);
+        assert!(pause <= Duration::from_millis(50), "{address}: {pause:?}");
+    }
+    // All tasks still run: no link was lost.
+    for address in 1..=16 {
+        assert!(lab.nodes[address - 1].moves(), "{address}");
+    }
+}
+
+#[test]
+fn an_abort_goes_before_all_polls() {
+    let mut lab = Lab::new(16, 2);
+    all_busy(&mut lab, 16);
+    let mut longest = Duration::ZERO;
+    for address in 1..=16u8 {
+        // At any phase of the round.
+        lab.run(Duration::from_micros(1_234 * u64::from(address)));
+        let before = lab.now();
+        lab.abort(address, u32::from(address));
+        lab.until(SECOND, "it stops", |lab| !lab.nodes[usize::from(address) - 1].moves());
+        longest = longest.max(lab.now().since(before));
+        lab.until(SECOND, "the outcome", |lab| {
+            lab.outcome(u32::from(address)) == Some(State::Aborted)
+        });
+    }
+    // One question that is under way, and its answer.
+    assert!(longest <= Duration::from_millis(20), "{longest:?}");
+}
+
+#[test]
+fn a_node_that_floods_is_silent_or_resets_does_not_stop_the_others() {
+    for trouble in [Trouble::Floods, Trouble::Silent, Trouble::Resets, Trouble::Babbles] {
+        let mut lab = Lab::new(8, 3);
+        all_busy(&mut lab, 7);
+        lab.nodes[7].trouble = Some(trouble);
+        lab.run(2 * SECOND);
+        lab.forget_turns();
+        lab.run(5 * SECOND);
+        for address in 1..=7u8 {
+            let pause = lab.longest_pause(address);
+            // A line that is taken half of the time has half of the turns.
+            let most = if trouble == Trouble::Babbles { 200 } else { 50 };
+            assert!(pause <= Duration::from_millis(most), "{trouble:?} {address}: {pause:?}");
+            assert!(lab.nodes[usize::from(address) - 1].moves(), "{trouble:?} {address}");
+            lab.abort(address, u32::from(address));
+            lab.until(SECOND, "the outcome", |lab| {
+                lab.outcome(u32::from(address)) == Some(State::Aborted)
+            });
+        }
+        lab.nodes[7].trouble = None;
+        lab.until(10 * SECOND, "it serves again", |lab| lab.is_up(8));
+    }
+}
+
+#[test]
+fn on_a_bad_line_every_task_is_begun_once_and_its_outcome_is_true() {
+    for seed in 0..20 {
+        let mut lab = Lab::new(4, seed);
+        lab.until(10 * SECOND, "all are up", |lab| (1..=4).all(|at| lab.is_up(at)));
+        lab.corrupt_one_in(200);
+        for task in 0..40u32 {
+            let address = (task % 4 + 1) as u8;
+            lab.start(address, 100 + task, &format!("{task} 60"));
+            lab.run(Duration::from_millis(u64::from(task * 7 % 90)));
+            if task % 5 == 0 {
+                lab.abort(address, 100 + task);
+            }
+        }
+        lab.corrupt_one_in(0);
+        lab.until(20 * SECOND, "all have ended", |lab| {
+            (0..40).all(|task| lab.outcome(100 + task).is_some())
+        });
+        for task in 0..40 {
+            lab.judge(100 + task, &format!("{task} 60"));
+        }
+    }
+}
+
+#[test]
+fn a_search_finds_all_nodes_gives_addresses_and_names_two_with_one_address() {
+    for seed in 0..10 {
+        let mut lab = Lab::empty(seed);
+        // 12 with addresses, of which two are equal, and 20 without.
+        let mut ids = Vec::new();
+        for number in 0..32u8 {
+            let address = match number {
+                0..12 => number.max(1),
+                _ => 0,
+            };
+            ids.push(lab.add_node(address));
+        }
+        lab.corrupt_one_in(if seed % 2 == 0 { 0 } else { 3000 });
+        lab.bus_search();
+        let mut found = Vec::new();
+        lab.until(60 * SECOND, "the search ends", |lab| {
+            match lab.bus_events.iter().find(|event| matches!(event, BusEvent::Found(_))) {
+                Some(BusEvent::Found(all)) => {
+                    found.clone_from(all);
+                    true
+                }
+                _ => false,
+            }
+        });
+        let mut addresses: Vec<u8> = found.iter().map(|node| node.address).collect();
+        addresses.sort_unstable();
+        if seed % 2 == 0 {
+            assert_eq!(found.len(), 32, "{seed}: {found:?}");
+            for id in ids {
+                let node = found.iter().find(|node| node.id == id).unwrap();
+                assert_eq!(lab.address_of(id), node.address);
+            }
+            assert_eq!(addresses.iter().filter(|&&at| at == 1).count(), 2);
+            addresses.dedup();
+            assert_eq!(addresses, (1..=31).collect::<Vec<u8>>());
+        } else {
+            // Noise hides a node at worst; another search finds it.
+            assert!(found.len() >= 28, "{}", found.len());
+        }
+    }
+}
