@@ -75,7 +75,7 @@ pub struct Bus {
 
 /// What is sent next.
 enum Choice {
-    Member(u8),
+    Member { address: u8, poll: bool },
     Search,
 }
 
@@ -253,9 +253,9 @@ impl Bus {
             return None;
         }
         let (address, sent) = match self.choose(now)? {
-            Choice::Member(address) => {
+            Choice::Member { address, poll } => {
                 let member = self.members.get_mut(&address)?;
-                (Some(address), member.take(now, address))
+                (Some(address), member.take(now, address, poll))
             }
             Choice::Search => (None, vec![self.search.as_mut()?.question(now)]),
         };
@@ -278,9 +278,12 @@ impl Bus {
 
     /// The most urgent question that may be asked now.
     fn choose(&self, now: Instant) -> Option<Choice> {
-        let members = self.members.iter().filter_map(|(&address, member)| {
-            let next = member.next();
-            (next.ready <= now).then_some((!next.urgent, next.due, Choice::Member(address)))
+        let members = self.members.iter().flat_map(|(&address, member)| {
+            let ready = member.next().filter(|next| next.ready <= now);
+            ready.map(move |next| {
+                let poll = next.poll;
+                (!next.urgent, next.due, Choice::Member { address, poll })
+            })
         });
         let search = self.search.as_ref().map(|search| {
             let due = search.asked() + SEARCH_WITHIN;
@@ -308,8 +311,8 @@ impl Bus {
             return Some(question.deadline);
         }
         let mut wake = self.search.as_ref().map(Search::asked);
-        for member in self.members.values() {
-            wake = earliest(wake, Some(member.next().ready));
+        for next in self.members.values().flat_map(Member::next) {
+            wake = earliest(wake, Some(next.ready));
         }
         wake.map(|wake| wake.max(self.quiet_at))
     }

@@ -13,7 +13,7 @@ const BUSY: (Duration, Duration) = (Duration::from_millis(25), Duration::from_mi
 /// A node without tasks.
 const REST: (Duration, Duration) = (Duration::from_millis(200), Duration::from_millis(250));
 /// A command waits at most this long for the turns of others.
-const COMMAND: Duration = Duration::from_millis(50);
+const COMMAND: Duration = Duration::from_millis(200);
 /// A node that does not answer this often in a row is asked less often.
 const SILENCE: u32 = 3;
 /// Pause before a silent node is asked again: doubled up to the longest.
@@ -29,8 +29,10 @@ struct Waiting {
     since: Instant,
 }
 
-/// When a node is asked next.
+/// A question, and when it is asked.
 pub(super) struct Next {
+    /// Whether the node may send what it likes; else it answers a command.
+    pub(super) poll: bool,
     /// Not before this.
     pub(super) ready: Instant,
     /// If the line allows it, by this time.
@@ -93,25 +95,33 @@ impl Member {
         });
     }
 
-    /// When it is asked next.
-    pub(super) fn next(&self) -> Next {
+    /// What it can be asked next: whether it has something to send, and a command that waits.
+    pub(super) fn next(&self) -> impl Iterator<Item = Next> {
         let (least, most) = if self.needs.busy { BUSY } else { REST };
-        let poll_due = self.polled + most;
-        let urgent = self.needs.urgent || self.command.as_ref().is_some_and(|it| it.urgent);
-        let (ready, due, urgent) = match &self.command {
-            Some(command) if urgent => (command.since, command.since, true),
-            Some(command) => (command.since, (command.since + COMMAND).min(poll_due), false),
-            None if self.more || !self.unasked.is_empty() => (Instant::ZERO, poll_due, false),
-            None => (self.polled + least, poll_due, false),
+        let at_once = self.more || !self.unasked.is_empty();
+        let pause = if at_once { Duration::ZERO } else { least };
+        let poll = Next {
+            poll: true,
+            ready: (self.polled + pause).max(self.not_before),
+            due: self.polled + most,
+            urgent: false,
         };
-        let ready = ready.max(self.not_before);
-        Next { ready, due, urgent }
+        let command = self.command.as_ref().map(|command| {
+            let urgent = command.urgent || self.needs.urgent;
+            Next {
+                poll: false,
+                ready: command.since.max(self.not_before),
+                due: command.since + if urgent { Duration::ZERO } else { COMMAND },
+                urgent,
+            }
+        });
+        command.into_iter().chain([poll])
     }
 
     /// Takes the frames of the next question.
-    pub(super) fn take(&mut self, now: Instant, address: u8) -> Vec<Vec<u8>> {
+    pub(super) fn take(&mut self, now: Instant, address: u8, poll: bool) -> Vec<Vec<u8>> {
         let mut frames = std::mem::take(&mut self.unasked);
-        match self.command.take() {
+        match self.command.take_if(|_| !poll) {
             Some(command) => {
                 self.sent.clone_from(&command.bytes);
                 frames.push(command.bytes);
