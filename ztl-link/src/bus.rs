@@ -150,7 +150,10 @@ impl Bus {
         // Somebody speaks: nobody else is asked before there is a pause.
         self.quiet_at = self.quiet_at.max(now + GAP);
         if let Some(question) = &mut self.question {
-            question.deadline = question.deadline.max(now + self.turnaround).min(question.limit);
+            question.deadline = question
+                .deadline
+                .max(now + self.turnaround)
+                .min(question.limit);
         }
     }
 

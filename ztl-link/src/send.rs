@@ -3,8 +3,7 @@
 use std::time::Duration;
 
 use ztl_core::link::{
-    Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode,
-    next_seq, session_number,
+    Body, Frame, Hello, LinkId, Loss, NO_SEQ, NO_SESSION, VERSION, encode, next_seq, session_number,
 };
 use ztl_core::{Instant, TaskId};
 
@@ -192,11 +191,7 @@ impl<J: SessionJournal> Session<J> {
 
 /// Encodes a frame.
 pub(crate) fn frame_bytes(addr: u8, session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
-    let frame = Frame {
-        addr,
-        seq,
-        body,
-    };
+    let frame = Frame { addr, seq, body };
     let needed = match encode(session, &frame, &mut []) {
         Ok(len) => len,
         Err(error) => error.needed,

@@ -73,6 +73,7 @@ impl<J: SessionJournal> Session<J> {
             busy: self.tasks.values().any(Task::may_run),
             urgent: !self.strangers.is_empty()
                 || tasks.any(|task| task.waits() || task.abort && task.may_run()),
+            patience: self.link_timeout() * 3 / 10,
         }
     }
 
@@ -266,9 +267,9 @@ impl<J: SessionJournal> Session<J> {
     }
 
     pub(crate) fn ping_due(&self) -> Instant {
-        // A bus has less room for pings, and repeats them as soon.
-        let part = if self.address == ADDR_ONLY_NODE { 4 } else { 2 };
-        self.commanded + self.link_timeout() / part
+        // A bus has less room for pings.
+        let eighths = if self.address == ADDR_ONLY_NODE { 2 } else { 3 };
+        self.commanded + self.link_timeout() * eighths / 8
     }
 
     /// Handles the loss of the link, and reports it as the progress of tasks that carry on.

@@ -59,6 +59,8 @@ pub struct BusNeeds {
     pub busy: bool,
     /// A `Start` or an `Abort` is to be sent.
     pub urgent: bool,
+    /// How long any other command can wait.
+    pub patience: Duration,
 }
 
 /// The gateway's end of one link, over many sessions: it opens a new one after each loss. It writes into a

@@ -132,7 +132,11 @@ impl<C> OnBus<C> {
             components,
             state: BusState {
                 id,
-                address: if address <= ADDR_MOST { address } else { ADDR_NONE },
+                address: if address <= ADDR_MOST {
+                    address
+                } else {
+                    ADDR_NONE
+                },
                 found: None,
                 question: Question::None,
                 until: Instant::ZERO,

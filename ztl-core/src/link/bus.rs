@@ -104,7 +104,10 @@ impl<'a> BusMessage<'a> {
                 id: reader.u64(),
                 address: reader.u8(),
             },
-            tag => reader.fail(BodyError::UnknownTag { tag }, Self::Here { id: 0, name: "" }),
+            tag => reader.fail(
+                BodyError::UnknownTag { tag },
+                Self::Here { id: 0, name: "" },
+            ),
         };
         reader.finish(message)
     }
@@ -118,9 +121,7 @@ impl<'a> BusMessage<'a> {
                 prefix,
             } => sink.byte(64).byte(round).byte(bits).long(prefix),
             Self::Here { id, name } => sink.byte(65).long(id).bytes(name.as_bytes()),
-            Self::Assign { round, id, address } => {
-                sink.byte(66).byte(round).long(id).byte(address)
-            }
+            Self::Assign { round, id, address } => sink.byte(66).byte(round).long(id).byte(address),
         };
     }
 

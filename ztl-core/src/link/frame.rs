@@ -436,7 +436,10 @@ impl<const N: usize> Decoder<N> {
 
     /// The index of the session, the address, the sequence number, and the body.
     pub(super) fn checked(&self, sessions: &[u32]) -> Result<(usize, u8, u8, &[u8]), FrameError> {
-        let (covered, sent) = self.bytes().split_last_chunk::<4>().ok_or(FrameError::Truncated)?;
+        let (covered, sent) = self
+            .bytes()
+            .split_last_chunk::<4>()
+            .ok_or(FrameError::Truncated)?;
         let [addr, seq, body @ ..] = covered else {
             return Err(FrameError::Truncated);
         };

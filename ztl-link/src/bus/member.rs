@@ -7,13 +7,11 @@ use ztl_core::link::{NO_SEQ, Turn};
 
 use crate::state::BusNeeds;
 
-/// A node with tasks has its turn at least this often, if the line is fast enough for all; and no more than this often, if
-/// it has nothing to say.
-const BUSY: (Duration, Duration) = (Duration::from_millis(25), Duration::from_millis(50));
+/// How often a node with tasks has its turn: no more often if it has nothing to say, and no less often if the line is fast
+/// enough for all, apart from the question that is under way.
+const BUSY: (Duration, Duration) = (Duration::from_millis(32), Duration::from_millis(42));
 /// A node without tasks.
 const REST: (Duration, Duration) = (Duration::from_millis(200), Duration::from_millis(250));
-/// A command waits at most this long for the turns of others.
-const COMMAND: Duration = Duration::from_millis(200);
 /// A node that does not answer this often in a row is asked less often.
 const SILENCE: u32 = 3;
 /// Pause before a silent node is asked again: doubled up to the longest.
@@ -111,7 +109,12 @@ impl Member {
             Next {
                 poll: false,
                 ready: command.since.max(self.not_before),
-                due: command.since + if urgent { Duration::ZERO } else { COMMAND },
+                due: command.since
+                    + if urgent {
+                        Duration::ZERO
+                    } else {
+                        self.needs.patience
+                    },
                 urgent,
             }
         });

@@ -91,7 +91,9 @@ impl Search {
         };
         let mut buffer = [0; 32];
         let len = message.encode(ADDR_ALL, &mut buffer);
-        len.and_then(|len| buffer.get(..len)).unwrap_or_default().to_vec()
+        len.and_then(|len| buffer.get(..len))
+            .unwrap_or_default()
+            .to_vec()
     }
 
     /// The next node without an address, and a free one. Only when all nodes are known: one may have it already.
@@ -99,7 +101,9 @@ impl Search {
         let has = |address| self.found.iter().any(|node| node.address == address);
         let free = (1..=ADDR_MOST).find(|address| !self.taken.contains(address) && !has(*address));
         let without = self.found.iter().filter(|node| node.address == ADDR_NONE);
-        let node = without.into_iter().find(|node| !self.given_up.contains(&node.id));
+        let node = without
+            .into_iter()
+            .find(|node| !self.given_up.contains(&node.id));
         node.map(|node| node.id).zip(free)
     }
 

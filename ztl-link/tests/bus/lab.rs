@@ -26,7 +26,7 @@ pub(crate) enum Trouble {
     Silent,
     /// Resets every 100 ms.
     Resets,
-    /// Sends bytes without being asked, half of the time.
+    /// Sends bytes without being asked, a fifth of the time.
     Babbles,
 }
 
@@ -229,7 +229,10 @@ impl Lab {
 
     pub(crate) fn abort(&mut self, address: u8, task: u32) {
         let now = self.now();
-        self.sessions.get_mut(&address).unwrap().abort(now, id(task));
+        self.sessions
+            .get_mut(&address)
+            .unwrap()
+            .abort(now, id(task));
     }
 
     pub(crate) fn forget_turns(&mut self) {
@@ -248,17 +251,35 @@ impl Lab {
 
     /// The outcome of a task is what its motor has done.
     pub(crate) fn judge(&self, task: u32, goal: &str) {
-        let begun: u32 = self.nodes.iter().filter_map(|node| node.world.borrow().begun.get(goal).copied()).sum();
-        let stopped = self.nodes.iter().any(|node| node.world.borrow().stopped_early.iter().any(|one| one == goal));
+        let begun: u32 = self
+            .nodes
+            .iter()
+            .filter_map(|node| node.world.borrow().begun.get(goal).copied())
+            .sum();
+        let stopped = self.nodes.iter().any(|node| {
+            node.world
+                .borrow()
+                .stopped_early
+                .iter()
+                .any(|one| one == goal)
+        });
         match self.outcome(task).unwrap() {
             State::Completed => assert!(begun == 1 && !stopped, "{goal}: completed, begun {begun}"),
-            State::Aborted => assert!(begun == 0 || begun == 1 && stopped, "{goal}: aborted, begun {begun}"),
+            State::Aborted => assert!(
+                begun == 0 || begun == 1 && stopped,
+                "{goal}: aborted, begun {begun}"
+            ),
             State::Rejected => assert_eq!(begun, 0, "{goal}: rejected"),
             _ => assert!(begun <= 1, "{goal}: begun {begun}"),
         }
     }
 
-    pub(crate) fn until(&mut self, most: Duration, what: &str, mut done: impl FnMut(&Self) -> bool) {
+    pub(crate) fn until(
+        &mut self,
+        most: Duration,
+        what: &str,
+        mut done: impl FnMut(&Self) -> bool,
+    ) {
         let end = self.now() + most;
         while !done(self) {
             assert!(self.now() < end, "not within {most:?}: {what}");
@@ -352,13 +373,21 @@ impl Lab {
     }
 }
 
-fn fresh_node(id: u64, address: u8, resets: u32, world: &Rc<RefCell<World>>) -> Node<'static, OnBus<[Motor; 1]>, 4, 128> {
+fn fresh_node(
+    id: u64,
+    address: u8,
+    resets: u32,
+    world: &Rc<RefCell<World>>,
+) -> Node<'static, OnBus<[Motor; 1]>, 4, 128> {
     let motor = Motor {
         world: Rc::clone(world),
         ends_at: Instant::ZERO,
         aborted: false,
     };
-    Node::new(Identity::new("motor", "1", boot(id, resets)), OnBus::new([motor], id, address))
+    Node::new(
+        Identity::new("motor", "1", boot(id, resets)),
+        OnBus::new([motor], id, address),
+    )
 }
 
 fn advance(node: &mut Member, now: Instant, slot: u64, dice: &mut Dice) {
@@ -369,7 +398,7 @@ fn advance(node: &mut Member, now: Instant, slot: u64, dice: &mut Dice) {
             node.node = fresh_node(node.id, node.address, slot as u32, &node.world);
             node.sending.clear();
         }
-        Some(Trouble::Babbles) if slot.is_multiple_of(400) => {
+        Some(Trouble::Babbles) if slot.is_multiple_of(1000) => {
             node.sending.extend((0..200).map(|_| dice.below(256) as u8));
         }
         _ => {}

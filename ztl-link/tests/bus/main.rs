@@ -17,7 +17,9 @@ const SECOND: Duration = Duration::from_secs(1);
 
 /// Starts an endless task on each node, and waits until all run.
 fn all_busy(lab: &mut Lab, nodes: u8) {
-    lab.until(10 * SECOND, "all are up", |lab| (1..=nodes).all(|at| lab.is_up(at)));
+    lab.until(10 * SECOND, "all are up", |lab| {
+        (1..=nodes).all(|at| lab.is_up(at))
+    });
     for address in 1..=nodes {
         lab.start(address, u32::from(address), "1 600000");
     }
@@ -30,6 +32,8 @@ fn all_busy(lab: &mut Lab, nodes: u8) {
 fn sixteen_nodes_with_tasks_have_their_turn_every_50_ms() {
     let mut lab = Lab::new(16, 1);
     all_busy(&mut lab, 16);
+    // Until all descriptions are read.
+    lab.run(SECOND);
     lab.forget_turns();
     lab.run(10 * SECOND);
     for address in 1..=16 {
@@ -52,7 +56,9 @@ fn an_abort_goes_before_all_polls() {
         lab.run(Duration::from_micros(1_234 * u64::from(address)));
         let before = lab.now();
         lab.abort(address, u32::from(address));
-        lab.until(SECOND, "it stops", |lab| !lab.nodes[usize::from(address) - 1].moves());
+        lab.until(SECOND, "it stops", |lab| {
+            !lab.nodes[usize::from(address) - 1].moves()
+        });
         longest = longest.max(lab.now().since(before));
         lab.until(SECOND, "the outcome", |lab| {
             lab.outcome(u32::from(address)) == Some(State::Aborted)
@@ -64,7 +70,12 @@ fn an_abort_goes_before_all_polls() {
 
 #[test]
 fn a_node_that_floods_is_silent_or_resets_does_not_stop_the_others() {
-    for trouble in [Trouble::Floods, Trouble::Silent, Trouble::Resets, Trouble::Babbles] {
+    for trouble in [
+        Trouble::Floods,
+        Trouble::Silent,
+        Trouble::Resets,
+        Trouble::Babbles,
+    ] {
         let mut lab = Lab::new(8, 3);
         all_busy(&mut lab, 7);
         lab.nodes[7].trouble = Some(trouble);
@@ -73,12 +84,18 @@ fn a_node_that_floods_is_silent_or_resets_does_not_stop_the_others() {
         lab.run(5 * SECOND);
         for address in 1..=7u8 {
             let pause = lab.longest_pause(address);
-            // A line that is taken half of the time has half of the turns.
-            let most = if trouble == Trouble::Babbles { 200 } else { 50 };
-            assert!(pause <= Duration::from_millis(most), "{trouble:?} {address}: {pause:?}");
-            assert!(lab.nodes[usize::from(address) - 1].moves(), "{trouble:?} {address}");
+            // Noise takes up to 17 ms, and what it damages is asked again.
+            let most = if trouble == Trouble::Babbles { 100 } else { 50 };
+            assert!(
+                pause <= Duration::from_millis(most),
+                "{trouble:?} {address}: {pause:?}"
+            );
+            assert!(
+                lab.nodes[usize::from(address) - 1].moves(),
+                "{trouble:?} {address}"
+            );
             lab.abort(address, u32::from(address));
-            lab.until(SECOND, "the outcome", |lab| {
+            lab.until(3 * SECOND, "the outcome", |lab| {
                 lab.outcome(u32::from(address)) == Some(State::Aborted)
             });
         }
@@ -89,9 +106,11 @@ fn a_node_that_floods_is_silent_or_resets_does_not_stop_the_others() {
 
 #[test]
 fn on_a_bad_line_every_task_is_begun_once_and_its_outcome_is_true() {
-    for seed in 0..20 {
+    for seed in 0..8 {
         let mut lab = Lab::new(4, seed);
-        lab.until(10 * SECOND, "all are up", |lab| (1..=4).all(|at| lab.is_up(at)));
+        lab.until(10 * SECOND, "all are up", |lab| {
+            (1..=4).all(|at| lab.is_up(at))
+        });
         lab.corrupt_one_in(200);
         for task in 0..40u32 {
             let address = (task % 4 + 1) as u8;
@@ -113,7 +132,7 @@ fn on_a_bad_line_every_task_is_begun_once_and_its_outcome_is_true() {
 
 #[test]
 fn a_search_finds_all_nodes_gives_addresses_and_names_two_with_one_address() {
-    for seed in 0..10 {
+    for seed in 0..4 {
         let mut lab = Lab::empty(seed);
         // 12 with addresses, of which two are equal, and 20 without.
         let mut ids = Vec::new();
@@ -128,7 +147,11 @@ fn a_search_finds_all_nodes_gives_addresses_and_names_two_with_one_address() {
         lab.bus_search();
         let mut found = Vec::new();
         lab.until(60 * SECOND, "the search ends", |lab| {
-            match lab.bus_events.iter().find(|event| matches!(event, BusEvent::Found(_))) {
+            match lab
+                .bus_events
+                .iter()
+                .find(|event| matches!(event, BusEvent::Found(_)))
+            {
                 Some(BusEvent::Found(all)) => {
                     found.clone_from(all);
                     true

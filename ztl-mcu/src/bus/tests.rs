@@ -5,7 +5,8 @@ use crate::component::{Refused, Report, Run};
 use crate::{Identity, Node};
 use std::vec::Vec;
 use ztl_core::link::{
-    Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, Offer, Turn, VERSION, encode, session_key,
+    Body, Decoder, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, Offer, Turn, VERSION, encode,
+    session_key,
 };
 
 const BOOT: u32 = 77;
@@ -40,7 +41,10 @@ impl Component for Lamp {
 type BusNode = Node<'static, OnBus<[Lamp; 1]>, 2, 128>;
 
 fn node(address: u8) -> BusNode {
-    Node::new(Identity::new("lamp", "1", BOOT), OnBus::new([Lamp], ID, address))
+    Node::new(
+        Identity::new("lamp", "1", BOOT),
+        OnBus::new([Lamp], ID, address),
+    )
 }
 
 fn ms(millis: u64) -> Instant {
@@ -90,7 +94,9 @@ fn said(node: &mut BusNode, now: Instant) -> Option<std::string::String> {
     if let Ok((_, message)) = decoder.bus_message() {
         return Some(std::format!("{addr} {message:?}"));
     }
-    let (_, frame) = decoder.frame(&[session_key(5, BOOT), 5, NO_SESSION]).unwrap();
+    let (_, frame) = decoder
+        .frame(&[session_key(5, BOOT), 5, NO_SESSION])
+        .unwrap();
     let debug = std::format!("{:?}", frame.body);
     let name = debug.split([' ', '(']).next().unwrap();
     Some(std::format!("{addr} {name}"))
@@ -151,7 +157,10 @@ fn frames_of_others_are_not_answered_and_not_counted_as_errors() {
     }
     assert_eq!(node.counters().errors, 0);
     // A frame with its own address that it cannot read is an error: damaged, or of another session.
-    assert_eq!(after(&mut node, 10, &link_frame(3, 99, 1, Body::Ping)), None);
+    assert_eq!(
+        after(&mut node, 10, &link_frame(3, 99, 1, Body::Ping)),
+        None
+    );
     assert_eq!(node.counters().errors, 1);
 }
 
@@ -197,7 +206,10 @@ fn a_node_without_an_address_is_found_by_its_id_and_gets_one() {
     let here_at = |address: u8| std::format!("{address} {here}");
     assert_eq!(after(&mut node, 0, &search(1, 0, 0)).unwrap(), here_at(0));
     assert_eq!(after(&mut node, 1, &search(1, 1, 0)), None);
-    assert_eq!(after(&mut node, 2, &search(1, 2, 3 << 62)).unwrap(), here_at(0));
+    assert_eq!(
+        after(&mut node, 2, &search(1, 2, 3 << 62)).unwrap(),
+        here_at(0)
+    );
     let assign = |id, address| {
         let assign = BusMessage::Assign {
             round: 1,

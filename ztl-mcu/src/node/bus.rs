@@ -21,8 +21,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
         if !bus.is_for(address) {
             return true;
         }
-        if self.decoder.turn() == Some((address, Turn::Poll)) {
-            bus.ask(now);
+        if let Some((_, turn)) = self.decoder.turn() {
+            if turn == Turn::Poll && address != ADDR_ALL {
+                bus.ask(now);
+            }
         } else if let Ok((ADDR_ALL, message)) = self.decoder.bus_message() {
             bus.handle(now, message);
         } else {

@@ -3,8 +3,8 @@
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::{
-    CommandFrame, Hello, LinkCommand, LinkId, NO_SEQ, NO_SESSION, VERSION,
-    next_seq, session_key, session_number,
+    CommandFrame, Hello, LinkCommand, LinkId, NO_SEQ, NO_SESSION, VERSION, next_seq, session_key,
+    session_number,
 };
 
 use super::link_state::{Answer, Counters, LinkState, count};

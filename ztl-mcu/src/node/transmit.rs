@@ -127,18 +127,19 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             } else {
                 PROGRESS_INTERVAL
             };
-        self.frame_out.encode(address, self.session, NO_SEQ, |frame| {
-            let text = if waits { WAITS } else { slot.text.as_str() };
-            match end {
-                Some(state) => Body::Ended {
-                    task,
-                    state,
-                    result: text,
+        self.frame_out
+            .encode(address, self.session, NO_SEQ, |frame| {
+                let text = if waits { WAITS } else { slot.text.as_str() };
+                match end {
+                    Some(state) => Body::Ended {
+                        task,
+                        state,
+                        result: text,
+                    }
+                    .put(frame),
+                    None => Body::Progress { task, text }.put(frame),
                 }
-                .put(frame),
-                None => Body::Progress { task, text }.put(frame),
-            }
-        });
+            });
         true
     }
 
@@ -184,10 +185,12 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 continue;
             };
             self.published = true;
-            return self.frame_out.encode(address, self.session, NO_SEQ, |frame| {
-                Body::put_publish(topic, reading.len, frame);
-                frame.put_own(begin, reading.len);
-            });
+            return self
+                .frame_out
+                .encode(address, self.session, NO_SEQ, |frame| {
+                    Body::put_publish(topic, reading.len, frame);
+                    frame.put_own(begin, reading.len);
+                });
         }
     }
 
@@ -197,10 +200,11 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         let count = log.read(room).min(room.len());
         if count > 0 {
             let lost = log.lost();
-            self.frame_out.encode(address, self.session, NO_SEQ, |frame| {
-                Body::put_log(lost, count, frame);
-                frame.put_own(begin, count);
-            });
+            self.frame_out
+                .encode(address, self.session, NO_SEQ, |frame| {
+                    Body::put_log(lost, count, frame);
+                    frame.put_own(begin, count);
+                });
         }
     }
 
@@ -213,53 +217,56 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
         let clock_ms = now.as_millis();
         let address = self.address();
-        let fits = self.frame_out.encode(address, session, seq, |frame| match answer {
-            Answer::Nothing => {}
-            Answer::Welcome => Body::Welcome(Welcome {
-                version: VERSION,
-                name: self.name,
-                firmware: self.firmware,
-                boot: self.boot,
-                replaces: self.replaced,
-                clock_ms,
-                capacity: TASKS as u8,
-                max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
-                components: u8::try_from(self.runner.components.count()).unwrap_or(u8::MAX),
-                link_timeout_ms: Instant::from_micros(self.link_timeout).as_millis() as u32,
-                highest: self.highest.0,
-                held: Ids::new(ids.get(..usize::from(held)).unwrap_or_default()),
-            })
-            .put(frame),
-            Answer::Component(index) => {
-                if let Some(component) = self.runner.components.component(usize::from(index)) {
-                    let offer = component.offer();
-                    Body::Component { index, offer }.put(frame);
-                } else if C::DESCRIBED
-                    && let Some((component, bytes)) = part(&self.runner.components, index)
-                {
-                    Body::Description {
-                        index,
-                        component,
-                        bytes,
+        let fits = self
+            .frame_out
+            .encode(address, session, seq, |frame| match answer {
+                Answer::Nothing => {}
+                Answer::Welcome => Body::Welcome(Welcome {
+                    version: VERSION,
+                    name: self.name,
+                    firmware: self.firmware,
+                    boot: self.boot,
+                    replaces: self.replaced,
+                    clock_ms,
+                    capacity: TASKS as u8,
+                    max_body: u16::try_from(FRAME - 6).unwrap_or(u16::MAX),
+                    components: u8::try_from(self.runner.components.count()).unwrap_or(u8::MAX),
+                    link_timeout_ms: Instant::from_micros(self.link_timeout).as_millis() as u32,
+                    highest: self.highest.0,
+                    held: Ids::new(ids.get(..usize::from(held)).unwrap_or_default()),
+                })
+                .put(frame),
+                Answer::Component(index) => {
+                    if let Some(component) = self.runner.components.component(usize::from(index)) {
+                        let offer = component.offer();
+                        Body::Component { index, offer }.put(frame);
+                    } else if C::DESCRIBED
+                        && let Some((component, bytes)) = part(&self.runner.components, index)
+                    {
+                        Body::Description {
+                            index,
+                            component,
+                            bytes,
+                        }
+                        .put(frame);
                     }
-                    .put(frame);
                 }
-            }
-            Answer::Started(task) => Body::Started { task }.put(frame),
-            Answer::Refused(refusal) => {
-                let reason = match refusal {
-                    Refusal::ByComponent => self.runner.reason.as_str(),
-                    refusal => refusal.as_str(),
-                };
-                Body::Refused { reason }.put(frame);
-            }
-            Answer::Aborting(task) => Body::Aborting { task }.put(frame),
-            Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
-        });
+                Answer::Started(task) => Body::Started { task }.put(frame),
+                Answer::Refused(refusal) => {
+                    let reason = match refusal {
+                        Refusal::ByComponent => self.runner.reason.as_str(),
+                        refusal => refusal.as_str(),
+                    };
+                    Body::Refused { reason }.put(frame);
+                }
+                Answer::Aborting(task) => Body::Aborting { task }.put(frame),
+                Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
+            });
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str();
-            self.frame_out
-                .encode(address, session, seq, |frame| Body::Refused { reason }.put(frame));
+            self.frame_out.encode(address, session, seq, |frame| {
+                Body::Refused { reason }.put(frame)
+            });
         }
     }
 }
