@@ -148,7 +148,6 @@ fn frames_of_others_are_not_answered_and_not_counted_as_errors() {
         Turn::Idle.encode(3).to_vec(),
         hello(4),
         link_frame(4, 99, 1, Body::Ping),
-        Turn::Poll.encode(ADDR_ALL).to_vec(),
         hello(ADDR_ALL),
         hello(0),
     ];

@@ -22,7 +22,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
             return true;
         }
         if let Some((_, turn)) = self.decoder.turn() {
-            if turn == Turn::Poll && address != ADDR_ALL {
+            if turn == Turn::Poll {
                 bus.ask(now);
             }
         } else if let Ok((ADDR_ALL, message)) = self.decoder.bus_message() {
