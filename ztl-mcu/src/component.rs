@@ -109,8 +109,7 @@ pub trait Component {
     }
 
     /// When to call `poll` next with or without a task: for a control loop, a status light, a motor that slows
-    /// down after its task has ended. Defaults to [`Instant::NEVER`]. The node asks only components in
-    /// [`Ticking`].
+    /// down after its task has ended. Defaults to [`Instant::NEVER`].
     ///
     /// Return a time that the component stores, and move it on in `poll`: `now` plus the interval. While the
     /// time has passed, every turn of the main loop calls `poll`. Each component has its own interval.
@@ -176,9 +175,6 @@ pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
 
-    /// Whether the node asks them for [ticks](Component::next_tick). If not, it has no code for that.
-    const TICKING: bool = false;
-
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
 
@@ -187,6 +183,13 @@ pub trait Components {
 
     /// The component with this index, mutable.
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component>;
+
+    /// The [tick](Component::next_tick) of the component with this index, or [`Instant::NEVER`]. An implementation that
+    /// knows the components' types calls them directly: firmware without ticks then has no code for them.
+    fn next_tick(&self, index: usize) -> Instant {
+        self.component(index)
+            .map_or(Instant::NEVER, Component::next_tick)
+    }
 
     /// What a component says of itself, in JSON (`docs/protocol.md` [11.7]); empty if it says nothing.
     /// [`Described`](crate::describe::Described) knows it from the components' types. All of them together must fit
@@ -209,6 +212,10 @@ impl<T: Component> Components for [T] {
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
         self.get_mut(index).map(|one| one as &mut dyn Component)
     }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.get(index).map_or(Instant::NEVER, T::next_tick)
+    }
 }
 
 impl<T: Component, const N: usize> Components for [T; N] {
@@ -223,11 +230,14 @@ impl<T: Component, const N: usize> Components for [T; N] {
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
         self.as_mut_slice().component_mut(index)
     }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.as_slice().next_tick(index)
+    }
 }
 
 impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
-    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -241,43 +251,12 @@ impl<C: Components + ?Sized> Components for &mut C {
         C::component_mut(self, index)
     }
 
+    fn next_tick(&self, index: usize) -> Instant {
+        C::next_tick(self, index)
+    }
+
     fn description(&self, index: usize) -> &str {
         C::description(self, index)
-    }
-}
-
-/// Components that the node also polls without a task, each when its [`next_tick`](Component::next_tick) asks for
-/// it.
-///
-/// ```
-/// use ztl_mcu::{Component, Components, Ticking};
-///
-/// fn loops<C: Component, S: Component>(arm: C, lamp: S) -> impl Components {
-///     // Instead of `(arm, lamp)`, for `Node::new`; with descriptions `Described(Ticking((arm, lamp)))`.
-///     Ticking((arm, lamp))
-/// }
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub struct Ticking<C>(pub C);
-
-impl<C: Components> Components for Ticking<C> {
-    const DESCRIBED: bool = C::DESCRIBED;
-    const TICKING: bool = true;
-
-    fn count(&self) -> usize {
-        self.0.count()
-    }
-
-    fn component(&self, index: usize) -> Option<&dyn Component> {
-        self.0.component(index)
-    }
-
-    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        self.0.component_mut(index)
-    }
-
-    fn description(&self, index: usize) -> &str {
-        self.0.description(index)
     }
 }
 
@@ -299,6 +278,13 @@ macro_rules! tuples {
                 match index {
                     $($index => Some(&mut self.$index),)+
                     _ => None,
+                }
+            }
+
+            fn next_tick(&self, index: usize) -> Instant {
+                match index {
+                    $($index => self.$index.next_tick(),)+
+                    _ => Instant::NEVER,
                 }
             }
         })+

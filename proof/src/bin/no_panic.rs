@@ -43,8 +43,7 @@ use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run, Ticking,
-    parse_goal,
+    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run, parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
@@ -76,7 +75,7 @@ extern "C" fn main() -> ! {
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
     let mut long_framed =
-        Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new(), &SLOT)));
+        Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), &SLOT));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
