@@ -2,10 +2,15 @@
 
 use core::time::Duration;
 
+#[cfg(feature = "serde")]
+mod value;
+
 use heapless::string::StringView;
 use ztl_core::Instant;
 use ztl_core::link::Offer;
 use ztl_core::sink::{Sink, SliceSink, put_fixed};
+#[cfg(feature = "serde")]
+use ztl_core::tasks::CUT;
 use ztl_core::tasks::push_cut;
 
 /// The state of a component's task.
@@ -329,6 +334,12 @@ impl<'a> Report<'a> {
         self.text
     }
 
+    /// Bytes that fit in all, without the mark of a cut.
+    #[cfg(feature = "serde")]
+    fn room(&self) -> usize {
+        self.text.capacity().saturating_sub(CUT.len())
+    }
+
     /// Adds text.
     pub fn text(&mut self, text: &str) {
         if self.cut {
@@ -361,14 +372,14 @@ impl<'a> Report<'a> {
     /// ```
     ///
     /// # Errors
-    /// [`WriteError`](crate::WriteError) if the value has too many levels, or its own code fails. A text that does not fit
-    /// is cut and is then no value: keep it short.
+    /// [`WriteError`](crate::WriteError) if the value has too many levels, its own code fails, the text does not fit, or a
+    /// number is infinite or not a number, which programs cannot read. The report then stays as it was.
     #[cfg(feature = "serde")]
     pub fn value<T>(&mut self, value: &T, decimals: u8) -> Result<(), ztl_core::goal::WriteError>
     where
         T: serde::Serialize + ?Sized,
     {
-        ztl_core::goal::to_sink_with(value, ztl_core::goal::Fixed(decimals), self)
+        value::write(self, value, decimals)
     }
 }
 
@@ -434,6 +445,33 @@ mod tests {
         assert_eq!(names(&mut list), ["b", "c"]);
         let slice: &mut [&mut dyn Component] = &mut list;
         assert_eq!(names(slice), ["b", "c"]);
+    }
+
+    #[cfg(feature = "serde")]
+    #[test]
+    fn a_value_that_programs_cannot_read_is_an_error_and_leaves_the_report() {
+        use ztl_core::goal::WriteError;
+        use ztl_core::sink::BufferTooSmall;
+
+        let mut text = heapless::String::<15>::new();
+        let mut report = Report::new(&mut text);
+        report.text("at ");
+        let too_long = Err(WriteError::BufferTooSmall(BufferTooSmall::new(15, 12)));
+        for (value, result) in [
+            ([1.0, f32::NAN], Err(WriteError::NotFinite)),
+            ([f32::NEG_INFINITY, 1.0], Err(WriteError::NotFinite)),
+            ([10.0, 12.5], too_long),
+        ] {
+            assert_eq!(report.value(&value, 1), result);
+            assert_eq!(report.as_str(), "at ");
+        }
+        assert_eq!(report.value(&[1.0, 2.5], 0), Ok(()));
+        assert_eq!(report.as_str(), "at [1, 2]");
+        report.text(", or longer");
+        assert!(matches!(
+            report.value(&1.0, 0),
+            Err(WriteError::BufferTooSmall(_))
+        ));
     }
 
     #[test]
