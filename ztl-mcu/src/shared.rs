@@ -32,7 +32,7 @@
 //!
 //! The main loop passes both to a [`Pump`](crate::pump::Pump).
 
-use core::cell::Cell;
+use core::cell::{Cell, RefCell};
 use core::convert::Infallible;
 #[cfg(feature = "async")]
 use core::future::poll_fn;
@@ -42,8 +42,10 @@ use core::task::{Context, Poll, Waker};
 use critical_section::{CriticalSection, Mutex};
 use embedded_io::{ErrorType, Read, ReadReady};
 
+use crate::component::Reading;
 pub use crate::log::LogQueue;
 use crate::pieces::in_pieces;
+use crate::{Latest, NotKept};
 
 /// Bytes copied in one critical section.
 const COPIED: usize = 16;
@@ -350,6 +352,50 @@ impl EndFlag {
 }
 
 impl Default for EndFlag {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The latest reading of a component, of at most `N` bytes, which an interrupt or an async driver sets:
+/// [`Latest`](crate::Latest) in a static.
+pub struct LatestReading<const N: usize>(Mutex<RefCell<Latest<N>>>);
+
+impl<const N: usize> LatestReading<N> {
+    /// Without a reading.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self(Mutex::new(RefCell::new(Latest::new())))
+    }
+
+    /// Replaces the reading.
+    ///
+    /// # Errors
+    /// [`NotKept::TooLong`]; the old reading stays.
+    pub fn set(&self, reading: &[u8]) -> Result<(), NotKept> {
+        self.with(|latest| latest.set(reading))
+            .unwrap_or(Err(NotKept::Full))
+    }
+
+    /// Moves the reading into `buffer`, if there is a new one: the result of `poll_reading`. Drops a reading that is longer
+    /// than the buffer.
+    pub fn take(&self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
+        self.with(|latest| latest.take(topic, buffer)).flatten()
+    }
+
+    /// `None` if it is borrowed, which is impossible in a critical section.
+    fn with<T>(&self, act: impl FnOnce(&mut Latest<N>) -> T) -> Option<T> {
+        critical_section::with(|cs| Some(act(&mut *self.0.borrow(cs).try_borrow_mut().ok()?)))
+    }
+}
+
+impl<const N: usize> core::fmt::Debug for LatestReading<N> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("LatestReading")
+    }
+}
+
+impl<const N: usize> Default for LatestReading<N> {
     fn default() -> Self {
         Self::new()
     }

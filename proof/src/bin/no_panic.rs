@@ -75,7 +75,7 @@ extern "C" fn main() -> ! {
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
     let mut long_framed =
-        Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), &SLOT));
+        Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), SLOT.component()));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
