@@ -78,6 +78,7 @@ use critical_section::Mutex;
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::Offer;
+use ztl_core::time::micros;
 
 use crate::component::{Component, Reading, Refused, Report, Run};
 use crate::describe::Describe;
@@ -187,8 +188,8 @@ struct State<const GOAL: usize> {
     /// How the last task ends, as soon as the driver rests.
     end: Run,
     goal: String<GOAL>,
-    /// When the goal arrived.
-    since: Instant,
+    /// When the goal is too old to begin.
+    late_at: Instant,
     /// Whether a future runs the driver.
     driven: bool,
     waker: Option<Waker>,
@@ -199,13 +200,21 @@ impl<const GOAL: usize> State<GOAL> {
         matches!(self.stage, Stage::Wanted | Stage::Runs)
     }
 
-    /// Sends the driver to its safe state; a task of it ends like this.
-    fn stop(&mut self, end: Run) {
+    /// Sends the driver to its safe state, or only lets it stop its task, if it has one, which ends like this.
+    fn stop(&mut self, next: Stage, end: Run) {
         if self.has_task() {
             self.end = end;
+        } else if next == Stage::Abort {
+            return;
         }
-        self.stage = Stage::Stop;
+        self.stage = next;
     }
+}
+
+/// Copies a goal, which fits: `check` was called.
+fn copy<const GOAL: usize>(from: &str, to: &mut String<GOAL>) {
+    to.clear();
+    let _ = to.push_str(from);
 }
 
 /// Does something in a critical section, without another access.
@@ -225,7 +234,8 @@ pub struct Slot<'o, D, const GOAL: usize = TEXT> {
     offer: Offer<'o>,
     state: Mutex<RefCell<State<GOAL>>>,
     text: Mutex<RefCell<TaskText>>,
-    patience: Duration,
+    /// In µs.
+    patience: u64,
     driver: PhantomData<fn(D)>,
 }
 
@@ -240,12 +250,12 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
                 stage: Stage::Stop,
                 end: Run::Completed,
                 goal: String::new(),
-                since: Instant::ZERO,
+                late_at: Instant::ZERO,
                 driven: false,
                 waker: None,
             })),
             text: Mutex::new(RefCell::new(TaskText::new())),
-            patience: PATIENCE,
+            patience: micros(PATIENCE),
             driver: PhantomData,
         }
     }
@@ -254,19 +264,26 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
     /// Defaults to 500 ms.
     #[must_use]
     pub const fn with_patience(mut self, patience: Duration) -> Self {
-        self.patience = patience;
+        self.patience = micros(patience);
         self
     }
 
     /// The component of a node. Only the newest one may be in use: a task that an earlier node left behind is stopped, and
     /// the driver goes to its safe state.
     pub fn component(&self) -> SlotComponent<'_, 'o, D, GOAL> {
-        self.ask(|state| state.stop(Run::Failed));
+        self.stop(Stage::Stop, Run::Failed);
         SlotComponent(self)
     }
 
     fn set_text(&self, text: &str) {
         Progress(&self.text).write(|report| report.text(text));
+    }
+
+    /// As [`State::stop`].
+    // Not inlined in firmware, for its three callers.
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn stop(&self, next: Stage, end: Run) {
+        self.ask(|state| state.stop(next, end));
     }
 
     /// Changes the state and wakes the driver.
@@ -316,21 +333,17 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
                 return Err(AlreadyRuns);
             }
             let interrupted = state.has_task();
-            state.stop(Run::Failed);
+            state.stop(Stage::Stop, Run::Failed);
             Ok(interrupted)
         });
         if interrupted.unwrap_or(Err(AlreadyRuns))? {
             self.set_text(INTERRUPTED);
         }
         let _leaving = Leaving(self);
+        let mut goal = String::new();
         loop {
-            let (stage, goal) = poll_fn(|context| self.poll_next(context)).await;
-            if stage == Stage::Runs && clock() > goal.since + self.patience {
-                self.set_text(LATE);
-                self.end(stage, Run::Failed, Stage::Rests);
-                continue;
-            }
-            match self.act(driver, stage, &goal.text).await {
+            let stage = poll_fn(|context| self.poll_next(context, clock(), &mut goal)).await;
+            match self.act(driver, stage, &goal).await {
                 // Its driver does not know where it is, and it may still move.
                 Some(Err(Failed)) => self.end(stage, Run::Failed, Stage::Stop),
                 Some(Ok(())) => self.end(stage, Run::Completed, Stage::Rests),
@@ -340,16 +353,28 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
     }
 
     /// The next thing to do, with the goal of a task.
-    fn poll_next(&self, context: &Context<'_>) -> Poll<(Stage, Goal<GOAL>)> {
+    fn poll_next(
+        &self,
+        context: &Context<'_>,
+        now: Instant,
+        goal: &mut String<GOAL>,
+    ) -> Poll<Stage> {
         self.poll_state(context, |state| {
             match state.stage {
                 Stage::Stop | Stage::Abort => {}
-                Stage::Wanted => state.stage = Stage::Runs,
+                Stage::Wanted if now >= state.late_at => {
+                    self.set_text(LATE);
+                    state.stage = Stage::Rests;
+                    state.end = Run::Failed;
+                    return None;
+                }
+                Stage::Wanted => {
+                    state.stage = Stage::Runs;
+                    copy(&state.goal, goal);
+                }
                 Stage::Runs | Stage::Rests => return None,
             }
-            let text = core::mem::take(&mut state.goal);
-            let since = state.since;
-            Some((state.stage, Goal { text, since }))
+            Some(state.stage)
         })
     }
 
@@ -386,12 +411,6 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
     }
 }
 
-/// A goal, and when it arrived.
-struct Goal<const GOAL: usize> {
-    text: String<GOAL>,
-    since: Instant,
-}
-
 /// The future of a slot's driver: without it, no task can be carried out.
 struct Leaving<'s, 'o, D, const GOAL: usize>(&'s Slot<'o, D, GOAL>);
 
@@ -423,21 +442,15 @@ impl<D: Driver, const GOAL: usize> Component for SlotComponent<'_, '_, D, GOAL> 
     }
 
     fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        let rests = with(&self.0.state, |state| state.stage == Stage::Rests);
-        if rests == Some(true) {
-            self.0.set_text("");
-        }
-        // Asked again, because `run` may have begun anew in between.
         let started = self.0.ask(|state| {
-            let rests = state.stage == Stage::Rests;
-            if rests {
-                state.goal.clear();
-                // It fits: `check` was called.
-                let _ = state.goal.push_str(goal);
-                state.since = now;
-                state.stage = Stage::Wanted;
+            if state.stage != Stage::Rests {
+                return false;
             }
-            rests
+            with(&self.0.text, |text| text.clear());
+            copy(goal, &mut state.goal);
+            state.late_at = now.after(self.0.patience);
+            state.stage = Stage::Wanted;
+            true
         });
         if started == Some(true) {
             return Ok(());
@@ -458,16 +471,11 @@ impl<D: Driver, const GOAL: usize> Component for SlotComponent<'_, '_, D, GOAL> 
     }
 
     fn abort(&mut self, _now: Instant) {
-        self.0.ask(|state| {
-            if state.has_task() {
-                state.stop(Run::Aborted);
-                state.stage = Stage::Abort;
-            }
-        });
+        self.0.stop(Stage::Abort, Run::Aborted);
     }
 
     fn make_safe(&mut self, _now: Instant) {
-        self.0.ask(|state| state.stop(Run::Aborted));
+        self.0.stop(Stage::Stop, Run::Aborted);
     }
 
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {

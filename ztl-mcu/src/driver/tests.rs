@@ -293,8 +293,8 @@ fn a_second_future_of_a_slot_is_refused_and_the_first_goes_on() {
 fn a_goal_that_waited_too_long_for_its_executor_never_begins() {
     with_arm(|slot, world, running| {
         for (millis, end) in [
-            (500, said(Run::Running, "out")),
-            (501, said(Run::Failed, LATE)),
+            (499, said(Run::Running, "out")),
+            (500, said(Run::Failed, LATE)),
         ] {
             world.millis.set(0);
             assert_eq!(start(slot, "out"), Ok(()));
