@@ -36,6 +36,7 @@ use core::cell::{Cell, RefCell};
 use core::convert::Infallible;
 #[cfg(feature = "async")]
 use core::future::poll_fn;
+use core::sync::atomic::{AtomicU8, Ordering};
 #[cfg(feature = "async")]
 use core::task::{Context, Poll, Waker};
 
@@ -152,8 +153,28 @@ impl<const N: usize> ReceiveQueue<N> {
         self.reader.wake_in(cs);
     }
 
-    /// Adds received bytes, in short critical sections: the part of a DMA buffer that was filled since the last call. Call
-    /// it at the half and the end of the buffer, and when the line falls idle.
+    /// Adds what a circular DMA has written into `ring` since the last call: up to `at`, where it writes next (the length
+    /// of the ring less what it has left). `taken` begins with 0. Call it at the half and the end of the ring, and when the
+    /// line falls idle, from interrupts that do not preempt each other.
+    pub fn push_ring(&self, ring: &[AtomicU8], taken: &mut usize, at: usize) {
+        let push = |bytes: &[AtomicU8]| {
+            for piece in bytes.chunks(PUSHED) {
+                let load = |byte: &AtomicU8| byte.load(Ordering::Relaxed);
+                critical_section::with(|cs| {
+                    piece.iter().for_each(|byte| self.push_in(cs, load(byte)))
+                });
+            }
+        };
+        let from = core::mem::replace(taken, at);
+        if at < from {
+            push(ring.get(from..).unwrap_or_default());
+            push(ring.get(..at).unwrap_or_default());
+        } else {
+            push(ring.get(from..at).unwrap_or_default());
+        }
+    }
+
+    /// Adds received bytes, in short critical sections: a packet, or one of two buffers of a DMA.
     pub fn push_slice(&self, bytes: &[u8]) {
         for piece in bytes.chunks(PUSHED) {
             critical_section::with(|cs| piece.iter().for_each(|byte| self.push_in(cs, *byte)));
