@@ -110,7 +110,9 @@ fn main() -> ! {
 
 // Apart, so that nothing but the node stays on the stack.
 #[inline(never)]
-fn node<'s, 'c>(slot: &'s LampSlot<'c>) -> Node<'static, [SlotComponent<'s, 'static, AsyncLamp<'c>>; 1], 2, 128> {
+fn node<'s, 'c>(
+    slot: &'s LampSlot<'c>,
+) -> Node<'static, [SlotComponent<'s, 'static, AsyncLamp<'c>>; 1], 2, 128> {
     let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), random::word());
     Node::new(identity, [slot.component()])
 }
