@@ -60,7 +60,7 @@ fn main() -> io::Result<()> {
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
          mod component;\npub mod describe;\npub mod log;\nmod node;\n\
-         pub use component::{{Component, Components, Reading, Refused, Report, Run, Ticking}};\n\
+         pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\
          /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",

@@ -26,15 +26,32 @@ const NETWORKED: &str = "ethernet";
 /// An image with an async driver, and the feature that it needs.
 const ASYNC: &str = "async";
 
+/// An RTIC app with a serial port by DMA, and the feature that it needs.
+const RTIC: &str = "rtic";
+
+/// The lamp by postcard-rpc, to compare with, and the feature that it needs.
+const POSTCARD: &str = "postcard";
+
 /// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the
-/// same with an async driver, a bare serial port, and servers for ZeroMQ clients without a gateway.
+/// same by another project and with an async driver, a bare serial port, and servers for ZeroMQ clients without a gateway; an I2C servo driver,
+/// and the robot as an RTIC app.
 const MORE: &[(&str, &[&str])] = &[
     (
         MEASURED,
-        &["quiet", "described", "smallest", ASYNC, "uart", "zmtp"],
+        &[
+            "quiet",
+            "described",
+            "smallest",
+            POSTCARD,
+            ASYNC,
+            "uart",
+            "zmtp",
+        ],
     ),
     ("lm3s6965evb", &["zmtp", NETWORKED]),
     ("mps2-an386", &["uart", "zmtp"]),
+    ("pico", &["pca9685"]),
+    ("nucleo-f401re", &[RTIC]),
 ];
 
 /// A line of [`BOARDS`].
@@ -87,14 +104,18 @@ pub(crate) fn run_in_qemu(project: &Project, name: &str, port: u16) -> Result<()
     Ok(())
 }
 
-/// Whether an image has much code that is not ours: a network stack, which may panic and formats text.
+/// Whether an image has much code that is not ours and may panic or format text: a network stack, embassy's HAL,
+/// postcard-rpc.
 pub(crate) fn has_foreign_code(image: &str) -> bool {
-    image.ends_with(NETWORKED)
+    [NETWORKED, POSTCARD]
+        .iter()
+        .any(|name| image.ends_with(name))
+        || image.starts_with("pico")
 }
 
 /// Whether an image needs the feature of its name.
 fn needs_feature(image: &str) -> bool {
-    [NETWORKED, ASYNC].contains(&image)
+    [NETWORKED, ASYNC, RTIC, POSTCARD].contains(&image)
 }
 
 /// Whether an image has async functions.

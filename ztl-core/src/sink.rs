@@ -41,6 +41,14 @@ pub struct BufferTooSmall {
     pub available: usize,
 }
 
+impl BufferTooSmall {
+    /// Output of `needed` bytes, for a buffer of `available`.
+    #[must_use]
+    pub const fn new(needed: usize, available: usize) -> Self {
+        Self { needed, available }
+    }
+}
+
 impl core::fmt::Display for BufferTooSmall {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         let Self { needed, available } = self;

@@ -53,8 +53,8 @@ pub trait StoredText: Default + AsRef<str> {
     fn set(&mut self, text: &str);
 }
 
-/// Marks a cut.
-const CUT: &str = "…";
+/// Ends a text that was cut.
+pub const CUT: &str = "…";
 
 impl<const N: usize> StoredText for heapless::String<N> {
     fn set(&mut self, text: &str) {

@@ -153,7 +153,6 @@ impl<C> OnBus<C> {
 
 impl<C: Components> Components for OnBus<C> {
     const DESCRIBED: bool = C::DESCRIBED;
-    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         self.components.count()
@@ -169,6 +168,10 @@ impl<C: Components> Components for OnBus<C> {
 
     fn description(&self, index: usize) -> &str {
         self.components.description(index)
+    }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.components.next_tick(index)
     }
 
     fn bus(&self) -> Option<&BusState> {

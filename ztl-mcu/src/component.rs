@@ -2,10 +2,15 @@
 
 use core::time::Duration;
 
+#[cfg(feature = "serde")]
+mod value;
+
 use heapless::string::StringView;
 use ztl_core::Instant;
 use ztl_core::link::Offer;
 use ztl_core::sink::{Sink, SliceSink, put_fixed};
+#[cfg(feature = "serde")]
+use ztl_core::tasks::CUT;
 use ztl_core::tasks::push_cut;
 
 use crate::bus::BusState;
@@ -111,8 +116,7 @@ pub trait Component {
     }
 
     /// When to call `poll` next with or without a task: for a control loop, a status light, a motor that slows
-    /// down after its task has ended. Defaults to [`Instant::NEVER`]. The node asks only components in
-    /// [`Ticking`].
+    /// down after its task has ended. Defaults to [`Instant::NEVER`].
     ///
     /// Return a time that the component stores, and move it on in `poll`: `now` plus the interval. While the
     /// time has passed, every turn of the main loop calls `poll`. Each component has its own interval.
@@ -178,9 +182,6 @@ pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
 
-    /// Whether the node asks them for [ticks](Component::next_tick). If not, it has no code for that.
-    const TICKING: bool = false;
-
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
 
@@ -198,6 +199,13 @@ pub trait Components {
     /// Like [`bus`](Self::bus), mutable.
     fn bus_mut(&mut self) -> Option<&mut BusState> {
         None
+    }
+
+    /// The [tick](Component::next_tick) of the component with this index, or [`Instant::NEVER`]. An implementation that
+    /// knows the components' types calls them directly: firmware without ticks then has no code for them.
+    fn next_tick(&self, index: usize) -> Instant {
+        self.component(index)
+            .map_or(Instant::NEVER, Component::next_tick)
     }
 
     /// What a component says of itself, in JSON (`docs/protocol.md` [11.7]); empty if it says nothing.
@@ -221,6 +229,10 @@ impl<T: Component> Components for [T] {
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
         self.get_mut(index).map(|one| one as &mut dyn Component)
     }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.get(index).map_or(Instant::NEVER, T::next_tick)
+    }
 }
 
 impl<T: Component, const N: usize> Components for [T; N] {
@@ -235,11 +247,14 @@ impl<T: Component, const N: usize> Components for [T; N] {
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
         self.as_mut_slice().component_mut(index)
     }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.as_slice().next_tick(index)
+    }
 }
 
 impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
-    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -253,6 +268,10 @@ impl<C: Components + ?Sized> Components for &mut C {
         C::component_mut(self, index)
     }
 
+    fn next_tick(&self, index: usize) -> Instant {
+        C::next_tick(self, index)
+    }
+
     fn description(&self, index: usize) -> &str {
         C::description(self, index)
     }
@@ -263,49 +282,6 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn bus_mut(&mut self) -> Option<&mut BusState> {
         C::bus_mut(self)
-    }
-}
-
-/// Components that the node also polls without a task, each when its [`next_tick`](Component::next_tick) asks for
-/// it.
-///
-/// ```
-/// use ztl_mcu::{Component, Components, Ticking};
-///
-/// fn loops<C: Component, S: Component>(arm: C, lamp: S) -> impl Components {
-///     // Instead of `(arm, lamp)`, for `Node::new`; with descriptions `Described(Ticking((arm, lamp)))`.
-///     Ticking((arm, lamp))
-/// }
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub struct Ticking<C>(pub C);
-
-impl<C: Components> Components for Ticking<C> {
-    const DESCRIBED: bool = C::DESCRIBED;
-    const TICKING: bool = true;
-
-    fn count(&self) -> usize {
-        self.0.count()
-    }
-
-    fn component(&self, index: usize) -> Option<&dyn Component> {
-        self.0.component(index)
-    }
-
-    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        self.0.component_mut(index)
-    }
-
-    fn description(&self, index: usize) -> &str {
-        self.0.description(index)
-    }
-
-    fn bus(&self) -> Option<&BusState> {
-        self.0.bus()
-    }
-
-    fn bus_mut(&mut self) -> Option<&mut BusState> {
-        self.0.bus_mut()
     }
 }
 
@@ -327,6 +303,13 @@ macro_rules! tuples {
                 match index {
                     $($index => Some(&mut self.$index),)+
                     _ => None,
+                }
+            }
+
+            fn next_tick(&self, index: usize) -> Instant {
+                match index {
+                    $($index => self.$index.next_tick(),)+
+                    _ => Instant::NEVER,
                 }
             }
         })+
@@ -371,6 +354,12 @@ impl<'a> Report<'a> {
         self.text
     }
 
+    /// Bytes that fit in all, without the mark of a cut.
+    #[cfg(feature = "serde")]
+    fn room(&self) -> usize {
+        self.text.capacity().saturating_sub(CUT.len())
+    }
+
     /// Adds text.
     pub fn text(&mut self, text: &str) {
         if self.cut {
@@ -403,14 +392,14 @@ impl<'a> Report<'a> {
     /// ```
     ///
     /// # Errors
-    /// [`WriteError`](crate::WriteError) if the value has too many levels, or its own code fails. A text that does not fit
-    /// is cut and is then no value: keep it short.
+    /// [`WriteError`](crate::WriteError) if the value has too many levels, its own code fails, the text does not fit, or a
+    /// number is infinite or not a number, which programs cannot read. The report then stays as it was.
     #[cfg(feature = "serde")]
     pub fn value<T>(&mut self, value: &T, decimals: u8) -> Result<(), ztl_core::goal::WriteError>
     where
         T: serde::Serialize + ?Sized,
     {
-        ztl_core::goal::to_sink_with(value, ztl_core::goal::Fixed(decimals), self)
+        value::write(self, value, decimals)
     }
 }
 
@@ -476,6 +465,33 @@ mod tests {
         assert_eq!(names(&mut list), ["b", "c"]);
         let slice: &mut [&mut dyn Component] = &mut list;
         assert_eq!(names(slice), ["b", "c"]);
+    }
+
+    #[cfg(feature = "serde")]
+    #[test]
+    fn a_value_that_programs_cannot_read_is_an_error_and_leaves_the_report() {
+        use ztl_core::goal::WriteError;
+        use ztl_core::sink::BufferTooSmall;
+
+        let mut text = heapless::String::<15>::new();
+        let mut report = Report::new(&mut text);
+        report.text("at ");
+        let too_long = Err(WriteError::BufferTooSmall(BufferTooSmall::new(15, 12)));
+        for (value, result) in [
+            ([1.0, f32::NAN], Err(WriteError::NotFinite)),
+            ([f32::NEG_INFINITY, 1.0], Err(WriteError::NotFinite)),
+            ([10.0, 12.5], too_long),
+        ] {
+            assert_eq!(report.value(&value, 1), result);
+            assert_eq!(report.as_str(), "at ");
+        }
+        assert_eq!(report.value(&[1.0, 2.5], 0), Ok(()));
+        assert_eq!(report.as_str(), "at [1, 2]");
+        report.text(", or longer");
+        assert!(matches!(
+            report.value(&1.0, 0),
+            Err(WriteError::BufferTooSmall(_))
+        ));
     }
 
     #[test]

@@ -28,9 +28,10 @@
 //! # drop(components);
 //! ```
 
+use ztl_core::Instant;
 use ztl_core::link::DESCRIPTION_PART;
 
-use crate::component::{Component, Components, Ticking};
+use crate::component::{Component, Components};
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -53,10 +54,6 @@ pub trait DescribeAll {
 
 impl<T: Describe, const N: usize> DescribeAll for [T; N] {
     const DESCRIPTIONS: &'static [&'static str] = &[T::DESCRIPTION; N];
-}
-
-impl<C: DescribeAll> DescribeAll for Ticking<C> {
-    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
 }
 
 impl<C: DescribeAll + ?Sized> DescribeAll for &mut C {
@@ -98,7 +95,6 @@ impl<C: Components + DescribeAll> Components for Described<C> {
         );
         true
     };
-    const TICKING: bool = C::TICKING;
 
     fn count(&self) -> usize {
         self.0.count()
@@ -110,6 +106,10 @@ impl<C: Components + DescribeAll> Components for Described<C> {
 
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
         self.0.component_mut(index)
+    }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.0.next_tick(index)
     }
 
     fn description(&self, index: usize) -> &str {

@@ -1,44 +1,49 @@
 //! Components whose tasks are `async`: a driver that waits for an I2C bus, a servo bus, a delay. It runs under embassy's
 //! executor or any other, without an allocator. Requires the features `async` and `critical-section`.
 //!
-//! Implement [`Driver`], create a [`Slot`] for it, pass `&slot` to the [`Node`](crate::Node) as a component, and run
+//! Implement [`Driver`], create a [`Slot`] for it, pass [`Slot::component`] to the [`Node`](crate::Node), and run
 //! [`Slot::run`] in a task of the executor. The executor's task holds the future, so the slot needs no memory for it. In one
-//! task with [`Pump::run`](crate::pump::Pump::run), join it with a loop that runs the pump again after each error of the
-//! port: `join(async { loop { let _ = pump.run(..).await; } }, slot.run(&mut motor))`. Otherwise the first error ends the
-//! node's turns, and with them its timer for a lost link. Neither `run` nor `make_safe` may block.
+//! task with [`Pump::run`](crate::pump::Pump::run), join both with a port that does not fail
+//! ([`Plugged`](crate::pump::Plugged)): `join(pump.run(..), slot.run(..))`. With another port, the first error ends the
+//! node's turns, and with them its timer for a lost link: run the pump again in a loop. Neither `run` nor `make_safe` may
+//! block.
 //!
 //! ```
 //! use embedded_hal_async::delay::DelayNs;
 //! use embedded_hal_async::i2c::I2c;
 //! use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 //! use ztl_mcu::link::Offer;
-//! use ztl_mcu::{Refused, Report};
+//! use ztl_mcu::{Refused, Report, parse_goal};
 //!
-//! /// A motor with a register for its target and one for its position.
+//! /// A motor with a register for its target and one for its position, in half degrees.
 //! struct Motor<I, D> { bus: I, delay: D }
 //!
 //! const ADDRESS: u8 = 0x40;
 //! const HOLD: u8 = 0xff;
 //!
+//! /// The target in half degrees.
+//! fn target(goal: &str, why: &mut Report<'_>) -> Result<u8, Refused> {
+//!     let degrees: f32 = parse_goal(goal, why)?;
+//!     if !(0.0..=90.0).contains(&degrees) {
+//!         why.text("motor takes 0 to 90 degrees");
+//!         return Err(Refused);
+//!     }
+//!     Ok((degrees * 2.0 + 0.5) as u8)
+//! }
+//!
 //! impl<I: I2c, D: DelayNs> Driver for Motor<I, D> {
 //!     fn check(goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-//!         match goal.parse::<u8>() {
-//!             Ok(0..=90) => Ok(()),
-//!             _ => {
-//!                 why.text("motor takes 0 to 90");
-//!                 Err(Refused)
-//!             }
-//!         }
+//!         target(goal, why).map(drop)
 //!     }
 //!
 //!     async fn run(&mut self, goal: &str, progress: Progress<'_>) -> Result<(), Failed> {
-//!         let target: u8 = goal.parse().map_err(|_| Failed)?;
+//!         let target = progress.write(|why| target(goal, why)).map_err(|_| Failed)?;
 //!         let mut at = [0];
 //!         self.bus.write(ADDRESS, &[0, target]).await.map_err(|_| Failed)?;
 //!         while at != [target] {
 //!             self.delay.delay_ms(20).await;
 //!             self.bus.write_read(ADDRESS, &[1], &mut at).await.map_err(|_| Failed)?;
-//!             progress.write(|report| report.number(f32::from(at[0]), 0));
+//!             progress.write(|report| report.number(f32::from(at[0]) / 2.0, 1));
 //!         }
 //!         Ok(())
 //!     }
@@ -52,9 +57,12 @@
 //!
 //! # fn create<I: I2c, D: DelayNs>() {
 //! let slot: Slot<'_, Motor<I, D>> = Slot::new(Offer::new("motor").with_range(0.0, 90.0, "deg"));
-//! // Node::new(identity, (&slot,)), and in a task of the executor: slot.run(&mut motor).await
+//! // Node::new(identity, (slot.component(),)), and in a task of the executor: slot.run(&mut motor, clock).await
 //! # drop(slot);
 //! # }
+//! # let mut text = ztl_mcu::Reason::new();
+//! # assert_eq!(target("12.5", &mut Report::new(&mut text)), Ok(25));
+//! # assert_eq!(target("90.5", &mut Report::new(&mut text)), Err(Refused));
 //! ```
 
 use core::cell::RefCell;
@@ -64,21 +72,40 @@ use core::future::{Future, poll_fn};
 use core::marker::PhantomData;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
+use core::time::Duration;
 
 use critical_section::Mutex;
 use heapless::String;
 use ztl_core::Instant;
 use ztl_core::link::Offer;
+use ztl_core::time::micros;
 
-use crate::component::{Component, Refused, Report, Run};
+use crate::component::{Component, Reading, Refused, Report, Run};
+use crate::describe::Describe;
 use crate::node::tasks::{TEXT, TaskText};
 
 const INTERRUPTED: &str = "its driver was interrupted";
+const LATE: &str = "its driver began too late";
+/// Default of [`Slot::with_patience`].
+const PATIENCE: Duration = Duration::from_millis(500);
 
 /// The goal will not be reached; the progress that was written last is the reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Failed;
+
+/// Another future of the slot runs already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct AlreadyRuns;
+
+impl fmt::Display for AlreadyRuns {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("another future of the slot runs already")
+    }
+}
+
+impl core::error::Error for AlreadyRuns {}
 
 /// A part that carries out one task at a time, in async functions.
 pub trait Driver {
@@ -92,7 +119,8 @@ pub trait Driver {
     /// Carries out a task whose goal was checked. The progress that was written last is the result.
     ///
     /// An abort, the loss of the link and an emergency stop drop the future at the point where it waits. A transfer that
-    /// was under way is then cut off, as far as the bus allows that. [`make_safe`](Self::make_safe) runs after it.
+    /// was under way is then cut off, as far as the bus allows that. After it runs [`abort`](Self::abort) or
+    /// [`make_safe`](Self::make_safe).
     ///
     /// # Errors
     /// [`Failed`] if the goal will not be reached.
@@ -102,10 +130,24 @@ pub trait Driver {
         progress: Progress<'_>,
     ) -> impl Future<Output = Result<(), Failed>>;
 
-    /// Goes to the safe state: after an abort or a failure, when the link is lost, in an emergency stop, and before the
-    /// first task. Returns when it is reached; the task ends, and another one begins, only then. An ordinary abort comes
-    /// here, too: an arm that would drop its load without torque is to stop and hold. Try again if the hardware does not answer.
+    /// Stops after an abort of its task, as [`Component::abort`]: an arm slows down and holds its load. Returns when it
+    /// has stopped; the task ends, and another one begins, only then. The loss of the link and an emergency stop drop this
+    /// future, too. Goes to the safe state by default.
+    fn abort(&mut self) -> impl Future<Output = ()> {
+        self.make_safe()
+    }
+
+    /// Goes to the safe state: after a failure, when the link is lost, in an emergency stop, and before the first task.
+    /// Returns when it is reached; the task ends, and another one begins, only then. Try again if the hardware does not
+    /// answer.
     fn make_safe(&mut self) -> impl Future<Output = ()>;
+
+    /// Writes the next reading, as [`Component::poll_reading`]. Like `check` it has no access to the driver, which keeps
+    /// its readings in a static, such as a [`LatestReading`](crate::shared::LatestReading). Defaults to `None`.
+    fn poll_reading(now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        let _ = (now, buffer);
+        None
+    }
 }
 
 /// Where a running task writes its progress, and its result or the reason of its failure.
@@ -113,11 +155,12 @@ pub trait Driver {
 pub struct Progress<'a>(&'a Mutex<RefCell<TaskText>>);
 
 impl Progress<'_> {
-    /// Replaces the text of the task; at most 48 bytes.
-    pub fn write(&self, write: impl FnOnce(&mut Report<'_>)) {
+    /// Replaces the text of the task, at most 48 bytes, and returns what `write` returns.
+    pub fn write<T>(&self, write: impl FnOnce(&mut Report<'_>) -> T) -> T {
         let mut text = TaskText::new();
-        write(&mut Report::new(&mut text));
+        let value = write(&mut Report::new(&mut text));
         with(self.0, |known| *known = text);
+        value
     }
 }
 
@@ -132,6 +175,8 @@ impl fmt::Debug for Progress<'_> {
 enum Stage {
     /// It is to go to the safe state, or is on its way.
     Stop,
+    /// It is to stop its task, or is on its way.
+    Abort,
     /// A task waits for it.
     Wanted,
     Runs,
@@ -143,17 +188,33 @@ struct State<const GOAL: usize> {
     /// How the last task ends, as soon as the driver rests.
     end: Run,
     goal: String<GOAL>,
+    /// When the goal is too old to begin.
+    late_at: Instant,
+    /// Whether a future runs the driver.
+    driven: bool,
     waker: Option<Waker>,
 }
 
 impl<const GOAL: usize> State<GOAL> {
-    /// Sends the driver to its safe state; a task of it ends like this.
-    fn stop(&mut self, end: Run) {
-        if matches!(self.stage, Stage::Wanted | Stage::Runs) {
-            self.end = end;
-        }
-        self.stage = Stage::Stop;
+    fn has_task(&self) -> bool {
+        matches!(self.stage, Stage::Wanted | Stage::Runs)
     }
+
+    /// Sends the driver to its safe state, or only lets it stop its task, if it has one, which ends like this.
+    fn stop(&mut self, next: Stage, end: Run) {
+        if self.has_task() {
+            self.end = end;
+        } else if next == Stage::Abort {
+            return;
+        }
+        self.stage = next;
+    }
+}
+
+/// Copies a goal, which fits: `check` was called.
+fn copy<const GOAL: usize>(from: &str, to: &mut String<GOAL>) {
+    to.clear();
+    let _ = to.push_str(from);
 }
 
 /// Does something in a critical section, without another access.
@@ -164,7 +225,8 @@ fn with<S, T>(state: &Mutex<RefCell<S>>, act: impl FnOnce(&mut S) -> T) -> Optio
     })
 }
 
-/// The place of a [`Driver`] among the components of a node: `&Slot` is the component. Goals have at most `GOAL` bytes.
+/// The place of a [`Driver`] among the components of a node, for which [`component`](Self::component) stands. Goals have at
+/// most `GOAL` bytes.
 ///
 /// The node and the executor's task may run at different priorities. A critical section copies a goal or a text of 48
 /// bytes. The node learns of progress and of the end at its next `poll`, at most 10 ms later.
@@ -172,6 +234,8 @@ pub struct Slot<'o, D, const GOAL: usize = TEXT> {
     offer: Offer<'o>,
     state: Mutex<RefCell<State<GOAL>>>,
     text: Mutex<RefCell<TaskText>>,
+    /// In µs.
+    patience: u64,
     driver: PhantomData<fn(D)>,
 }
 
@@ -186,15 +250,40 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
                 stage: Stage::Stop,
                 end: Run::Completed,
                 goal: String::new(),
+                late_at: Instant::ZERO,
+                driven: false,
                 waker: None,
             })),
             text: Mutex::new(RefCell::new(TaskText::new())),
+            patience: micros(PATIENCE),
             driver: PhantomData,
         }
     }
 
+    /// Sets how long a goal may wait for a driver whose executor is late. After that it fails without having begun.
+    /// Defaults to 500 ms.
+    #[must_use]
+    pub const fn with_patience(mut self, patience: Duration) -> Self {
+        self.patience = micros(patience);
+        self
+    }
+
+    /// The component of a node. Only the newest one may be in use: a task that an earlier node left behind is stopped, and
+    /// the driver goes to its safe state.
+    pub fn component(&self) -> SlotComponent<'_, 'o, D, GOAL> {
+        self.stop(Stage::Stop, Run::Failed);
+        SlotComponent(self)
+    }
+
     fn set_text(&self, text: &str) {
         Progress(&self.text).write(|report| report.text(text));
+    }
+
+    /// As [`State::stop`].
+    // Not inlined in firmware, for its three callers.
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn stop(&self, next: Stage, end: Run) {
+        self.ask(|state| state.stop(next, end));
     }
 
     /// Changes the state and wakes the driver.
@@ -225,73 +314,100 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
 }
 
 impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
-    /// Runs a driver forever: first it goes to its safe state, then it carries out the node's tasks. Only one future of a
-    /// slot may run at a time.
+    /// Runs a driver forever: first it goes to its safe state, then it carries out the node's tasks. `clock` is that of the
+    /// node.
     ///
     /// The future may be dropped at any time and called again. Until then the driver does nothing, also not after an
     /// abort, and its component counts as on the way to its safe state: its task stays, and it takes no other. When the
     /// future runs again, the driver goes to its safe state, and the task ends as FAILED.
-    pub async fn run(&self, driver: &mut D) -> Infallible {
+    ///
+    /// # Errors
+    /// [`AlreadyRuns`], without touching the driver: only one future of a slot may run at a time.
+    pub async fn run(
+        &self,
+        driver: &mut D,
+        clock: impl Fn() -> Instant,
+    ) -> Result<Infallible, AlreadyRuns> {
         let interrupted = with(&self.state, |state| {
-            let had_task = matches!(state.stage, Stage::Wanted | Stage::Runs);
-            state.stop(Run::Failed);
-            had_task
+            if core::mem::replace(&mut state.driven, true) {
+                return Err(AlreadyRuns);
+            }
+            let interrupted = state.has_task();
+            state.stop(Stage::Stop, Run::Failed);
+            Ok(interrupted)
         });
-        if interrupted == Some(true) {
+        if interrupted.unwrap_or(Err(AlreadyRuns))? {
             self.set_text(INTERRUPTED);
         }
         let _leaving = Leaving(self);
+        let mut goal = String::new();
         loop {
-            match poll_fn(|context| self.poll_next(context)).await {
-                Some(goal) => {
-                    let end = match self.carry_out(driver, &goal).await {
-                        Some(Ok(())) => Run::Completed,
-                        Some(Err(Failed)) => Run::Failed,
-                        None => continue,
-                    };
-                    with(&self.state, |state| {
-                        state.end = end;
-                        // It may have been stopped at the last moment.
-                        if state.stage == Stage::Runs {
-                            state.stage = match end {
-                                // Its driver does not know where it is, and it may still move.
-                                Run::Failed => Stage::Stop,
-                                _ => Stage::Rests,
-                            };
-                        }
-                    });
-                }
-                None => {
-                    driver.make_safe().await;
-                    with(&self.state, |state| state.stage = Stage::Rests);
-                }
+            let stage = poll_fn(|context| self.poll_next(context, clock(), &mut goal)).await;
+            match self.act(driver, stage, &goal).await {
+                // Its driver does not know where it is, and it may still move.
+                Some(Err(Failed)) => self.end(stage, Run::Failed, Stage::Stop),
+                Some(Ok(())) => self.end(stage, Run::Completed, Stage::Rests),
+                None => {}
             }
         }
     }
 
-    /// The next thing to do: a task, or `None` to go to the safe state.
-    fn poll_next(&self, context: &Context<'_>) -> Poll<Option<String<GOAL>>> {
-        self.poll_state(context, |state| match state.stage {
-            Stage::Stop => Some(None),
-            Stage::Wanted => {
-                state.stage = Stage::Runs;
-                Some(Some(core::mem::take(&mut state.goal)))
+    /// The next thing to do, with the goal of a task.
+    fn poll_next(
+        &self,
+        context: &Context<'_>,
+        now: Instant,
+        goal: &mut String<GOAL>,
+    ) -> Poll<Stage> {
+        self.poll_state(context, |state| {
+            match state.stage {
+                Stage::Stop | Stage::Abort => {}
+                Stage::Wanted if now >= state.late_at => {
+                    self.set_text(LATE);
+                    state.stage = Stage::Rests;
+                    state.end = Run::Failed;
+                    return None;
+                }
+                Stage::Wanted => {
+                    state.stage = Stage::Runs;
+                    copy(&state.goal, goal);
+                }
+                Stage::Runs | Stage::Rests => return None,
             }
-            Stage::Runs | Stage::Rests => None,
+            Some(state.stage)
         })
     }
 
-    /// Runs a task. Drops it and returns `None` if it is stopped.
-    async fn carry_out(&self, driver: &mut D, goal: &str) -> Option<Result<(), Failed>> {
-        let mut task = pin!(driver.run(goal, Progress(&self.text)));
+    /// Does what this stage asks for. Drops it and returns `None` if something else is to be done.
+    async fn act(&self, driver: &mut D, stage: Stage, goal: &str) -> Option<Result<(), Failed>> {
+        let mut acting = pin!(async {
+            match stage {
+                Stage::Runs => return driver.run(goal, Progress(&self.text)).await,
+                Stage::Abort => driver.abort().await,
+                _ => driver.make_safe().await,
+            }
+            Ok(())
+        });
         poll_fn(|context| {
-            let stopped = |state: &mut State<GOAL>| (state.stage == Stage::Stop).then_some(());
-            if self.poll_state(context, stopped).is_ready() {
+            let changed = |state: &mut State<GOAL>| (state.stage != stage).then_some(());
+            if self.poll_state(context, changed).is_ready() {
                 return Poll::Ready(None);
             }
-            task.as_mut().poll(context).map(Some)
+            acting.as_mut().poll(context).map(Some)
         })
         .await
+    }
+
+    /// What this stage asked for is done; unless something else is to be done since, `next` follows.
+    fn end(&self, stage: Stage, end: Run, next: Stage) {
+        with(&self.state, |state| {
+            if stage == Stage::Runs {
+                state.end = end;
+            }
+            if state.stage == stage {
+                state.stage = next;
+            }
+        });
     }
 }
 
@@ -301,16 +417,20 @@ struct Leaving<'s, 'o, D, const GOAL: usize>(&'s Slot<'o, D, GOAL>);
 impl<D, const GOAL: usize> Drop for Leaving<'_, '_, D, GOAL> {
     fn drop(&mut self) {
         with(&self.0.state, |state| {
-            if state.stage == Stage::Rests {
+            state.driven = false;
+            if !state.has_task() {
                 state.stage = Stage::Stop;
             }
         });
     }
 }
 
-impl<D: Driver, const GOAL: usize> Component for &Slot<'_, D, GOAL> {
+/// The component of a [`Slot`], from [`Slot::component`].
+pub struct SlotComponent<'s, 'o, D, const GOAL: usize = TEXT>(&'s Slot<'o, D, GOAL>);
+
+impl<D: Driver, const GOAL: usize> Component for SlotComponent<'_, '_, D, GOAL> {
     fn offer(&self) -> Offer<'_> {
-        self.offer
+        self.0.offer
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
@@ -321,21 +441,16 @@ impl<D: Driver, const GOAL: usize> Component for &Slot<'_, D, GOAL> {
         D::check(goal, why)
     }
 
-    fn start(&mut self, _now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        let rests = with(&self.state, |state| state.stage == Stage::Rests);
-        if rests == Some(true) {
-            self.set_text("");
-        }
-        // Asked again, because `run` may have begun anew in between.
-        let started = self.ask(|state| {
-            let rests = state.stage == Stage::Rests;
-            if rests {
-                state.goal.clear();
-                // It fits: `check` was called.
-                let _ = state.goal.push_str(goal);
-                state.stage = Stage::Wanted;
+    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        let started = self.0.ask(|state| {
+            if state.stage != Stage::Rests {
+                return false;
             }
-            rests
+            with(&self.0.text, |text| text.clear());
+            copy(goal, &mut state.goal);
+            state.late_at = now.after(self.0.patience);
+            state.stage = Stage::Wanted;
+            true
         });
         if started == Some(true) {
             return Ok(());
@@ -346,21 +461,35 @@ impl<D: Driver, const GOAL: usize> Component for &Slot<'_, D, GOAL> {
 
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
         // First the state: the end is written after the last text.
-        let end = with(&self.state, |state| {
+        let end = with(&self.0.state, |state| {
             (state.stage == Stage::Rests).then_some(state.end)
         });
-        if let Some(text) = with(&self.text, |text| text.clone()) {
+        if let Some(text) = with(&self.0.text, |text| text.clone()) {
             report.text(&text);
         }
         end.flatten().unwrap_or(Run::Running)
     }
 
     fn abort(&mut self, _now: Instant) {
-        self.ask(|state| state.stop(Run::Aborted));
+        self.0.stop(Stage::Abort, Run::Aborted);
     }
 
-    fn make_safe(&mut self, now: Instant) {
-        self.abort(now);
+    fn make_safe(&mut self, _now: Instant) {
+        self.0.stop(Stage::Stop, Run::Aborted);
+    }
+
+    fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        D::poll_reading(now, buffer)
+    }
+}
+
+impl<D: Describe, const GOAL: usize> Describe for SlotComponent<'_, '_, D, GOAL> {
+    const DESCRIPTION: &'static str = D::DESCRIPTION;
+}
+
+impl<D, const GOAL: usize> fmt::Debug for SlotComponent<'_, '_, D, GOAL> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self.0, f)
     }
 }
 

@@ -57,7 +57,7 @@
 //! | to | use | feature |
 //! |---|---|---|
 //! | move a part | [`Component`]; ready ones for `embedded-hal` in `components` | `components` |
-//! | work without a task: control loops, status lights | [`Component::next_tick`], [`Ticking`] | |
+//! | work without a task: control loops, status lights | [`Component::next_tick`] | |
 //! | move a part with an async driver (`embedded-hal-async`) | `driver` | `async`, `critical-section` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
@@ -96,7 +96,7 @@ pub mod shared;
 #[cfg(feature = "zmtp")]
 pub mod zmtp;
 
-pub use component::{Component, Components, Reading, Refused, Report, Run, Ticking};
+pub use component::{Component, Components, Reading, Refused, Report, Run};
 #[cfg(feature = "serde")]
 pub use goal::parse_goal;
 pub use node::{Counters, Identity, LinkUp, Node, Reason};

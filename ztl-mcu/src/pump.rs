@@ -4,11 +4,15 @@
 #[cfg(feature = "embedded-io-06")]
 mod io06;
 #[cfg(feature = "async")]
+mod plugged;
+#[cfg(feature = "async")]
 mod run;
 mod turn;
 
 #[cfg(feature = "embedded-io-06")]
 pub use io06::{Error06, Io06};
+#[cfg(feature = "async")]
+pub use plugged::Plugged;
 pub use turn::{Pump, PumpError};
 
 #[cfg(test)]

@@ -32,18 +32,21 @@
 //!
 //! The main loop passes both to a [`Pump`](crate::pump::Pump).
 
-use core::cell::Cell;
+use core::cell::{Cell, RefCell};
 use core::convert::Infallible;
 #[cfg(feature = "async")]
 use core::future::poll_fn;
+use core::sync::atomic::{AtomicU8, Ordering};
 #[cfg(feature = "async")]
 use core::task::{Context, Poll, Waker};
 
 use critical_section::{CriticalSection, Mutex};
 use embedded_io::{ErrorType, Read, ReadReady};
 
+use crate::component::Reading;
 pub use crate::log::LogQueue;
 use crate::pieces::in_pieces;
+use crate::{Latest, NotKept};
 
 /// Bytes copied in one critical section.
 const COPIED: usize = 16;
@@ -150,8 +153,28 @@ impl<const N: usize> ReceiveQueue<N> {
         self.reader.wake_in(cs);
     }
 
-    /// Adds received bytes, in short critical sections: the part of a DMA buffer that was filled since the last call. Call
-    /// it at the half and the end of the buffer, and when the line falls idle.
+    /// Adds what a circular DMA has written into `ring` since the last call: up to `at`, where it writes next (the length
+    /// of the ring less what it has left). `taken` begins with 0. Call it at the half and the end of the ring, and when the
+    /// line falls idle, from interrupts that do not preempt each other.
+    pub fn push_ring(&self, ring: &[AtomicU8], taken: &mut usize, at: usize) {
+        let push = |bytes: &[AtomicU8]| {
+            for piece in bytes.chunks(PUSHED) {
+                let load = |byte: &AtomicU8| byte.load(Ordering::Relaxed);
+                critical_section::with(|cs| {
+                    piece.iter().for_each(|byte| self.push_in(cs, load(byte)))
+                });
+            }
+        };
+        let from = core::mem::replace(taken, at);
+        if at < from {
+            push(ring.get(from..).unwrap_or_default());
+            push(ring.get(..at).unwrap_or_default());
+        } else {
+            push(ring.get(from..at).unwrap_or_default());
+        }
+    }
+
+    /// Adds received bytes, in short critical sections: a packet, or one of two buffers of a DMA.
     pub fn push_slice(&self, bytes: &[u8]) {
         for piece in bytes.chunks(PUSHED) {
             critical_section::with(|cs| piece.iter().for_each(|byte| self.push_in(cs, *byte)));
@@ -350,6 +373,50 @@ impl EndFlag {
 }
 
 impl Default for EndFlag {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The latest reading of a component, of at most `N` bytes, which an interrupt or an async driver sets:
+/// [`Latest`](crate::Latest) in a static.
+pub struct LatestReading<const N: usize>(Mutex<RefCell<Latest<N>>>);
+
+impl<const N: usize> LatestReading<N> {
+    /// Without a reading.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self(Mutex::new(RefCell::new(Latest::new())))
+    }
+
+    /// Replaces the reading.
+    ///
+    /// # Errors
+    /// [`NotKept::TooLong`]; the old reading stays.
+    pub fn set(&self, reading: &[u8]) -> Result<(), NotKept> {
+        self.with(|latest| latest.set(reading))
+            .unwrap_or(Err(NotKept::Full))
+    }
+
+    /// Moves the reading into `buffer`, if there is a new one: the result of `poll_reading`. Drops a reading that is longer
+    /// than the buffer.
+    pub fn take(&self, topic: u8, buffer: &mut [u8]) -> Option<Reading> {
+        self.with(|latest| latest.take(topic, buffer)).flatten()
+    }
+
+    /// `None` if it is borrowed, which is impossible in a critical section.
+    fn with<T>(&self, act: impl FnOnce(&mut Latest<N>) -> T) -> Option<T> {
+        critical_section::with(|cs| Some(act(&mut *self.0.borrow(cs).try_borrow_mut().ok()?)))
+    }
+}
+
+impl<const N: usize> core::fmt::Debug for LatestReading<N> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("LatestReading")
+    }
+}
+
+impl<const N: usize> Default for LatestReading<N> {
     fn default() -> Self {
         Self::new()
     }

@@ -11,6 +11,7 @@
 use core::convert::Infallible;
 use core::hint::black_box;
 use core::panic::PanicInfo;
+use core::sync::atomic::AtomicU8;
 use core::time::Duration;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
@@ -40,10 +41,10 @@ use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
 use ztl_mcu::pump::Pump;
-use ztl_mcu::shared::{EndFlag, LogQueue, ReceiveQueue, StopFlag};
+use ztl_mcu::shared::{EndFlag, LatestReading, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run, Ticking,
+    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
     parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
@@ -76,7 +77,7 @@ extern "C" fn main() -> ! {
     let mut node = Node::<_, 4, 128>::new(identity(), components.as_mut_slice());
     // Frames longer than a COBS block.
     let mut long_framed =
-        Node::<_, 1, 600>::new(identity(), Ticking((Part::new(), Part::new(), &SLOT)));
+        Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), SLOT.component()));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -421,6 +422,7 @@ fn run_node<C: Components, const TASKS: usize, const FRAME: usize>(
         RECEIVED.push(byte);
     }
     RECEIVED.push_slice(input);
+    RECEIVED.push_ring(&RING, &mut (any() as usize), any() as usize);
     LOG.push(input);
     STOP.raise();
     END.report();
@@ -483,6 +485,7 @@ fn run_connection<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>>(
 }
 
 static RECEIVED: ReceiveQueue<64> = ReceiveQueue::new();
+static RING: [AtomicU8; 32] = [const { AtomicU8::new(0) }; 32];
 static LOG: LogQueue<100> = LogQueue::new();
 static STOP: StopFlag = StopFlag::new();
 static END: EndFlag = EndFlag::new();
@@ -549,7 +552,14 @@ impl Driver for Motor {
     }
 
     async fn make_safe(&mut self) {}
+
+    fn poll_reading(_: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        let _ = black_box(SPEED.set(buffer));
+        SPEED.take(receive(), buffer)
+    }
 }
+
+static SPEED: LatestReading<16> = LatestReading::new();
 
 impl Component for Part {
     fn offer(&self) -> Offer<'_> {

@@ -74,6 +74,11 @@ fn the_smallest_node_runs_on_the_recorded_stack() {
 }
 
 #[test]
+fn the_node_to_compare_with_runs_on_the_recorded_stack() {
+    stack::of_postcard();
+}
+
+#[test]
 fn an_async_driver_runs_on_the_recorded_stack() {
     stack::of_the_lamp("microbit-async");
 }

@@ -106,6 +106,52 @@ pub(crate) fn of_the_bare_port(board: &str) {
     check(&image, &board);
 }
 
+/// The lamp by postcard-rpc, which sends every key of one byte: its ping, its schemas, its two endpoints, and others.
+pub(crate) fn of_postcard() {
+    let image = "microbit-postcard";
+    let board = Board::with_image("microbit", image);
+    let mut stream = TcpStream::connect(("127.0.0.1", board.port)).expect("the serial port");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    for key in 0..=u8::MAX {
+        // No length of key and number but one byte each; the body turns the lamp on for 1 ms.
+        stream
+            .write_all(&stuffed(&[0, key, key, 1, 1]))
+            .expect("sent");
+        let is_answer = |frame: &[u8]| frame.first() == Some(&0) && frame.get(2) == Some(&key);
+        while !is_answer(&unstuffed(&mut stream)) {}
+    }
+    assert_eq!(board.read(Pin::Lamp), 1);
+    check(image, &board);
+}
+
+/// A short frame in COBS, with its delimiter.
+fn stuffed(frame: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for piece in frame.split(|byte| *byte == 0) {
+        bytes.push(piece.len() as u8 + 1);
+        bytes.extend(piece);
+    }
+    bytes.push(0);
+    bytes
+}
+
+/// The next frame.
+fn unstuffed(stream: &mut TcpStream) -> Vec<u8> {
+    let bytes = stream.bytes().map(|byte| byte.expect("an answer"));
+    let bytes: Vec<u8> = bytes.take_while(|byte| *byte != 0).collect();
+    let mut frame = Vec::new();
+    let mut rest = bytes.as_slice();
+    while let [len, behind @ ..] = rest {
+        let (piece, next) = behind.split_at(usize::from(*len) - 1);
+        frame.extend(piece);
+        if !next.is_empty() {
+            frame.push(0);
+        }
+        rest = next;
+    }
+    frame
+}
+
 fn do_with_lamp(image: &str, board: &Board, mut client: OriginalClient) {
     assert_eq!(client.trigger("desk", "lamp", "blue").number, -1);
     let id = client.start("desk", "lamp", "pulse 3600000");

@@ -312,6 +312,8 @@ pub enum WriteError {
     TooDeep,
     /// The caller's buffer is too small.
     BufferTooSmall(BufferTooSmall),
+    /// A number is infinite or not a number, where the reader needs a finite one.
+    NotFinite,
     /// The value's own code returned an error. Keeping its message would take `core::fmt`.
     Refused,
 }
@@ -321,6 +323,7 @@ impl fmt::Display for WriteError {
         match self {
             Self::TooDeep => write!(f, "more than {} levels", MAX_DEPTH),
             Self::BufferTooSmall(cause) => cause.fmt(f),
+            Self::NotFinite => f.write_str("a number is infinite or not a number"),
             Self::Refused => f.write_str("refused by the value's type"),
         }
     }

@@ -25,6 +25,9 @@ struct World {
     moved: Cell<bool>,
     /// The transfer of `make_safe` is done.
     stopped: Cell<bool>,
+    /// The transfer of `abort` is done.
+    braked: Cell<bool>,
+    millis: Cell<u64>,
 }
 
 impl World {
@@ -74,6 +77,12 @@ impl Driver for Arm {
         Ok(())
     }
 
+    async fn abort(&mut self) {
+        self.0.trace.borrow_mut().push("brakes");
+        until(&self.0.braked).await;
+        self.0.trace.borrow_mut().push("holds");
+    }
+
     async fn make_safe(&mut self) {
         self.0.trace.borrow_mut().push("stops");
         until(&self.0.stopped).await;
@@ -92,7 +101,16 @@ impl Wake for Bell {
 }
 
 type ArmSlot = Slot<'static, Arm>;
-type Running<'f> = Pin<&'f mut dyn Future<Output = Infallible>>;
+type Running<'f> = Pin<&'f mut dyn Future<Output = Result<Infallible, AlreadyRuns>>>;
+
+/// Drives the slot by the time of the world.
+fn drive<'f>(
+    slot: &'f ArmSlot,
+    arm: &'f mut Arm,
+) -> impl Future<Output = Result<Infallible, AlreadyRuns>> + 'f {
+    let world = arm.0.clone();
+    slot.run(arm, move || Instant::from_millis(world.millis.get()))
+}
 
 fn turn(running: &mut Running<'_>) {
     let polled = running
@@ -101,13 +119,14 @@ fn turn(running: &mut Running<'_>) {
     assert!(polled.is_pending());
 }
 
-fn poll(mut slot: &ArmSlot) -> (Run, Text) {
+fn poll(slot: &ArmSlot) -> (Run, Text) {
     let mut text = TaskText::new();
-    let run = slot.poll(Instant::ZERO, &mut Report::new(&mut text));
+    let run = SlotComponent(slot).poll(Instant::ZERO, &mut Report::new(&mut text));
     (run, text.as_str().to_string())
 }
 
-fn start(mut slot: &ArmSlot, goal: &str) -> Result<(), Text> {
+fn start(slot: &ArmSlot, goal: &str) -> Result<(), Text> {
+    let mut slot = SlotComponent(slot);
     let mut text = TaskText::new();
     let mut why = Report::new(&mut text);
     let started = slot
@@ -121,7 +140,7 @@ fn with_arm(play: impl FnOnce(&ArmSlot, &World, &mut Running<'_>)) {
     let world = Rc::new(World::default());
     let mut arm = Arm(world.clone());
     let slot = ArmSlot::new(Offer::new("arm"));
-    let mut running = pin!(slot.run(&mut arm));
+    let mut running = pin!(drive(&slot, &mut arm));
     world.stopped.set(true);
     turn(&mut (running.as_mut() as Running<'_>));
     assert_eq!(world.take(), ["stops", "safe"]);
@@ -169,7 +188,7 @@ fn a_slot_whose_future_was_dropped_takes_no_task() {
     let mut arm = Arm(world.clone());
     let slot = ArmSlot::new(Offer::new("arm"));
     {
-        let mut running = pin!(slot.run(&mut arm));
+        let mut running = pin!(drive(&slot, &mut arm));
         turn(&mut (running.as_mut() as Running<'_>));
     }
     assert_eq!(
@@ -179,43 +198,197 @@ fn a_slot_whose_future_was_dropped_takes_no_task() {
 }
 
 #[test]
-fn an_abort_drops_the_task_and_then_makes_safe() {
-    with_arm(|mut slot, world, running| {
+fn an_abort_drops_the_task_and_stops_without_the_safe_state() {
+    with_arm(|slot, world, running| {
         assert_eq!(start(slot, "out"), Ok(()));
         turn(running);
-        slot.abort(Instant::ZERO);
+        SlotComponent(slot).abort(Instant::ZERO);
         turn(running);
         turn(running);
-        assert_eq!(world.take(), ["begins", "over", "stops"]);
+        assert_eq!(world.take(), ["begins", "over", "brakes"]);
         assert_eq!(poll(slot), said(Run::Running, "out"));
         assert_eq!(
             start(slot, "out"),
             Err("its driver is not ready".to_string())
         );
-        world.stopped.set(true);
+        world.braked.set(true);
         turn(running);
         assert_eq!(poll(slot), said(Run::Aborted, "out"));
-        assert_eq!(world.take(), ["safe"]);
+        assert_eq!(world.take(), ["holds"]);
         assert_eq!(start(slot, "out"), Ok(()));
     });
 }
 
 #[test]
-fn a_task_that_is_aborted_before_its_driver_saw_it_never_begins() {
-    with_arm(|mut slot, world, running| {
+fn a_stop_during_an_abort_makes_safe_at_once() {
+    with_arm(|slot, world, running| {
         assert_eq!(start(slot, "out"), Ok(()));
-        slot.abort(Instant::ZERO);
+        turn(running);
+        SlotComponent(slot).abort(Instant::ZERO);
+        turn(running);
+        SlotComponent(slot).make_safe(Instant::ZERO);
         world.stopped.set(true);
         turn(running);
-        assert_eq!(world.take(), ["stops", "safe"]);
+        assert_eq!(world.take(), ["begins", "over", "brakes", "stops", "safe"]);
+        assert_eq!(poll(slot), said(Run::Aborted, "out"));
+    });
+}
+
+#[test]
+fn a_driver_without_an_abort_of_its_own_makes_safe() {
+    struct Plain(Rc<World>);
+
+    impl Driver for Plain {
+        fn check(_: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+            Ok(())
+        }
+
+        async fn run(&mut self, _: &str, _: Progress<'_>) -> Result<(), Failed> {
+            Ok(())
+        }
+
+        async fn make_safe(&mut self) {
+            self.0.trace.borrow_mut().push("safe");
+        }
+    }
+
+    let world = Rc::new(World::default());
+    let mut plain = Plain(world.clone());
+    let aborting = pin!(plain.abort());
+    let mut context = Context::from_waker(Waker::noop());
+    assert!(aborting.poll(&mut context).is_ready());
+    assert_eq!(world.take(), ["safe"]);
+}
+
+#[test]
+fn an_abort_after_the_end_changes_nothing() {
+    with_arm(|slot, world, running| {
+        assert_eq!(start(slot, "out"), Ok(()));
+        world.moved.set(true);
+        turn(running);
+        SlotComponent(slot).abort(Instant::ZERO);
+        turn(running);
+        assert_eq!(world.take(), ["begins", "over"]);
+        assert_eq!(poll(slot), said(Run::Completed, "90.0"));
+    });
+}
+
+#[test]
+fn a_second_future_of_a_slot_is_refused_and_the_first_goes_on() {
+    with_arm(|slot, world, running| {
+        assert_eq!(start(slot, "out"), Ok(()));
+        turn(running);
+        let mut other = Arm(Rc::default());
+        let second = pin!(drive(slot, &mut other));
+        let polled = second.poll(&mut Context::from_waker(Waker::noop()));
+        assert_eq!(polled, Poll::Ready(Err(AlreadyRuns)));
+        world.moved.set(true);
+        turn(running);
+        assert_eq!(world.take(), ["begins", "over"]);
+        assert_eq!(poll(slot), said(Run::Completed, "90.0"));
+    });
+}
+
+#[test]
+fn a_goal_that_waited_too_long_for_its_executor_never_begins() {
+    with_arm(|slot, world, running| {
+        for (millis, end) in [
+            (499, said(Run::Running, "out")),
+            (500, said(Run::Failed, LATE)),
+        ] {
+            world.millis.set(0);
+            assert_eq!(start(slot, "out"), Ok(()));
+            world.millis.set(millis);
+            turn(running);
+            assert_eq!(poll(slot), end, "{millis}");
+            world.moved.set(true);
+            turn(running);
+        }
+        assert_eq!(world.take(), ["begins", "over"]);
+        assert_eq!(start(slot, "out"), Ok(()), "it is still safe");
+    });
+}
+
+#[test]
+fn a_new_component_stops_the_task_that_an_earlier_node_left() {
+    with_arm(|slot, world, running| {
+        assert_eq!(start(slot, "out"), Ok(()));
+        turn(running);
+        let _component = slot.component();
+        world.stopped.set(true);
+        turn(running);
+        assert_eq!(world.take(), ["begins", "over", "stops", "safe"]);
+        assert_eq!(start(slot, "out"), Ok(()));
+    });
+}
+
+#[test]
+fn progress_returns_what_its_closure_found() {
+    let text = Mutex::new(RefCell::new(TaskText::new()));
+    let written = Progress(&text).write(|report| {
+        report.text("at 7");
+        Err::<(), _>(Failed)
+    });
+    assert_eq!(written, Err(Failed));
+}
+
+static SPEED: crate::shared::LatestReading<4> = crate::shared::LatestReading::new();
+
+/// Reports a speed, and says what it is.
+struct Wheel;
+
+impl Driver for Wheel {
+    fn check(_: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Err(Refused)
+    }
+
+    async fn run(&mut self, _: &str, _: Progress<'_>) -> Result<(), Failed> {
+        Err(Failed)
+    }
+
+    async fn make_safe(&mut self) {}
+
+    fn poll_reading(_: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        SPEED.take(0, buffer)
+    }
+}
+
+impl Describe for Wheel {
+    const DESCRIPTION: &str = "{\"about\": \"turns\"}";
+}
+
+#[test]
+fn a_slot_forwards_readings_and_the_description_of_its_driver() {
+    use crate::describe::DescribeAll;
+
+    let slot = Slot::<Wheel>::new(Offer::new("wheel").with_topics("speed"));
+    let mut wheel = slot.component();
+    let mut buffer = [0; 8];
+    assert_eq!(wheel.poll_reading(Instant::ZERO, &mut buffer), None);
+    assert_eq!(SPEED.set(b"12.5"), Ok(()));
+    let reading = wheel.poll_reading(Instant::ZERO, &mut buffer);
+    assert_eq!(reading, Some(Reading { topic: 0, len: 4 }));
+    assert_eq!(buffer[..4], *b"12.5");
+    type Wheels = [SlotComponent<'static, 'static, Wheel>; 1];
+    assert_eq!(Wheels::DESCRIPTIONS, [Wheel::DESCRIPTION]);
+}
+
+#[test]
+fn a_task_that_is_aborted_before_its_driver_saw_it_never_begins() {
+    with_arm(|slot, world, running| {
+        assert_eq!(start(slot, "out"), Ok(()));
+        SlotComponent(slot).abort(Instant::ZERO);
+        world.braked.set(true);
+        turn(running);
+        assert_eq!(world.take(), ["brakes", "holds"]);
         assert_eq!(poll(slot).0, Run::Aborted);
     });
 }
 
 #[test]
 fn an_idle_driver_is_made_safe() {
-    with_arm(|mut slot, world, running| {
-        slot.make_safe(Instant::ZERO);
+    with_arm(|slot, world, running| {
+        SlotComponent(slot).make_safe(Instant::ZERO);
         turn(running);
         assert_eq!(poll(slot).0, Run::Running);
         world.stopped.set(true);
@@ -233,7 +406,7 @@ fn a_driver_takes_no_task_before_it_runs_and_is_safe() {
     let refused = Err("its driver is not ready".to_string());
     assert_eq!(start(&slot, "out"), refused);
     {
-        let mut running = pin!(slot.run(&mut arm));
+        let mut running = pin!(drive(&slot, &mut arm));
         turn(&mut (running.as_mut() as Running<'_>));
         assert_eq!(start(&slot, "out"), refused);
         world.stopped.set(true);
@@ -243,9 +416,9 @@ fn a_driver_takes_no_task_before_it_runs_and_is_safe() {
     }
     // The executor's task was dropped in the middle of it.
     assert_eq!(world.take(), ["stops", "safe", "begins", "over"]);
-    (&slot).abort(Instant::ZERO);
+    SlotComponent(&slot).abort(Instant::ZERO);
     assert_eq!(poll(&slot).0, Run::Running, "may still move");
-    let mut running = pin!(slot.run(&mut arm));
+    let mut running = pin!(drive(&slot, &mut arm));
     world.stopped.set(true);
     turn(&mut (running.as_mut() as Running<'_>));
     assert_eq!(world.take(), ["stops", "safe"]);
@@ -258,14 +431,14 @@ fn a_task_whose_driver_was_dropped_fails() {
     let mut arm = Arm(world.clone());
     let slot = ArmSlot::new(Offer::new("arm"));
     for _ in 0..2 {
-        let mut running = pin!(slot.run(&mut arm));
+        let mut running = pin!(drive(&slot, &mut arm));
         world.stopped.set(true);
         turn(&mut (running.as_mut() as Running<'_>));
         let _ = start(&slot, "out");
         turn(&mut (running.as_mut() as Running<'_>));
     }
     assert_eq!(poll(&slot).0, Run::Running);
-    let mut running = pin!(slot.run(&mut arm));
+    let mut running = pin!(drive(&slot, &mut arm));
     world.stopped.set(true);
     turn(&mut (running.as_mut() as Running<'_>));
     assert_eq!(poll(&slot), said(Run::Failed, INTERRUPTED));
@@ -286,10 +459,10 @@ fn goals_are_checked_by_the_driver_and_bounded() {
 fn tasks_and_stops_wake_the_executor() {
     let world = Rc::new(World::default());
     let mut arm = Arm(world.clone());
-    let mut slot = &ArmSlot::new(Offer::new("arm"));
+    let slot = &ArmSlot::new(Offer::new("arm"));
     let bell = Arc::new(Bell::default());
     let waker = Waker::from(bell.clone());
-    let mut running = pin!(slot.run(&mut arm));
+    let mut running = pin!(drive(slot, &mut arm));
     world.stopped.set(true);
     let mut rings = 0;
     let mut turn = || {
@@ -301,18 +474,19 @@ fn tasks_and_stops_wake_the_executor() {
     assert!(!turn());
     assert_eq!(start(slot, "out"), Ok(()));
     assert!(turn());
-    slot.abort(Instant::ZERO);
+    SlotComponent(slot).abort(Instant::ZERO);
     assert!(turn());
-    world.stopped.set(true);
+    world.braked.set(true);
     assert!(!turn());
-    slot.make_safe(Instant::ZERO);
+    SlotComponent(slot).make_safe(Instant::ZERO);
     assert!(turn());
 }
 
 #[test]
 fn a_lost_link_ends_the_task_when_the_driver_is_safe() {
     with_arm(|slot, world, running| {
-        let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [slot]);
+        let mut node =
+            Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [SlotComponent(slot)]);
         let mut now = Instant::from_millis(10_000);
         let hello = Hello {
             version: VERSION,
@@ -342,7 +516,7 @@ fn a_lost_link_ends_the_task_when_the_driver_is_safe() {
         turn(running);
         assert_eq!(world.take(), ["begins"]);
         let mut ends = Vec::new();
-        let mut pass = |node: &mut Node<'_, [&ArmSlot; 1], 2, 128>, millis| {
+        let mut pass = |node: &mut Node<'_, [SlotComponent<'_, '_, Arm>; 1], 2, 128>, millis| {
             now = now + Duration::from_millis(millis);
             node.handle_timeout(now);
             let mut decoder = Decoder::<160>::new();

@@ -68,6 +68,9 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             self.safety_wake = Instant::NEVER;
         }
         for index in 0..self.components.count() {
+            let next_tick = self.components.next_tick(index);
+            // The first condition is constant, and so the second absent, if no component has ticks.
+            let tick = next_tick != Instant::NEVER && now >= next_tick;
             let Some(component) = self.components.component_mut(index) else {
                 continue;
             };
@@ -76,16 +79,13 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 Some(task) => now >= task.wake,
                 None => safety && goes_to_safety(component, self.all_to_safety),
             };
-            let tick = C::TICKING && now >= component.next_tick();
             if !due && !tick {
                 continue;
             }
             let mut text = TaskText::new();
             let run = component.poll(now, &mut Report::new(&mut text));
-            let mut wake = component.poll_timeout(now);
-            if C::TICKING {
-                wake = wake.min(component.next_tick());
-            }
+            let wake = component.poll_timeout(now);
+            let wake = wake.min(self.components.next_tick(index));
             let Some(task) = task else {
                 if due && run == Run::Running {
                     self.safety_wake = self.safety_wake.min(wake);
@@ -168,12 +168,10 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     pub(crate) fn next_move(&self) -> Instant {
         let running = self.tasks.0.iter().filter(|task| task.runs());
         let moving = running.fold(self.safety_wake, |wake, task| wake.min(task.wake));
-        if !C::TICKING {
-            return moving;
-        }
         let indices = 0..self.components.count();
-        let components = indices.filter_map(|index| self.components.component(index));
-        components.fold(moving, |wake, component| wake.min(component.next_tick()))
+        indices.fold(moving, |wake, index| {
+            wake.min(self.components.next_tick(index))
+        })
     }
 
     /// Starts a task with a new id on the component with this index.

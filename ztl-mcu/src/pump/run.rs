@@ -5,6 +5,7 @@ use core::convert::Infallible;
 use core::future::{Future, poll_fn};
 use core::pin::pin;
 use core::task::{Context, Poll};
+use core::time::Duration;
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_io_async::{Read, Write};
@@ -12,6 +13,9 @@ use ztl_core::Instant;
 
 use super::turn::{LOG_AGAIN, Pump, PumpError};
 use crate::{Components, Node};
+
+/// How often a port that takes nothing is offered bytes.
+const FULL_AGAIN: Duration = Duration::from_millis(1);
 
 /// State shared by the three loops. No loop borrows the node while it waits.
 struct Shared<'p, 'n, C, const TASKS: usize, const FRAME: usize> {
@@ -21,14 +25,16 @@ struct Shared<'p, 'n, C, const TASKS: usize, const FRAME: usize> {
     move_on: Cell<bool>,
     /// There may be something to send.
     send: Cell<bool>,
+    /// The port took nothing: when it is offered bytes again.
+    full_until: Cell<Instant>,
 }
 
 impl Pump<'_> {
     /// Runs a node forever. Reading, advancing the components and sending are concurrent, so that a port that takes no
     /// bytes delays nothing else. `clock` returns the time, `delay` waits.
     ///
-    /// With embassy: the halves of a `BufferedUart` or of USB's `CdcAcmClass`, `embassy_time::Delay`, and
-    /// `|| Instant::from_micros(embassy_time::Instant::now().as_micros())`.
+    /// With embassy: the halves of a `BufferedUart` or of USB's `CdcAcmClass` in [`Plugged`](super::Plugged),
+    /// `embassy_time::Delay`, and `|| Instant::from_micros(embassy_time::Instant::now().as_micros())`.
     ///
     /// The future may be dropped at any time, and called again with the same node and the same or another port. A
     /// partially transferred frame is then lost, as on a bad line, unless `read` and `write` of the port are
@@ -56,6 +62,7 @@ impl Pump<'_> {
             node: RefCell::new(node),
             move_on: Cell::new(false),
             send: Cell::new(true),
+            full_until: Cell::new(Instant::NEVER),
         };
         let mut moving = pin!(shared.keep_moving(delay, &clock));
         let mut reading = pin!(shared.keep_reading(rx, &clock));
@@ -97,7 +104,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
                 // The sending loop handles what is due already.
                 let send = Some(node.next_transmit(now)).filter(|at| *at > now);
                 let log = self.pump.log.map(|_| now + LOG_AGAIN);
-                let moving = node.next_move();
+                let moving = node.next_move().min(self.full_until.get());
                 let wake = [send, log].into_iter().flatten().fold(moving, Instant::min);
                 (wake != Instant::NEVER).then(|| wake.as_micros().saturating_sub(now.as_micros()))
             });
@@ -162,10 +169,21 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
             let bytes = chunk.get(..count.unwrap_or_default()).unwrap_or_default();
             if !bytes.is_empty() {
                 match tx.write(bytes).await {
-                    Ok(written) => self.node(|node| node.consume(written.min(bytes.len()))),
+                    // Not offered again at once, which would take all of the processor.
+                    Ok(0) => {
+                        let until = clock() + FULL_AGAIN;
+                        self.full_until.set(until);
+                        self.move_on.set(true);
+                        yield_now().await;
+                        poll_fn(|_| ready_if(clock() >= until)).await;
+                        self.full_until.set(Instant::NEVER);
+                    }
+                    Ok(written) => {
+                        self.node(|node| node.consume(written.min(bytes.len())));
+                        flushed = false;
+                    }
                     Err(error) => return error,
-                };
-                flushed = false;
+                }
             } else if !flushed {
                 if let Err(error) = tx.flush().await {
                     return error;
@@ -174,18 +192,18 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Shared<'_, '_, C, TA
                 // The sent frame has a time at which it is repeated.
                 self.move_on.set(true);
             } else {
-                poll_fn(|_| {
-                    if self.send.take() {
-                        Poll::Ready(())
-                    } else {
-                        Poll::Pending
-                    }
-                })
-                .await;
+                poll_fn(|_| ready_if(self.send.take())).await;
                 continue;
             }
             yield_now().await;
         }
+    }
+}
+
+fn ready_if(ready: bool) -> Poll<()> {
+    match ready {
+        true => Poll::Ready(()),
+        false => Poll::Pending,
     }
 }
 

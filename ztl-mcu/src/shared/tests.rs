@@ -129,6 +129,32 @@ fn slices_are_pushed_like_bytes() {
     }
 }
 
+#[test]
+fn a_circular_dma_is_followed_round_its_ring() {
+    use core::sync::atomic::{AtomicU8, Ordering};
+
+    let ring = [const { AtomicU8::new(0) }; 8];
+    let queue = ReceiveQueue::<64>::new();
+    let (mut written, mut taken) = (0, 0);
+    let mut expected = Vec::new();
+    // The DMA interrupts at 4 and 0, the line falls idle anywhere.
+    for at in [3, 3, 4, 0, 1, 4, 7, 0, 4, 0, 2, 4, 0, 0] {
+        while written % 8 != at {
+            let byte = written as u8 + 1;
+            ring[written % 8].store(byte, Ordering::Relaxed);
+            expected.push(byte);
+            written += 1;
+        }
+        queue.push_ring(&ring, &mut taken, at);
+    }
+    let mut buffer = [0xA5; 64];
+    let count = queue.take(&mut buffer);
+    assert_eq!(buffer[..count], expected);
+    // A register that says more than there is.
+    queue.push_ring(&ring, &mut taken, 9);
+    assert_eq!(queue.take(&mut buffer), 0);
+}
+
 #[cfg(feature = "async")]
 #[test]
 fn an_async_reader_sleeps_until_the_interrupt_wakes_it() {

@@ -1,4 +1,4 @@
-//! `memcpy` and `memset`, small.
+//! `memcpy`, `memmove` and `memset`, small.
 //!
 //! Those of the compiler are optimised for speed and take 1 KiB of flash on a Cortex-M0. This firmware copies only a few
 //! dozen bytes at a time; a byte takes 8 cycles here.
@@ -48,5 +48,29 @@ global_asm!(
     "bne 1b",
     "pop {{r0, pc}}",
     ".size memset, . - memset",
+    // Of its own, because only few programs need it.
+    ".section .text.memmove, \"ax\", %progbits",
+    "function __aeabi_memmove",
+    "function __aeabi_memmove4",
+    "function __aeabi_memmove8",
+    "function memmove",
+    "push {{r0, r4, lr}}",
+    "cmp r0, r1",
+    "bhi 3f",
+    "movs r3, #0",
+    "b 2f",
+    "1: ldrb r4, [r1, r3]",
+    "strb r4, [r0, r3]",
+    "adds r3, #1",
+    "2: cmp r3, r2",
+    "bne 1b",
+    "pop {{r0, r4, pc}}",
+    "4: subs r2, #1",
+    "ldrb r4, [r1, r2]",
+    "strb r4, [r0, r2]",
+    "3: cmp r2, #0",
+    "bne 4b",
+    "pop {{r0, r4, pc}}",
+    ".size memmove, . - memmove",
     ".purgem function",
 );

@@ -5,8 +5,6 @@
 #![no_std]
 #![no_main]
 
-mod port;
-
 use core::panic::PanicInfo;
 
 use app::Pins;
@@ -23,8 +21,7 @@ use embassy_time::Delay;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use static_cell::StaticCell;
 use ztl_mcu::Instant;
-
-use port::{Receiver, Sender};
+use ztl_mcu::pump::Plugged;
 
 bind_interrupts!(struct Interrupts {
     USBCTRL_IRQ => InterruptHandler<USB>;
@@ -73,7 +70,7 @@ async fn main(_spawner: Spawner) {
     let (tx, rx) = class.split();
     static PACKETS: StaticCell<[u8; PACKET as usize]> = StaticCell::new();
     let rx = rx.into_buffered(PACKETS.init([0; PACKET as usize]));
-    let (mut rx, mut tx) = (Receiver(rx), Sender(tx));
+    let (mut rx, mut tx) = (Plugged::new(rx, Delay), Plugged::new(tx, Delay));
     let mut usb = builder.build();
 
     let buttons = async {

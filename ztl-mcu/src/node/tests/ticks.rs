@@ -1,7 +1,6 @@
 //! Components that are polled without a task.
 
 use super::*;
-use crate::component::Ticking;
 
 /// A control loop: counts its polls, brakes for 30 ms on the way to its safe state.
 #[derive(Default)]
@@ -60,20 +59,20 @@ impl Component for Loop {
     }
 }
 
-type Loops = Ticking<[Loop; 2]>;
+type Loops = [Loop; 2];
 
 fn with_loops(play: impl FnOnce(&mut Desk<'_, Loops, 2>)) {
     let [fast, slow] = [10, 35].map(|every| Loop {
         every,
         ..Loop::default()
     });
-    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), Ticking([fast, slow]));
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [fast, slow]);
     play(&mut desk(&mut node));
 }
 
 /// The polls of a component since the last call, in ms since `desk.now` was 10 s.
 fn polls(desk: &mut Desk<'_, Loops, 2>, index: usize) -> Grown<u64> {
-    let polls = core::mem::take(&mut desk.node.components_mut().0[index].polls);
+    let polls = core::mem::take(&mut desk.node.components_mut()[index].polls);
     polls.iter().map(|at| at - 10_000).collect()
 }
 
@@ -107,7 +106,7 @@ fn each_component_is_polled_at_its_own_interval_with_and_without_a_task() {
         );
         assert!(desk.pass(0).contains(&"Ended 9 ABORTED ".to_string()));
         // Asked for at any time.
-        desk.node.components_mut().0[1].every = 0;
+        desk.node.components_mut()[1].every = 0;
         sleep_for(desk, 30);
         assert_eq!(polls(desk, 0), [80, 90, 100]);
         assert_eq!(polls(desk, 1), []);
@@ -135,10 +134,31 @@ fn ticks_go_on_until_the_component_is_safe_and_after() {
 #[test]
 fn a_tick_that_says_running_refuses_no_task() {
     with_loops(|desk| {
-        desk.node.components_mut().0[0].always_runs = true;
+        desk.node.components_mut()[0].always_runs = true;
         desk.hello(5, 1);
         sleep_for(desk, 40);
         assert_eq!(polls(desk, 0).len(), 4);
         assert_eq!(desk.start(1, 9, 0, "on")[0], "1 Started 9");
     });
+}
+
+#[test]
+fn components_of_any_collection_are_ticked() {
+    fn ticked(components: impl Components) -> u64 {
+        let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), components);
+        node.handle_timeout(Instant::from_millis(10_000));
+        node.next_move().as_millis()
+    }
+    let ticking = || Loop {
+        every: 7,
+        ..Loop::default()
+    };
+    let resting = Loop::default;
+    let (mut one, mut other) = (resting(), ticking());
+    assert_eq!(ticked([resting(), ticking()]), 10_007);
+    assert_eq!(ticked((resting(), ticking())), 10_007);
+    assert_eq!(ticked(&mut [ticking()]), 10_007);
+    assert_eq!(ticked((resting(), &mut other)), 10_007);
+    let mut list: [&mut dyn Component; 2] = [&mut one, &mut other];
+    assert_eq!(ticked(list.as_mut_slice()), 10_007);
 }

@@ -16,12 +16,16 @@ use std::task::Wake;
 #[derive(Default)]
 struct World {
     micros: Cell<u64>,
-    /// When the delay that is waited for is over.
+    /// When the first delay that is waited for is over.
     alarm: Cell<Option<u64>>,
     rx: RefCell<VecDeque<u8>>,
     tx: RefCell<Vec<u8>>,
     /// The port takes no bytes.
     stuck: Cell<bool>,
+    /// The port takes no bytes, and says so at once.
+    full: Cell<bool>,
+    /// Writes that were tried.
+    writes: Cell<u32>,
     closed: Cell<bool>,
 }
 
@@ -57,8 +61,12 @@ impl ErrorType for Tx {
 impl embedded_io_async::Write for Tx {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         poll_fn(|_| {
+            self.0.writes.set(self.0.writes.get() + 1);
             if self.0.stuck.get() {
                 return Poll::Pending;
+            }
+            if self.0.full.get() {
+                return Poll::Ready(Ok(0));
             }
             let count = bytes.len().min(7);
             self.0.tx.borrow_mut().extend_from_slice(&bytes[..count]);
@@ -78,12 +86,12 @@ impl DelayNs for Delay {
     async fn delay_ns(&mut self, nanos: u32) {
         let end = self.0.micros.get() + u64::from(nanos).div_ceil(1000);
         poll_fn(|_| {
-            self.0.alarm.set(Some(end));
-            if self.0.micros.get() < end {
-                return Poll::Pending;
+            if self.0.micros.get() >= end {
+                return Poll::Ready(());
             }
-            self.0.alarm.set(None);
-            Poll::Ready(())
+            let other = self.0.alarm.get().unwrap_or(end);
+            self.0.alarm.set(Some(end.min(other)));
+            Poll::Pending
         })
         .await;
     }
@@ -111,6 +119,7 @@ fn run_until(
     let mut context = Context::from_waker(&waker);
     for _ in 0..1_000_000 {
         woken.0.store(false, Ordering::Release);
+        world.alarm.set(None);
         if let Poll::Ready(error) = future.as_mut().poll(&mut context) {
             return Some(error);
         }
@@ -201,6 +210,97 @@ fn a_blocked_port_delays_nothing() {
         run_until(&world, &mut future, 2000);
     }
     assert!(!belt(&node).moves.get(), "the link was lost");
+}
+
+#[test]
+fn a_full_port_is_offered_bytes_now_and_then() {
+    let (world, pump, mut node) = (Rc::new(World::default()), Pump::new(), node());
+    let mut future = pin!(looped(&pump, &mut node, &world));
+    let mut future: Looped<'_> = future.as_mut();
+    begin(&world, &mut future);
+    world.full.set(true);
+    world.rx.borrow_mut().extend(frame(KEY, 2, Body::Ping));
+    let before = world.writes.get();
+    run_until(&world, &mut future, 100);
+    let tried = world.writes.get() - before;
+    assert!((20..=300).contains(&tried), "{tried}");
+    world.full.set(false);
+    run_until(&world, &mut future, 103);
+    assert!(matches!(&taken(&world)[..], [pong, ..] if pong.starts_with("Pong")));
+}
+
+/// A port that is there or not, as one on USB.
+struct Usb(Rc<World>);
+
+impl ErrorType for Usb {
+    type Error = ErrorKind;
+}
+
+impl embedded_io_async::Read for Usb {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
+        if self.0.closed.get() {
+            return Err(ErrorKind::NotConnected);
+        }
+        poll_fn(
+            |_| match self.0.closed.get() || !self.0.rx.borrow().is_empty() {
+                true => Poll::Ready(()),
+                false => Poll::Pending,
+            },
+        )
+        .await;
+        let Ok(count) = Rx(Rc::clone(&self.0)).read(buffer).await;
+        match count {
+            0 => Err(ErrorKind::NotConnected),
+            count => Ok(count),
+        }
+    }
+}
+
+impl embedded_io_async::Write for Usb {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, ErrorKind> {
+        if self.0.closed.get() {
+            return Err(ErrorKind::NotConnected);
+        }
+        assert!(bytes.len() < 64, "the host waits for more");
+        self.0.tx.borrow_mut().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), ErrorKind> {
+        Err(ErrorKind::NotConnected)
+    }
+}
+
+#[test]
+fn an_unplugged_port_ends_nothing_and_serves_again() {
+    use crate::pump::Plugged;
+
+    let (world, pump, mut node) = (Rc::new(World::default()), Pump::new(), node());
+    let serve = async {
+        let halves = [Usb(Rc::clone(&world)), Usb(Rc::clone(&world))];
+        let [mut rx, mut tx] = halves.map(|half| Plugged::new(half, Delay(Rc::clone(&world))));
+        let mut delay = Delay(Rc::clone(&world));
+        let clock = || Instant::from_micros(world.micros.get());
+        let Err(error) = pump
+            .run(&mut node, &mut rx, &mut tx, &mut delay, clock)
+            .await;
+        error
+    };
+    {
+        let mut future = pin!(serve);
+        let mut future: Looped<'_> = future.as_mut();
+        run_until(&world, &mut future, 10);
+        begin(&world, &mut future);
+        world.closed.set(true);
+        assert_eq!(run_until(&world, &mut future, 1500), None);
+        world.closed.set(false);
+        assert_eq!(run_until(&world, &mut future, 1700), None);
+        assert!(taken(&world).contains(&"Ended link was lost".into()));
+        world.rx.borrow_mut().extend(hello());
+        run_until(&world, &mut future, 1800);
+        assert!(taken(&world).contains(&"Ended link was lost".into()));
+    }
+    assert!(!belt(&node).moves.get());
 }
 
 #[test]

@@ -19,7 +19,7 @@ use embedded_hal::digital::OutputPin;
 use embedded_io::Write;
 use microbit::random;
 use microbit::uart::Uart;
-use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
+use ztl_mcu::driver::{Driver, Failed, Progress, Slot, SlotComponent};
 use ztl_mcu::link::Offer;
 use ztl_mcu::{Identity, Instant, Node, Refused, Report};
 
@@ -59,9 +59,13 @@ impl Driver for AsyncLamp<'_> {
         shine(light);
         if let Some(millis) = millis {
             let end = self.now.get() + Duration::from_millis(millis.into());
-            poll_fn(|_| match self.now.get() < end {
-                true => Poll::Pending,
-                false => Poll::Ready(()),
+            poll_fn(|context| {
+                if self.now.get() >= end {
+                    return Poll::Ready(());
+                }
+                // Nothing else wakes an executor: the time has no alarm here.
+                context.waker().wake_by_ref();
+                Poll::Pending
             })
             .await;
             shine(false);
@@ -85,14 +89,15 @@ fn main() -> ! {
     let slot = LampSlot::new(Offer::new("lamp"));
     let now = Cell::new(Instant::ZERO);
     let mut lamp = AsyncLamp { now: &now };
-    let mut driver = pin!(slot.run(&mut lamp));
+    let mut driver = pin!(slot.run(&mut lamp, || now.get()));
     let mut node = node(&slot);
     let mut uart = Uart::start();
     let mut clock = SysTick::<16_000>::start(core.SYST);
     let mut received = [0; 32];
     loop {
         now.set(clock.now());
-        let Poll::Pending = driver
+        // It never ends: this is its only future.
+        let _ = driver
             .as_mut()
             .poll(&mut Context::from_waker(Waker::noop()));
         let count = app::RECEIVED.take(&mut received);
@@ -105,9 +110,11 @@ fn main() -> ! {
 
 // Apart, so that nothing but the node stays on the stack.
 #[inline(never)]
-fn node<'s, 'c>(slot: &'s LampSlot<'c>) -> Node<'static, [&'s LampSlot<'c>; 1], 2, 128> {
+fn node<'s, 'c>(
+    slot: &'s LampSlot<'c>,
+) -> Node<'static, [SlotComponent<'s, 'static, AsyncLamp<'c>>; 1], 2, 128> {
     let identity = Identity::new("desk", env!("CARGO_PKG_VERSION"), random::word());
-    Node::new(identity, [slot])
+    Node::new(identity, [slot.component()])
 }
 
 board_support::handlers!();
