@@ -15,7 +15,7 @@ impl<'a> Body<'a> {
         let mut reader = Reader::new(bytes);
         let tag = reader.u32();
         let body = match tag {
-            0..=5 => Self::from_gateway(tag, &mut reader),
+            0..=5 | 19 | 21 => Self::from_gateway(tag, &mut reader),
             _ => Self::from_node(tag, &mut reader),
         };
         reader.finish(body)
@@ -39,6 +39,8 @@ impl<'a> Body<'a> {
             LinkCommand::Abort { task } => Self::Abort { task },
             LinkCommand::Ping => Self::Ping,
             LinkCommand::Ack { task } => Self::Ack { task },
+            LinkCommand::Noted { task } => Self::Noted { task },
+            LinkCommand::EventAck { number } => Self::EventAck { number },
         }
     }
 
@@ -84,6 +86,15 @@ impl<'a> Body<'a> {
                 index: r.u8(),
                 component: r.u8(),
                 bytes: r.bytes(),
+            },
+            18 => Self::Begun {
+                task: r.task(),
+                component: r.u8(),
+                goal: r.text(),
+            },
+            20 => Self::Event {
+                number: r.u32(),
+                text: r.text(),
             },
             tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
         }
@@ -161,6 +172,23 @@ impl<'a> Body<'a> {
                 bytes,
             } => {
                 sink.byte(17).byte(index).byte(component).bytes(bytes);
+            }
+            Self::Begun {
+                task,
+                component,
+                goal,
+            } => {
+                let begun = sink.tagged(18, task).byte(component);
+                begun.bytes(goal.as_bytes());
+            }
+            Self::Noted { task } => {
+                sink.tagged(19, task);
+            }
+            Self::Event { number, text } => {
+                sink.byte(20).number(number).bytes(text.as_bytes());
+            }
+            Self::EventAck { number } => {
+                sink.byte(21).number(number);
             }
         }
     }
@@ -264,6 +292,8 @@ impl<'a> Reader<'a> {
             3 => LinkCommand::Abort { task: self.task() },
             4 => LinkCommand::Ping,
             5 => LinkCommand::Ack { task: self.task() },
+            19 => LinkCommand::Noted { task: self.task() },
+            21 => LinkCommand::EventAck { number: self.u32() },
             tag => self.fail(BodyError::UnknownTag { tag }, LinkCommand::Ping),
         }
     }

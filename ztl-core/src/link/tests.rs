@@ -36,6 +36,10 @@ enum Twin {
     Log(u32, Vec<u8>),
     Awake(u8, u32),
     Description(u8, u8, Vec<u8>),
+    Begun(u32, u8, String),
+    Noted(u32),
+    Event(u32, String),
+    EventAck(u32),
 }
 
 #[derive(Serialize, Deserialize, Debug, PartialEq)]
@@ -231,6 +235,28 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
             },
             Twin::Description(3, 1, b"{}".to_vec())
         ),
+        (
+            Body::Begun {
+                task: LinkId::local(1),
+                component: 2,
+                goal: "grüße"
+            },
+            Twin::Begun(0x8000_0001, 2, "grüße".into())
+        ),
+        (
+            Body::Noted {
+                task: LinkId::local(1)
+            },
+            Twin::Noted(0x8000_0001)
+        ),
+        (
+            Body::Event {
+                number: 300,
+                text: "door open"
+            },
+            Twin::Event(300, "door open".into())
+        ),
+        (Body::EventAck { number: 300 }, Twin::EventAck(300)),
     ]
 }
 
@@ -271,6 +297,8 @@ fn a_node_reads_only_gateway_messages() {
             Body::Abort { task } => Ok(LinkCommand::Abort { task }),
             Body::Ping => Ok(LinkCommand::Ping),
             Body::Ack { task } => Ok(LinkCommand::Ack { task }),
+            Body::Noted { task } => Ok(LinkCommand::Noted { task }),
+            Body::EventAck { number } => Ok(LinkCommand::EventAck { number }),
             _ => Err(BodyError::UnknownTag {
                 tag: bytes[0].into(),
             }),
@@ -294,7 +322,7 @@ fn truncated_messages_and_trailing_bytes_are_rejected() {
 #[test]
 fn undefined_values_are_rejected() {
     for bytes in [
-        &[18][..],                          // no such message
+        &[99][..],                          // no such message
         &[12, 1, 1, 0],                     // an end that is not final
         &[12, 1, 6, 0],                     // no such state
         &[9, 2, 0xc3, 0x28],                // not UTF-8
