@@ -30,7 +30,8 @@
 
 use ztl_core::link::DESCRIPTION_PART;
 
-use crate::component::{Component, Components, Ticking};
+use crate::acting::{Acting, OwnWork};
+use crate::component::{Component, Components, LongResults, Ticking};
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -56,6 +57,14 @@ impl<T: Describe, const N: usize> DescribeAll for [T; N] {
 }
 
 impl<C: DescribeAll> DescribeAll for Ticking<C> {
+    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
+}
+
+impl<C: DescribeAll> DescribeAll for LongResults<C> {
+    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
+}
+
+impl<C: DescribeAll> DescribeAll for Acting<C> {
     const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
 }
 
@@ -99,6 +108,8 @@ impl<C: Components + DescribeAll> Components for Described<C> {
         true
     };
     const TICKING: bool = C::TICKING;
+    const LONG_RESULTS: bool = C::LONG_RESULTS;
+    const ACTING: bool = C::ACTING;
 
     fn count(&self) -> usize {
         self.0.count()
@@ -114,6 +125,14 @@ impl<C: Components + DescribeAll> Components for Described<C> {
 
     fn description(&self, index: usize) -> &str {
         C::DESCRIPTIONS.get(index).copied().unwrap_or_default()
+    }
+
+    fn own_work(&self) -> Option<&OwnWork> {
+        self.0.own_work()
+    }
+
+    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        self.0.own_work_mut()
     }
 }
 

@@ -5,6 +5,7 @@ mod frame_out;
 mod link_state;
 #[cfg(feature = "zmtp")]
 mod local;
+mod own;
 mod refusal;
 mod runner;
 pub(crate) mod tasks;
@@ -18,6 +19,8 @@ use ztl_core::Instant;
 use ztl_core::link::{Body, Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed};
 use ztl_core::time::micros;
 
+#[cfg(doc)]
+use crate::component::Component;
 use crate::component::Components;
 use crate::log::LogSource;
 use frame_out::{FrameOut, longest};
@@ -125,6 +128,9 @@ impl<C: Hash, const TASKS: usize, const FRAME: usize> Hash for Node<'_, C, TASKS
 impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASKS, FRAME> {
     /// Longest reading that a component can publish, in bytes.
     pub const LONGEST_READING: usize = longest::reading(FRAME);
+
+    /// Longest [result](Component::result) that a component can hand over, in bytes. A longer one is cut and ends in `…`.
+    pub const LONGEST_RESULT: usize = longest::result(FRAME);
 
     /// Longest device name and firmware version, in bytes. Longer ones are cut, so that the node's introduction
     /// to a gateway always fits a frame together with the ids of all tasks.

@@ -2,6 +2,7 @@
 
 use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
 use super::ids::{IdList, Ids};
+use super::link_id::LinkId;
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
 use crate::sink::Sink;
@@ -212,6 +213,12 @@ impl Body<'_> {
     /// Writes the header of a [`Publish`](Self::Publish) with this many bytes, which must follow.
     pub fn put_publish(topic: u8, count: usize, sink: &mut (impl Sink + ?Sized)) {
         sink.byte(14).byte(topic).number(count as u32);
+    }
+
+    /// Writes the header of an [`Ended`](Self::Ended) with a result of this many bytes, which must follow.
+    pub fn put_ended(task: LinkId, state: State, count: usize, sink: &mut (impl Sink + ?Sized)) {
+        let ended = sink.tagged(12, task).byte(state.code());
+        ended.number(count as u32);
     }
 
     /// Writes the header of a [`Log`](Self::Log) with this many bytes, which must follow.

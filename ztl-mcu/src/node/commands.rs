@@ -31,6 +31,12 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             (true, NO_SEQ, LinkCommand::Ack { task }) => {
                 self.runner.tasks.acknowledge(task);
             }
+            (true, NO_SEQ, LinkCommand::Noted { task }) if C::ACTING => self.on_noted(now, task),
+            (true, NO_SEQ, LinkCommand::EventAck { number }) if C::ACTING => {
+                if let Some(own) = self.runner.components.own_work_mut() {
+                    own.on_event_ack(now, number);
+                }
+            }
             (true, seq, command) if seq != NO_SEQ => {
                 self.on_command(now, seq, command, counters);
             }
@@ -66,6 +72,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             for task in self.runner.tasks.held_mut() {
                 task.due = now;
                 task.changed = true;
+            }
+            if let Some(own) = self.runner.components.own_work_mut() {
+                own.on_session(now);
             }
         }
         if self.seq == NO_SEQ {
@@ -117,7 +126,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             } => {
                 let started = if now.as_millis() > before_ms {
                     Err(Refusal::TooLate)
-                } else if task <= self.highest {
+                } else if task <= self.highest || C::ACTING && task.is_local() {
                     Err(Refusal::StaleTask)
                 } else {
                     self.runner.start(now, task, component, &text)
@@ -129,17 +138,14 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             }
             LinkCommand::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
             LinkCommand::Ping => (Answer::Pong, Ok(())),
-            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return,
+            LinkCommand::Hello(_)
+            | LinkCommand::Ack { .. }
+            | LinkCommand::Noted { .. }
+            | LinkCommand::EventAck { .. } => return,
         };
         self.answer = match executed {
             Ok(()) => answer,
-            // The node never drops an ended task that is not acknowledged.
-            Err(Refusal::TableFull)
-                if self.runner.tasks.held().any(|task| task.end().is_some()) =>
-            {
-                Answer::Refused(Refusal::TableFullOfEnded)
-            }
-            Err(refusal) => Answer::Refused(refusal),
+            Err(refusal) => Answer::Refused(self.why(refusal)),
         };
         self.seq = seq;
         self.answer_due = true;
@@ -148,6 +154,17 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             counters.up_since = now;
         }
         self.lost_at = now.after(self.link_timeout);
+    }
+
+    /// The refusal as it is told.
+    pub(super) fn why(&self, refusal: Refusal) -> Refusal {
+        match refusal {
+            // The node never drops an ended task that is not acknowledged.
+            Refusal::TableFull if self.runner.tasks.held().any(|task| task.end().is_some()) => {
+                Refusal::TableFullOfEnded
+            }
+            refusal => refusal,
+        }
     }
 
     /// Acts if the link timer has expired. Also called before a command is executed, because after a pause of

@@ -107,6 +107,12 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 Stage::Replaced if end == Stage::Aborted => (end, REPLACED),
                 _ => (end, ""),
             };
+            let end = match end {
+                Stage::Completed if C::LONG_RESULTS && !component.result().is_empty() => {
+                    Stage::Kept
+                }
+                end => end,
+            };
             task.set_end(end, now, why);
         }
         // The loop terminates: each pass starts or fails one waiting task.
@@ -197,7 +203,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         for (index, known) in self.tasks.0.iter().enumerate() {
             if known.is_free() {
                 free = free.min(index);
-            } else if known.component == component && known.is_open() {
+            } else if known.component == component && (known.is_open() || known.is_kept()) {
                 open += 1;
             }
         }

@@ -48,7 +48,8 @@ pub(super) enum Stage {
     Lost,
     /// Its component is going to the safe state because of an emergency stop.
     Stopped,
-    /// Final, like the next two: kept until acknowledged.
+    /// Final, like the next three: kept until acknowledged. Completed, and its component keeps the result.
+    Kept,
     Failed,
     Aborted,
     Completed,
@@ -70,7 +71,7 @@ impl Task {
         match self.stage {
             Stage::Failed => Some(State::Failed),
             Stage::Aborted => Some(State::Aborted),
-            Stage::Completed => Some(State::Completed),
+            Stage::Completed | Stage::Kept => Some(State::Completed),
             _ => None,
         }
     }
@@ -89,6 +90,11 @@ impl Task {
             self.stage,
             Stage::Running | Stage::Aborting | Stage::Replaced | Stage::Lost | Stage::Stopped
         )
+    }
+
+    /// Whether its component keeps its result, and can take no other task until that is acknowledged.
+    pub(super) fn is_kept(&self) -> bool {
+        self.stage == Stage::Kept
     }
 
     /// Whether its component is going to the safe state.
@@ -149,7 +155,9 @@ impl<const N: usize> Table<N> {
     /// A task that may begin: its component is free, and no task for it with a lower id waits.
     pub(super) fn next_in_turn(&mut self) -> Option<&mut Task> {
         let is_next = |task: &Task| {
-            let before = |other: &Task| other.runs() || other.waits() && other.id < task.id;
+            let before = |other: &Task| {
+                other.runs() || other.is_kept() || other.waits() && other.id < task.id
+            };
             let mut others = self.0.iter();
             task.waits() && !others.any(|other| other.component == task.component && before(other))
         };
