@@ -233,6 +233,8 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
             Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
+            // The frame is not borrowed any more.
+            Err(_) if C::ACTING => self.on_own_answer(now),
             Err(_) => self.on_damage(),
         }
         self.decoder.reset();

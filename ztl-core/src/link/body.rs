@@ -337,6 +337,13 @@ pub enum LinkCommand<'a> {
         /// The task.
         task: LinkId,
     },
+}
+
+/// What a gateway says of tasks and events of a node itself. Not a [`LinkCommand`], so that a node without them has no code
+/// for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OwnAnswer {
     /// [`Body::Noted`].
     Noted {
         /// The task.

@@ -1,6 +1,6 @@
 //! Encodes and decodes messages.
 
-use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
+use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};
 use super::ids::{IdList, Ids};
 use super::link_id::LinkId;
 use super::wire::{BodyError, Reader, WriteValues};
@@ -16,7 +16,7 @@ impl<'a> Body<'a> {
         let mut reader = Reader::new(bytes);
         let tag = reader.u32();
         let body = match tag {
-            0..=5 | 19 | 21 => Self::from_gateway(tag, &mut reader),
+            0..=5 => Self::from_gateway(tag, &mut reader),
             _ => Self::from_node(tag, &mut reader),
         };
         reader.finish(body)
@@ -40,8 +40,6 @@ impl<'a> Body<'a> {
             LinkCommand::Abort { task } => Self::Abort { task },
             LinkCommand::Ping => Self::Ping,
             LinkCommand::Ack { task } => Self::Ack { task },
-            LinkCommand::Noted { task } => Self::Noted { task },
-            LinkCommand::EventAck { number } => Self::EventAck { number },
         }
     }
 
@@ -93,10 +91,12 @@ impl<'a> Body<'a> {
                 component: r.u8(),
                 goal: r.text(),
             },
+            19 => Self::Noted { task: r.task() },
             20 => Self::Event {
                 number: r.u32(),
                 text: r.text(),
             },
+            21 => Self::EventAck { number: r.u32() },
             tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
         }
     }
@@ -208,6 +208,26 @@ impl<'a> LinkCommand<'a> {
     }
 }
 
+impl OwnAnswer {
+    /// Parses a message of a gateway about tasks and events of a node itself.
+    ///
+    /// # Errors
+    /// Like [`Body::parse`]; all other messages are unknown.
+    pub fn parse(bytes: &[u8]) -> Result<Self, BodyError> {
+        let mut reader = Reader::new(bytes);
+        let answer = match reader.u32() {
+            19 => Self::Noted {
+                task: reader.task(),
+            },
+            21 => Self::EventAck {
+                number: reader.u32(),
+            },
+            tag => reader.fail(BodyError::UnknownTag { tag }, Self::EventAck { number: 0 }),
+        };
+        reader.finish(answer)
+    }
+}
+
 /// Headers, for callers whose bytes are in the buffer already.
 impl Body<'_> {
     /// Writes the header of a [`Publish`](Self::Publish) with this many bytes, which must follow.
@@ -299,8 +319,6 @@ impl<'a> Reader<'a> {
             3 => LinkCommand::Abort { task: self.task() },
             4 => LinkCommand::Ping,
             5 => LinkCommand::Ack { task: self.task() },
-            19 => LinkCommand::Noted { task: self.task() },
-            21 => LinkCommand::EventAck { number: self.u32() },
             tag => self.fail(BodyError::UnknownTag { tag }, LinkCommand::Ping),
         }
     }

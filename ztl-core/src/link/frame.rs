@@ -5,7 +5,8 @@
 //! overrun. The CRC uses a table of 64 bytes instead of 1 KiB; a test compares it with the crate `crc`, whose variant
 //! without a table takes 300 bytes.
 
-use super::body::{Body, LinkCommand};
+use super::NO_SEQ;
+use super::body::{Body, LinkCommand, OwnAnswer};
 use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
@@ -428,6 +429,15 @@ impl<const N: usize> Decoder<N> {
             seq,
             command,
         })
+    }
+
+    /// The complete frame, if it belongs to this session and is what a gateway says of tasks and events of the node itself.
+    #[must_use]
+    pub fn own_answer(&self, session: u32) -> Option<OwnAnswer> {
+        let (_, ADDR_ONLY_NODE, NO_SEQ, body) = self.checked(&[session]).ok()? else {
+            return None;
+        };
+        OwnAnswer::parse(body).ok()
     }
 
     /// The index of the session, the address, the sequence number, and the body.

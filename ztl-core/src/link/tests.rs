@@ -297,13 +297,17 @@ fn a_node_reads_only_gateway_messages() {
             Body::Abort { task } => Ok(LinkCommand::Abort { task }),
             Body::Ping => Ok(LinkCommand::Ping),
             Body::Ack { task } => Ok(LinkCommand::Ack { task }),
-            Body::Noted { task } => Ok(LinkCommand::Noted { task }),
-            Body::EventAck { number } => Ok(LinkCommand::EventAck { number }),
             _ => Err(BodyError::UnknownTag {
                 tag: bytes[0].into(),
             }),
         };
         assert_eq!(LinkCommand::parse(&bytes), expected);
+        let own = match body {
+            Body::Noted { task } => Ok(OwnAnswer::Noted { task }),
+            Body::EventAck { number } => Ok(OwnAnswer::EventAck { number }),
+            _ => Err(()),
+        };
+        assert_eq!(OwnAnswer::parse(&bytes).map_err(drop), own);
     }
 }
 

@@ -31,12 +31,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             (true, NO_SEQ, LinkCommand::Ack { task }) => {
                 self.runner.tasks.acknowledge(task);
             }
-            (true, NO_SEQ, LinkCommand::Noted { task }) if C::ACTING => self.on_noted(now, task),
-            (true, NO_SEQ, LinkCommand::EventAck { number }) if C::ACTING => {
-                if let Some(own) = self.runner.components.own_work_mut() {
-                    own.on_event_ack(now, number);
-                }
-            }
             (true, seq, command) if seq != NO_SEQ => {
                 self.on_command(now, seq, command, counters);
             }
@@ -138,14 +132,17 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             }
             LinkCommand::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
             LinkCommand::Ping => (Answer::Pong, Ok(())),
-            LinkCommand::Hello(_)
-            | LinkCommand::Ack { .. }
-            | LinkCommand::Noted { .. }
-            | LinkCommand::EventAck { .. } => return,
+            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return,
         };
         self.answer = match executed {
             Ok(()) => answer,
-            Err(refusal) => Answer::Refused(self.why(refusal)),
+            // The node never drops an ended task that is not acknowledged.
+            Err(Refusal::TableFull)
+                if self.runner.tasks.held().any(|task| task.end().is_some()) =>
+            {
+                Answer::Refused(Refusal::TableFullOfEnded)
+            }
+            Err(refusal) => Answer::Refused(refusal),
         };
         self.seq = seq;
         self.answer_due = true;
@@ -154,17 +151,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             counters.up_since = now;
         }
         self.lost_at = now.after(self.link_timeout);
-    }
-
-    /// The refusal as it is told.
-    pub(super) fn why(&self, refusal: Refusal) -> Refusal {
-        match refusal {
-            // The node never drops an ended task that is not acknowledged.
-            Refusal::TableFull if self.runner.tasks.held().any(|task| task.end().is_some()) => {
-                Refusal::TableFullOfEnded
-            }
-            refusal => refusal,
-        }
     }
 
     /// Acts if the link timer has expired. Also called before a command is executed, because after a pause of

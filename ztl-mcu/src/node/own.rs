@@ -2,7 +2,7 @@
 
 use core::time::Duration;
 
-use ztl_core::link::{Body, LinkId, Loss, NO_SEQ};
+use ztl_core::link::{Body, LinkId, Loss, NO_SEQ, NO_SESSION, OwnAnswer};
 use ztl_core::{Instant, State};
 
 use super::link_state::LinkState;
@@ -49,15 +49,16 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         let runner = &mut self.runner;
         let own = runner.components.own_work();
         let Some(id) = own.and_then(|own| own.next_id(|id| runner.tasks.holds(id))) else {
-            return Err(reason(self.why(Refusal::TableFull).as_str()));
+            return Err(reason(self.no_room().as_str()));
         };
         // The answer to the gateway's last command may be needed again.
         let answered = core::mem::take(&mut runner.reason);
         // Before the table holds the task, since its place among the own ones must be free then.
         if let Err(refusal) = runner.start(now, id, component, goal) {
             let why = core::mem::replace(&mut runner.reason, answered);
-            return Err(match self.why(refusal) {
+            return Err(match refusal {
                 Refusal::ByComponent => why,
+                Refusal::TableFull => reason(self.no_room().as_str()),
                 refusal => reason(refusal.as_str()),
             });
         }
@@ -66,6 +67,14 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             own.keep(now, id, goal, |id| runner.tasks.holds(id));
         }
         Ok(id)
+    }
+
+    /// Why there is no room for a task.
+    fn no_room(&self) -> Refusal {
+        match self.runner.tasks.held().any(|task| task.end().is_some()) {
+            true => Refusal::TableFullOfEnded,
+            false => Refusal::TableFull,
+        }
     }
 
     /// Without a gateway nobody acknowledges the ends of own tasks, so they give up their places: those whose results the
@@ -91,7 +100,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     }
 
     /// The gateway knows a task of the firmware. Answered by its progress or its outcome.
-    pub(super) fn on_noted(&mut self, now: Instant, id: LinkId) {
+    fn on_noted(&mut self, now: Instant, id: LinkId) {
         let Some(own) = self.runner.components.own_work_mut() else {
             return;
         };
@@ -175,6 +184,24 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             wake = wake.min(own.event_due.max(self.receiving));
         }
         wake
+    }
+}
+
+impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, FRAME> {
+    /// Handles a frame that is not a command: the gateway may say something of tasks and events of the firmware.
+    pub(super) fn on_own_answer(&mut self, now: Instant) {
+        let state = &mut self.state;
+        let session = Some(state.session).filter(|session| *session != NO_SESSION);
+        match session.and_then(|session| self.decoder.own_answer(session)) {
+            Some(OwnAnswer::Noted { task }) => state.on_noted(now, task),
+            Some(OwnAnswer::EventAck { number }) => {
+                if let Some(own) = state.runner.components.own_work_mut() {
+                    own.on_event_ack(now, number);
+                }
+            }
+            None => return self.on_damage(),
+        }
+        super::count(&mut self.counters.frames);
     }
 }
 
