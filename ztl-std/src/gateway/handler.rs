@@ -20,8 +20,8 @@ use crate::describe::Descriptions;
 use crate::log_targets::GATEWAY;
 use crate::random;
 use crate::server::{
-    Answers, BindError, OwnTasks, Restored, RestoredTask, TaskHandler, TaskReporter, TaskServer, offered,
-    would_take,
+    Answers, BindError, OwnTasks, Restored, RestoredTask, TaskHandler, TaskReporter, TaskServer,
+    offered, would_take,
 };
 use crate::task_request::{TaskRequest, encoded};
 

@@ -70,10 +70,7 @@ impl Report {
             Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
             Self::AbortRejected => tell(TaskEvent::AbortRejected),
             // The server itself applies these.
-            Self::NeedsClient(..)
-            | Self::NeedsClaim(..)
-            | Self::Reserve(..)
-            | Self::Begun(..) => {}
+            Self::NeedsClient(..) | Self::NeedsClaim(..) | Self::Reserve(..) | Self::Begun(..) => {}
         }
     }
 }

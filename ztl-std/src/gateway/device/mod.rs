@@ -59,9 +59,7 @@ impl Device {
         let has_journal = journal.is_some();
         let session = Session::with_journal(journal, gateway, baud, random::nonzero);
         let sender = inputs.clone();
-        let mut worker = Worker::new(
-            name, opener, session, sender, awaited, observers, own_tasks,
-        );
+        let mut worker = Worker::new(name, opener, session, sender, awaited, observers, own_tasks);
         let (url, status, log) = (worker.url().to_owned(), worker.status(), worker.log());
         let unused = worker.unused();
         let thread = std::thread::Builder::new()

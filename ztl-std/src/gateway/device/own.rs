@@ -95,11 +95,7 @@ impl Worker {
         };
         let shown = DeviceRequest::from(&request);
         self.log_task(request.id, &shown, "was started by the device");
-        let task = id.begin(encoded(
-            &request.handler,
-            &request.component,
-            &request.goal,
-        ));
+        let task = id.begin(encoded(&request.handler, &request.component, &request.goal));
         self.tasks.insert(request.id, (task, shown));
         self.transmit();
     }

@@ -188,7 +188,11 @@ impl<S: Storage> JournalRecords<S> {
 
     /// The last task that the firmware of a device has started itself: the boot, and its id on the link.
     pub(super) fn latest_own(&self, device: &str) -> Option<(u32, LinkId)> {
-        let mut own = self.tasks.values().rev().filter(|line| line.device == device);
+        let mut own = self
+            .tasks
+            .values()
+            .rev()
+            .filter(|line| line.device == device);
         own.find_map(TaskEntry::own)
     }
 
@@ -434,13 +438,11 @@ impl<S: Storage> JournalRecords<S> {
     fn forget(&mut self, now: Moment) {
         // Without its last task of this kind, a device that still holds it would announce it as a new one.
         let own = self.tasks.values().filter(|line| line.own().is_some());
-        let latest: HashMap<String, TaskId> = own
-            .map(|line| (line.device.clone(), line.task))
-            .collect();
+        let latest: HashMap<String, TaskId> =
+            own.map(|line| (line.device.clone(), line.task)).collect();
         let is_latest = |line: &TaskEntry| latest.get(&line.device) == Some(&line.task);
-        let needed = |line: &TaskEntry| {
-            !line.state.is_final() || line.age(now) < KEEP || is_latest(line)
-        };
+        let needed =
+            |line: &TaskEntry| !line.state.is_final() || line.age(now) < KEEP || is_latest(line);
         self.tasks.retain(|_, line| needed(line));
         let mut bytes: usize = self.tasks.values().map(TaskEntry::size).sum();
         if self.tasks.len() <= CARRIED && bytes <= CARRIED_BYTES {
