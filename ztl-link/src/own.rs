@@ -148,7 +148,7 @@ impl<J: SessionJournal> Session<J> {
 
     /// A new session: asks soon about each own task of the device that is not heard of before.
     pub(crate) fn ask_about_own_soon(&mut self, now: Instant) {
-        for task in self.tasks.values_mut() {
+        for task in self.tasks.values_mut().filter(|task| task.is_own()) {
             task.ask_at = now + ASK_PAUSE;
         }
     }

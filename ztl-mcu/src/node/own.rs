@@ -9,6 +9,7 @@ use super::link_state::LinkState;
 use super::refusal::{Reason, Refusal};
 use super::tasks::{TEXT, Table};
 use super::{Components, Node};
+use crate::acting::OwnWork;
 
 /// How often a task or an event is announced until the gateway knows it.
 const INTERVAL: Duration = Duration::from_millis(100);
@@ -248,7 +249,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
     pub fn events_lost(&self) -> u32 {
         const { assert!(C::ACTING, "put the components into `Acting`") };
         let own = self.state.runner.components.own_work();
-        own.map_or(0, crate::acting::OwnWork::lost)
+        own.map_or(0, OwnWork::lost)
     }
 }
 
