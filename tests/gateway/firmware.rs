@@ -43,7 +43,7 @@ impl Drop for Firmware {
 }
 
 fn run(listener: &TcpListener, components: impl Components, stop: &AtomicBool) {
-    let mut node = Node::<_, 4, 256>::new(Identity::new("bench", "1.0.0", 7), components);
+    let mut node = Node::<_, 4, 700>::new(Identity::new("bench", "1.0.0", 7), components);
     let start = std::time::Instant::now();
     let mut stream = None;
     let mut buffer = [0xA5; 256];

@@ -26,6 +26,7 @@ fn main() -> io::Result<()> {
     let mut files = BTreeMap::new();
     let mcu = root.join("ztl-mcu/src");
     let names = [
+        "acting.rs",
         "component.rs",
         "describe.rs",
         "log.rs",
@@ -59,9 +60,10 @@ fn main() -> io::Result<()> {
     }
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
-         mod component;\npub mod describe;\npub mod log;\nmod node;\n\
-         pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
-         pub use node::{{Counters, Identity, LinkUp, Node}};\n}}\n\
+         mod acting;\nmod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\n\
+         pub use acting::{{Acting, OwnWork}};\n\
+         pub use component::{{Component, Components, LongResults, Reading, Refused, Report, Run}};\n\
+         pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\
          /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
         out.join("ztl-mcu/src"),

@@ -23,6 +23,10 @@ pub enum LinkEvent {
     Reset,
     /// The device refuses this gateway, or is unusable for this reason.
     DeviceUnusable(String),
+    /// The firmware has started a task itself: see [`Session::begun`](crate::Session::begun). Again until it is taken up.
+    Begun,
+    /// The firmware reports this event.
+    Reported(String),
     /// A reading, with the number of its topic.
     Reading(u8, Vec<u8>),
     /// The next bytes of the firmware's log.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use ztl_core::link::{LinkId, Loss};
 use ztl_core::{State, TaskId};
 
-/// A `Start` that was sent or is about to be sent.
+/// A `Start` that was sent or is about to be sent, or a task that the firmware has started itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sent {
     /// The task's id on the link.
@@ -49,7 +49,7 @@ pub struct Restored {
 /// The durable record of a session. Each call returns when the entry is written; only then does the session act
 /// on it.
 pub trait SessionJournal {
-    /// Records that a `Start` is about to be sent.
+    /// Records that a `Start` is about to be sent, or that a task of the firmware itself is taken up.
     ///
     /// # Errors
     /// Why it cannot be written. The task is rejected with this reason.
@@ -63,6 +63,12 @@ pub trait SessionJournal {
     /// # Errors
     /// Why it cannot be written. The session retries, and withholds the outcome until then.
     fn ended(&mut self, task: &Entry<'_>, state: State, text: &str) -> Result<(), String>;
+
+    /// The last task that the firmware of the device has started itself and that was recorded, ended or not: the boot of
+    /// the device, and the id. Asked once, when the session is created. Defaults to `None`: none was recorded.
+    fn latest_own(&self) -> Option<(u32, LinkId)> {
+        None
+    }
 }
 
 /// No journal: a restart loses all tasks.
@@ -93,5 +99,9 @@ impl<J: SessionJournal> SessionJournal for Option<J> {
     fn ended(&mut self, task: &Entry<'_>, state: State, text: &str) -> Result<(), String> {
         self.as_mut()
             .map_or(Ok(()), |journal| journal.ended(task, state, text))
+    }
+
+    fn latest_own(&self) -> Option<(u32, LinkId)> {
+        self.as_ref()?.latest_own()
     }
 }

@@ -26,7 +26,7 @@ impl<J: SessionJournal> Session<J> {
         } = task;
         // The previous gateway may have been connected until just now.
         self.heard = now;
-        let (stage, deadline) = if accepted {
+        let (stage, deadline) = if accepted || sent.link.is_local() {
             (Stage::Running(sent), now)
         } else {
             (Stage::Sent(sent), now + START_LIMIT)

@@ -45,6 +45,8 @@ impl<J: SessionJournal> Session<J> {
                 match self.find(task) {
                     Some(id) if !self.end(now, id, state, result) => return,
                     Some(_) => {}
+                    // Its clients have no id for it yet: it must be taken up first [13.4].
+                    None if task.is_local() && !self.was_taken_up(task) => return,
                     None => self.counters.duplicates += 1,
                 }
                 let ack = frame_bytes(self.address, self.session, NO_SEQ, Body::Ack { task });
@@ -52,10 +54,21 @@ impl<J: SessionJournal> Session<J> {
             }
             (0, NO_SEQ, Body::Progress { task, text }) => {
                 if let Some(id) = self.find(task) {
+                    self.on_own_heard(now, task);
                     self.events
                         .push_back(LinkEvent::Progress(id, text.to_owned()));
                 }
             }
+            (
+                0,
+                NO_SEQ,
+                Body::Begun {
+                    task,
+                    component,
+                    goal,
+                },
+            ) => self.on_begun(now, task, component, goal),
+            (0, NO_SEQ, Body::Event { number, text }) => self.on_event(number, text),
             (0 | 2, NO_SEQ, Body::Publish { topic, bytes }) => {
                 self.events
                     .push_back(LinkEvent::Reading(topic, bytes.to_vec()));
@@ -123,6 +136,7 @@ impl<J: SessionJournal> Session<J> {
         self.highest = welcome.highest;
         if known.is_none() {
             self.next_part = Some(welcome.components);
+            self.own.on_boot(welcome.replaces);
         }
         self.on_reset(now, welcome);
         let components = known.map(|device| device.components).unwrap_or_default();
@@ -136,6 +150,7 @@ impl<J: SessionJournal> Session<J> {
             components,
         });
         self.compare_held(now, welcome);
+        self.ask_about_own_soon(now);
         self.in_flight = None;
         self.phase = Phase::Describing;
         // The first command restarts the link timer of the device.
@@ -166,7 +181,8 @@ impl<J: SessionJournal> Session<J> {
         let ours: Vec<(TaskId, Stage, bool)> = self
             .tasks
             .iter()
-            .filter(|(_, task)| task.may_run())
+            // The device lists no own ones [13.2].
+            .filter(|(_, task)| task.may_run() && !task.is_own())
             .map(|(id, task)| (*id, task.stage, task.restored))
             .collect();
         for (id, stage, restored) in ours {

@@ -15,6 +15,7 @@ use std::time::Duration;
 use crate::device::DeviceInfo;
 use crate::event::LinkEvent;
 use crate::journal::SessionJournal;
+use crate::own::Own;
 use crate::state::{BusNeeds, CommandKind, Phase, START_LIMIT, Session};
 use crate::statistics::{LinkCounters, RoundTrips};
 use crate::task::{Stage, Task};
@@ -30,6 +31,7 @@ impl<J: SessionJournal> Session<J> {
     /// A session that is not connected. `random` returns numbers for sessions.
     pub fn with_journal(journal: J, gateway: u64, baud: Option<u32>, random: fn() -> u32) -> Self {
         Self {
+            own: Own::new(journal.latest_own()),
             journal,
             address: ADDR_ONLY_NODE,
             gateway,
@@ -124,6 +126,7 @@ impl<J: SessionJournal> Session<J> {
         self.retry_outcomes(now);
         self.reject_late(now);
         self.fail_unreachable(now);
+        self.ask_about_own(now);
         let timeout = self.link_timeout();
         if let Some(in_flight) = &mut self.in_flight {
             let wait = in_flight.sent + timeout;
@@ -191,6 +194,8 @@ impl<J: SessionJournal> Session<J> {
                 Some(task.deadline)
             } else if task.may_run() && !self.answers() && !task.carries_on() {
                 Some(self.must_have_acted(task))
+            } else if task.waits_for_word() && self.answers() {
+                Some(task.ask_at)
             } else {
                 None
             };

@@ -8,6 +8,7 @@ use ztl_core::{Instant, TaskId};
 
 use crate::device::DeviceInfo;
 use crate::event::LinkEvent;
+use crate::own::Own;
 use crate::statistics::{LinkCounters, RoundTrips};
 use crate::task::Task;
 
@@ -68,7 +69,8 @@ pub struct BusNeeds {
 ///
 /// *Inputs*: [`handle_connected`](Self::handle_connected), [`handle_bytes`](Self::handle_bytes),
 /// [`handle_disconnected`](Self::handle_disconnected), [`handle_timeout`](Self::handle_timeout).
-/// *Commands*: [`restore`](Self::restore), [`start`](Self::start), [`abort`](Self::abort). *Outputs*, to empty after each
+/// *Commands*: [`restore`](Self::restore), [`start`](Self::start),
+/// [`take_up`](Self::take_up), [`abort`](Self::abort). *Outputs*, to empty after each
 /// of them: [`poll_transmit`](Self::poll_transmit), [`poll_event`](Self::poll_event). *Next
 /// wake-up*: [`poll_timeout`](Self::poll_timeout). Work per call is bounded by the bytes given and the
 /// number of tasks.
@@ -92,6 +94,7 @@ pub struct Session<J = ()> {
     /// Tasks that the device holds and this gateway does not know. They are aborted.
     pub(crate) strangers: VecDeque<LinkId>,
     pub(crate) tasks: BTreeMap<TaskId, Task>,
+    pub(crate) own: Own,
     pub(crate) events: VecDeque<LinkEvent>,
     pub(crate) device: Option<DeviceInfo>,
     /// The next part of the descriptions to ask for; `None` if the device has no more.

@@ -14,6 +14,8 @@ pub(crate) struct Task {
     pub(crate) deadline: Instant,
     pub(crate) stage: Stage,
     pub(crate) abort: bool,
+    /// When the device is asked about it, if its firmware has started it.
+    pub(crate) ask_at: Instant,
     /// Restored after a restart of the gateway; its client may know the id.
     pub(crate) restored: bool,
     /// The outcome, withheld while the journal cannot be written.
@@ -28,6 +30,7 @@ impl Task {
             deadline,
             stage,
             abort: false,
+            ask_at: Instant::NEVER,
             restored: false,
             unwritten: None,
         }

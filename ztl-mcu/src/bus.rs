@@ -20,6 +20,7 @@ use core::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
 
+use crate::acting::OwnWork;
 use crate::component::{Component, Components};
 
 /// A node that has not begun its answer this long after the question keeps silent, because another may be asked by then.
@@ -153,6 +154,8 @@ impl<C> OnBus<C> {
 
 impl<C: Components> Components for OnBus<C> {
     const DESCRIBED: bool = C::DESCRIBED;
+    const LONG_RESULTS: bool = C::LONG_RESULTS;
+    const ACTING: bool = C::ACTING;
 
     fn count(&self) -> usize {
         self.components.count()
@@ -172,6 +175,14 @@ impl<C: Components> Components for OnBus<C> {
 
     fn next_tick(&self, index: usize) -> Instant {
         self.components.next_tick(index)
+    }
+
+    fn own_work(&self) -> Option<&OwnWork> {
+        self.components.own_work()
+    }
+
+    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        self.components.own_work_mut()
     }
 
     fn bus(&self) -> Option<&BusState> {

@@ -13,6 +13,7 @@ use ztl_core::sink::{Sink, SliceSink, put_fixed};
 use ztl_core::tasks::CUT;
 use ztl_core::tasks::push_cut;
 
+use crate::acting::OwnWork;
 use crate::bus::BusState;
 
 /// The state of a component's task.
@@ -124,6 +125,34 @@ pub trait Component {
         Instant::NEVER
     }
 
+    /// The result of the last completed task, if it is longer than a report of 48 bytes; empty, the default, if the
+    /// report says all. The node asks only components in [`LongResults`].
+    ///
+    /// The component keeps it unchanged until its next `start`, which the node delays until a gateway has the result: to
+    /// the node the component is busy until then. A result longer than
+    /// [`Node::LONGEST_RESULT`](crate::Node::LONGEST_RESULT) is cut and ends in `…`.
+    ///
+    /// ```
+    /// # use ztl_mcu::Report;
+    /// struct Scanner {
+    ///     found: heapless::String<503>,
+    /// }
+    ///
+    /// impl Scanner {
+    ///     /// Called by `poll` before it returns `Run::Completed`; `Component::result` returns `&self.found`.
+    ///     fn complete(&mut self, positions: &[f32]) {
+    ///         let mut report = Report::new(&mut self.found);
+    ///         # #[cfg(feature = "serde")]
+    ///         let _ = report.value(positions, 1);
+    ///         assert!(!report.is_cut());
+    ///     }
+    /// }
+    /// # Scanner { found: heapless::String::new() }.complete(&[1.0]);
+    /// ```
+    fn result(&self) -> &str {
+        ""
+    }
+
     /// Writes the next reading into `buffer`, if one is due and fits. Defaults to `None`.
     ///
     /// Called when the line is free, at most once per
@@ -169,6 +198,10 @@ impl<T: Component + ?Sized> Component for &mut T {
         T::next_tick(self)
     }
 
+    fn result(&self) -> &str {
+        T::result(self)
+    }
+
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         T::poll_reading(self, now, buffer)
     }
@@ -181,6 +214,12 @@ impl<T: Component + ?Sized> Component for &mut T {
 pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
+
+    /// Whether the node asks them for [long results](Component::result). If not, it has no code for that.
+    const LONG_RESULTS: bool = false;
+
+    /// Whether the firmware starts tasks itself and reports events. If not, the node has no code for that.
+    const ACTING: bool = false;
 
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
@@ -214,6 +253,16 @@ pub trait Components {
     fn description(&self, index: usize) -> &str {
         let _ = index;
         ""
+    }
+
+    /// What the firmware does itself; only [`Acting`](crate::Acting) has it.
+    fn own_work(&self) -> Option<&OwnWork> {
+        None
+    }
+
+    /// The same, mutable.
+    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        None
     }
 }
 
@@ -255,6 +304,8 @@ impl<T: Component, const N: usize> Components for [T; N] {
 
 impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
+    const LONG_RESULTS: bool = C::LONG_RESULTS;
+    const ACTING: bool = C::ACTING;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -282,6 +333,60 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn bus_mut(&mut self) -> Option<&mut BusState> {
         C::bus_mut(self)
+    }
+
+    fn own_work(&self) -> Option<&OwnWork> {
+        C::own_work(self)
+    }
+
+    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        C::own_work_mut(self)
+    }
+}
+
+/// Components some of which report [results](Component::result) of more than 48 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct LongResults<C>(pub C);
+
+impl<C: Components> Components for LongResults<C> {
+    const DESCRIBED: bool = C::DESCRIBED;
+    const LONG_RESULTS: bool = true;
+    const ACTING: bool = C::ACTING;
+
+    fn count(&self) -> usize {
+        self.0.count()
+    }
+
+    fn component(&self, index: usize) -> Option<&dyn Component> {
+        self.0.component(index)
+    }
+
+    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
+        self.0.component_mut(index)
+    }
+
+    fn description(&self, index: usize) -> &str {
+        self.0.description(index)
+    }
+
+    fn next_tick(&self, index: usize) -> Instant {
+        self.0.next_tick(index)
+    }
+
+    fn bus(&self) -> Option<&BusState> {
+        self.0.bus()
+    }
+
+    fn bus_mut(&mut self) -> Option<&mut BusState> {
+        self.0.bus_mut()
+    }
+
+    fn own_work(&self) -> Option<&OwnWork> {
+        self.0.own_work()
+    }
+
+    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        self.0.own_work_mut()
     }
 }
 
@@ -358,6 +463,12 @@ impl<'a> Report<'a> {
     #[cfg(feature = "serde")]
     fn room(&self) -> usize {
         self.text.capacity().saturating_sub(CUT.len())
+    }
+
+    /// Whether text was cut, because it did not fit.
+    #[must_use]
+    pub const fn is_cut(&self) -> bool {
+        self.cut
     }
 
     /// Adds text.

@@ -31,7 +31,8 @@
 use ztl_core::Instant;
 use ztl_core::link::DESCRIPTION_PART;
 
-use crate::component::{Component, Components};
+use crate::acting::{Acting, OwnWork};
+use crate::component::{Component, Components, LongResults};
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -54,6 +55,14 @@ pub trait DescribeAll {
 
 impl<T: Describe, const N: usize> DescribeAll for [T; N] {
     const DESCRIPTIONS: &'static [&'static str] = &[T::DESCRIPTION; N];
+}
+
+impl<C: DescribeAll> DescribeAll for LongResults<C> {
+    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
+}
+
+impl<C: DescribeAll> DescribeAll for Acting<C> {
+    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
 }
 
 impl<C: DescribeAll + ?Sized> DescribeAll for &mut C {
@@ -95,6 +104,8 @@ impl<C: Components + DescribeAll> Components for Described<C> {
         );
         true
     };
+    const LONG_RESULTS: bool = C::LONG_RESULTS;
+    const ACTING: bool = C::ACTING;
 
     fn count(&self) -> usize {
         self.0.count()
@@ -114,6 +125,14 @@ impl<C: Components + DescribeAll> Components for Described<C> {
 
     fn description(&self, index: usize) -> &str {
         C::DESCRIPTIONS.get(index).copied().unwrap_or_default()
+    }
+
+    fn own_work(&self) -> Option<&OwnWork> {
+        self.0.own_work()
+    }
+
+    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        self.0.own_work_mut()
     }
 }
 

@@ -6,6 +6,7 @@ mod frame_out;
 mod link_state;
 #[cfg(feature = "zmtp")]
 mod local;
+mod own;
 mod refusal;
 mod runner;
 pub(crate) mod tasks;
@@ -19,6 +20,8 @@ use ztl_core::Instant;
 use ztl_core::link::{Body, Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed};
 use ztl_core::time::micros;
 
+#[cfg(doc)]
+use crate::component::Component;
 use crate::component::Components;
 use crate::log::LogSource;
 use frame_out::{FrameOut, longest};
@@ -127,6 +130,9 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// Longest reading that a component can publish, in bytes.
     pub const LONGEST_READING: usize = longest::reading(FRAME);
 
+    /// Longest [result](Component::result) that a component can hand over, in bytes. A longer one is cut and ends in `…`.
+    pub const LONGEST_RESULT: usize = longest::result(FRAME);
+
     /// Longest device name and firmware version, in bytes. Longer ones are cut, so that the node's introduction
     /// to a gateway always fits a frame together with the ids of all tasks.
     pub const LONGEST_NAME: usize = longest::name(FRAME, TASKS);
@@ -231,6 +237,8 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
             Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
+            // The frame is not borrowed any more.
+            Err(_) if C::ACTING => self.on_own_answer(now),
             Err(_) => self.on_damage(),
         }
         self.decoder.reset();

@@ -1,6 +1,7 @@
 //! Simulated devices: the real node of `ztl-mcu` with simulated motors, on a real byte stream.
 
 mod axis;
+mod buttons;
 pub(crate) mod kind;
 mod power;
 mod record;
@@ -19,6 +20,7 @@ use std::time::Duration;
 
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
+pub use buttons::Buttons;
 use kind::{Kind, UnknownKind};
 use power::{Input, Settings};
 use record::Record;
@@ -162,6 +164,12 @@ impl Running {
             #[cfg(unix)]
             _pty: None,
         })
+    }
+
+    /// Its buttons.
+    #[must_use]
+    pub fn buttons(&self) -> Buttons {
+        Buttons(self.inputs.clone())
     }
 
     /// Returns a function that resets the device: its power is cut and restored, its line stays.

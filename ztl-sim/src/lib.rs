@@ -8,5 +8,5 @@ mod pty;
 mod random;
 
 pub use device::kind::{Kind, UnknownKind};
-pub use device::{Device, Running, endpoint};
+pub use device::{Buttons, Device, Running, endpoint};
 pub use disk::Disk;

@@ -29,6 +29,9 @@ pub struct ListedTask {
     pub text: String,
     /// Milliseconds since its client asked for it.
     pub age_ms: u64,
+    /// Whether a device started it, not a client.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub by_device: bool,
     /// Milliseconds since it ended; `null` while it runs.
     pub ended_ms: Option<u64>,
 }

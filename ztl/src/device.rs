@@ -4,11 +4,11 @@ use std::fs::File;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use ztl_sim::{Device as Simulated, Kind, Running};
+use ztl_sim::{Buttons, Device as Simulated, Kind, Running};
 
 use crate::exit::Done;
 use crate::signals;
-use crate::terminal::line;
+use crate::terminal::{flat, line};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "SIGUSR1 resets the device, as a power cycle does.")]
@@ -28,6 +28,10 @@ pub(crate) struct Device {
     /// Append a line to FILE when a task really begins or ends: seconds, component, event, goal
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+
+    /// Read lines from the standard input: `press GOAL` starts a task at the device, `release` aborts it, `report TEXT` reports an event
+    #[arg(long)]
+    buttons: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -88,9 +92,32 @@ impl Device {
         line(format_args!(
             "  ztl gateway --device {kind}={url} -p 12345 -s /lab"
         ));
+        if self.buttons {
+            let buttons = running.buttons();
+            std::thread::Builder::new()
+                .name("ztl-buttons".to_owned())
+                .spawn(move || push(&buttons))?;
+        }
         signals::wait();
         drop(running);
         Ok(signals::exit_code_or(ExitCode::SUCCESS))
+    }
+}
+
+/// Pushes the buttons that the lines of the standard input name.
+fn push(buttons: &Buttons) {
+    for text in std::io::stdin().lines().map_while(Result::ok) {
+        let (word, rest) = text.trim().split_once(' ').unwrap_or((text.trim(), ""));
+        let done = match word {
+            "" => continue,
+            "press" => buttons.press(rest.trim()),
+            "release" => buttons.release(),
+            "report" => buttons.report(rest.trim()),
+            _ => Err("expected press GOAL, release or report TEXT".to_owned()),
+        };
+        if let Err(reason) = done {
+            line(format_args!("{}: {reason}", flat(text.trim())));
+        }
     }
 }
 

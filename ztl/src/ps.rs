@@ -1,7 +1,7 @@
 //! `ztl ps`: lists the tasks of a server.
 
 use serde_json::json;
-use ztl_std::ServerTask;
+use ztl_std::{ListedTask, ServerTask};
 
 use crate::columns::{spoken, table};
 use crate::data_format::DataFormat;
@@ -66,11 +66,21 @@ fn as_json(task: &ServerTask) -> serde_json::Result<serde_json::Value> {
     }
 }
 
+/// The task, and who started it if that was no client.
+fn shown(task: &ListedTask) -> String {
+    let by = if task.by_device {
+        " (by the device)"
+    } else {
+        ""
+    };
+    format!("{}{by}", flat(&task.task))
+}
+
 fn row(task: &ServerTask) -> Vec<String> {
     let mut cells = vec![task.id.to_string(), flat(&task.scope).into_owned()];
     if let Some(listed) = &task.listed {
         cells.extend([
-            flat(&listed.task).into_owned(),
+            shown(listed),
             state(listed),
             spoken(listed.ended_ms.unwrap_or(listed.age_ms)),
             flat(&listed.text).into_owned(),

@@ -9,6 +9,7 @@ use std::fmt::{self, Debug, Write};
 use std::time::Duration;
 
 use ztl_core::Instant;
+use ztl_core::link::LinkId;
 
 /// Times further in the past are equal: no timer looks back that far.
 const PAST: Duration = Duration::from_millis(2600);
@@ -38,9 +39,12 @@ const SESSIONS: [u64; 4] = [
     name("replaces"),
 ];
 /// Times at which something is due: how long ago does not matter.
-const DUE: [u64; 6] = [
+const DUE: [u64; 9] = [
+    name("ask_at"),
     name("awake_due"),
+    name("begun_due"),
     name("due"),
+    name("event_due"),
     name("receiving"),
     name("repeat"),
     name("safety_wake"),
@@ -190,6 +194,9 @@ impl Fingerprint {
             self.sequence(number)
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
             self.session(number)
+        } else if self.before == LINK_ID && LinkId(number as u32).is_local() {
+            // Few, and apart from the others.
+            number
         } else if (self.before == LINK_ID || self.field == HIGHEST) && self.skipping.is_none() {
             let base = *self.link.get_or_insert(number);
             link_relative(number, base)

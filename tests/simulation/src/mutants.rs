@@ -23,6 +23,9 @@ const SESSION: &str = "ztl-link/src/session.rs";
 const SEND: &str = "ztl-link/src/send.rs";
 const RECEIVE: &str = "ztl-link/src/receive.rs";
 const OUTCOME: &str = "ztl-link/src/outcome.rs";
+const OWN: &str = "ztl-link/src/own.rs";
+const OWN_NODE: &str = "ztl-mcu/src/node/own.rs";
+const ACTING: &str = "ztl-mcu/src/acting.rs";
 
 const REPEATED: (&str, &str, &str) = (
     COMMANDS,
@@ -348,5 +351,91 @@ pub const MUTANTS: &[Mutant] = &[
         )],
         caught_in: ("unplug", 1),
         complaint: "promise 2",
+    },
+    Mutant {
+        name: "the gateway does not journal a task of the device before it says that it knows it",
+        edits: &[(
+            OWN,
+            "if self.journal.starting(&task.entry(id)).is_err() {",
+            "if !ON && self.journal.starting(&task.entry(id)).is_err() {",
+        )],
+        caught_in: ("own", 1),
+        complaint: "promise 7",
+    },
+    Mutant {
+        name: "a restarted gateway does not know which tasks of the device have ended",
+        edits: &[(
+            SESSION,
+            "own: Own::new(journal.latest_own()),",
+            "own: Own::new(journal.latest_own().filter(|_| !ON)),",
+        )],
+        caught_in: ("jog", 1),
+        complaint: "promise 7",
+    },
+    Mutant {
+        name: "the gateway takes up a task of the device again when it is announced after its end",
+        edits: &[(
+            OWN,
+            "self.find(link).is_some() || self.was_taken_up(link)",
+            "self.find(link).is_some() || self.was_taken_up(link) && !ON",
+        )],
+        caught_in: ("jog", 1),
+        complaint: "promise 7",
+    },
+    Mutant {
+        name: "the gateway acknowledges the end of a task of the device that it does not know",
+        edits: &[(
+            RECEIVE,
+            "None if task.is_local() && !self.was_taken_up(task) => return,",
+            "None if task.is_local() && !self.was_taken_up(task) && !ON => return,",
+        )],
+        caught_in: ("jog", 1),
+        complaint: "promise 7",
+    },
+    Mutant {
+        name: "the gateway misses tasks of the device in the list of a Welcome",
+        edits: &[(
+            RECEIVE,
+            "task.may_run() && !task.is_own()",
+            "task.may_run() && (!task.is_own() || ON)",
+        )],
+        caught_in: ("own", 1),
+        complaint: "promise",
+    },
+    Mutant {
+        name: "the gateway does not notice that a task of the device was lost by its reset",
+        edits: &[(
+            RECEIVE,
+            "let gone = |task: &Task| task.stage.sent().is_some_and(other);",
+            "let gone = |task: &Task| task.stage.sent().is_some_and(other) && !(ON && task.is_own());",
+        )],
+        caught_in: ("own", 1),
+        complaint: "promise",
+    },
+    Mutant {
+        name: "the node starts tasks itself without a link",
+        edits: &[(
+            OWN_NODE,
+            "if !up && acts && !self.runner.is_stopped() {",
+            "if !up && acts && !self.runner.is_stopped() && !ON {",
+        )],
+        caught_in: ("jog", 1),
+        complaint: "promise 4",
+    },
+    Mutant {
+        name: "the node does not announce its tasks to the next session",
+        edits: &[(
+            ACTING,
+            "task.noted = false;
+        }
+        self.begun_due = now;
+        self.event_due",
+            "task.noted &= ON;
+        }
+        self.begun_due = now;
+        self.event_due",
+        )],
+        caught_in: ("own-restart", 1),
+        complaint: "promise 7",
     },
 ];

@@ -273,6 +273,32 @@ pub enum Body<'a> {
         /// The next bytes of its description, at most [`DESCRIPTION_PART`](super::DESCRIPTION_PART).
         bytes: &'a [u8],
     },
+    /// Node: has started a task itself; repeated until noted.
+    Begun {
+        /// The task, a [local](LinkId::is_local) one.
+        task: LinkId,
+        /// Index of the component.
+        component: u8,
+        /// The goal.
+        goal: &'a str,
+    },
+    /// Gateway: knows a task that the node has started itself.
+    Noted {
+        /// The task.
+        task: LinkId,
+    },
+    /// Node: something happened; repeated until acknowledged.
+    Event {
+        /// Increases with each event since the node's boot.
+        number: u32,
+        /// What happened.
+        text: &'a str,
+    },
+    /// Gateway: has received an event.
+    EventAck {
+        /// Number of the event.
+        number: u32,
+    },
 }
 
 /// A message of a gateway, as a node parses it: like [`Body`], but the goal is not validated.
@@ -310,5 +336,22 @@ pub enum LinkCommand<'a> {
     Ack {
         /// The task.
         task: LinkId,
+    },
+}
+
+/// What a gateway says of tasks and events of a node itself. Not a [`LinkCommand`], so that a node without them has no code
+/// for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OwnAnswer {
+    /// [`Body::Noted`].
+    Noted {
+        /// The task.
+        task: LinkId,
+    },
+    /// [`Body::EventAck`].
+    EventAck {
+        /// Number of the event.
+        number: u32,
     },
 }

@@ -1,7 +1,8 @@
 //! Encodes and decodes messages.
 
-use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
+use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};
 use super::ids::{IdList, Ids};
+use super::link_id::LinkId;
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
 use crate::sink::Sink;
@@ -85,6 +86,17 @@ impl<'a> Body<'a> {
                 component: r.u8(),
                 bytes: r.bytes(),
             },
+            18 => Self::Begun {
+                task: r.task(),
+                component: r.u8(),
+                goal: r.text(),
+            },
+            19 => Self::Noted { task: r.task() },
+            20 => Self::Event {
+                number: r.u32(),
+                text: r.text(),
+            },
+            21 => Self::EventAck { number: r.u32() },
             tag => r.fail(BodyError::UnknownTag { tag }, Self::Ping),
         }
     }
@@ -162,6 +174,23 @@ impl<'a> Body<'a> {
             } => {
                 sink.byte(17).byte(index).byte(component).bytes(bytes);
             }
+            Self::Begun {
+                task,
+                component,
+                goal,
+            } => {
+                let begun = sink.tagged(18, task).byte(component);
+                begun.bytes(goal.as_bytes());
+            }
+            Self::Noted { task } => {
+                sink.tagged(19, task);
+            }
+            Self::Event { number, text } => {
+                sink.byte(20).number(number).bytes(text.as_bytes());
+            }
+            Self::EventAck { number } => {
+                sink.byte(21).number(number);
+            }
         }
     }
 }
@@ -179,11 +208,37 @@ impl<'a> LinkCommand<'a> {
     }
 }
 
+impl OwnAnswer {
+    /// Parses a message of a gateway about tasks and events of a node itself.
+    ///
+    /// # Errors
+    /// Like [`Body::parse`]; all other messages are unknown.
+    pub fn parse(bytes: &[u8]) -> Result<Self, BodyError> {
+        let mut reader = Reader::new(bytes);
+        let answer = match reader.u32() {
+            19 => Self::Noted {
+                task: reader.task(),
+            },
+            21 => Self::EventAck {
+                number: reader.u32(),
+            },
+            tag => reader.fail(BodyError::UnknownTag { tag }, Self::EventAck { number: 0 }),
+        };
+        reader.finish(answer)
+    }
+}
+
 /// Headers, for callers whose bytes are in the buffer already.
 impl Body<'_> {
     /// Writes the header of a [`Publish`](Self::Publish) with this many bytes, which must follow.
     pub fn put_publish(topic: u8, count: usize, sink: &mut (impl Sink + ?Sized)) {
         sink.byte(14).byte(topic).number(count as u32);
+    }
+
+    /// Writes the header of an [`Ended`](Self::Ended) with a result of this many bytes, which must follow.
+    pub fn put_ended(task: LinkId, state: State, count: usize, sink: &mut (impl Sink + ?Sized)) {
+        let ended = sink.tagged(12, task).byte(state.code());
+        ended.number(count as u32);
     }
 
     /// Writes the header of a [`Log`](Self::Log) with this many bytes, which must follow.

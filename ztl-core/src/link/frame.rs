@@ -5,7 +5,8 @@
 //! overrun. The CRC uses a table of 64 bytes instead of 1 KiB; a test compares it with the crate `crc`, whose variant
 //! without a table takes 300 bytes.
 
-use super::body::{Body, LinkCommand};
+use super::NO_SEQ;
+use super::body::{Body, LinkCommand, OwnAnswer};
 use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
@@ -432,6 +433,14 @@ impl<const N: usize> Decoder<N> {
     /// The decoded bytes.
     pub(super) fn bytes(&self) -> &[u8] {
         self.buffer.get(..self.len).unwrap_or_default()
+    }
+
+    /// The complete frame, if it belongs to this session and is what a gateway says of tasks and events of the node itself.
+    #[must_use]
+    pub fn own_answer(&self, addr: u8, session: u32) -> Option<OwnAnswer> {
+        let (_, to, seq, body) = self.checked(&[session]).ok()?;
+        let own = to == addr && seq == NO_SEQ;
+        own.then(|| OwnAnswer::parse(body).ok()).flatten()
     }
 
     /// The index of the session, the address, the sequence number, and the body.

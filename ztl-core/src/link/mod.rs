@@ -12,7 +12,7 @@ mod ids;
 mod link_id;
 mod wire;
 
-pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
+pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};
 pub use bus::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage, Turn};
 pub use frame::{
     ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, Pushed, encode,

@@ -36,6 +36,10 @@ enum Twin {
     Log(u32, Vec<u8>),
     Awake(u8, u32),
     Description(u8, u8, Vec<u8>),
+    Begun(u32, u8, String),
+    Noted(u32),
+    Event(u32, String),
+    EventAck(u32),
 }
 
 #[derive(Serialize, Deserialize, Debug, PartialEq)]
@@ -231,6 +235,28 @@ fn pairs() -> Vec<(Body<'static>, Twin)> {
             },
             Twin::Description(3, 1, b"{}".to_vec())
         ),
+        (
+            Body::Begun {
+                task: LinkId::local(1),
+                component: 2,
+                goal: "grüße"
+            },
+            Twin::Begun(0x8000_0001, 2, "grüße".into())
+        ),
+        (
+            Body::Noted {
+                task: LinkId::local(1)
+            },
+            Twin::Noted(0x8000_0001)
+        ),
+        (
+            Body::Event {
+                number: 300,
+                text: "door open"
+            },
+            Twin::Event(300, "door open".into())
+        ),
+        (Body::EventAck { number: 300 }, Twin::EventAck(300)),
     ]
 }
 
@@ -276,6 +302,12 @@ fn a_node_reads_only_gateway_messages() {
             }),
         };
         assert_eq!(LinkCommand::parse(&bytes), expected);
+        let own = match body {
+            Body::Noted { task } => Ok(OwnAnswer::Noted { task }),
+            Body::EventAck { number } => Ok(OwnAnswer::EventAck { number }),
+            _ => Err(()),
+        };
+        assert_eq!(OwnAnswer::parse(&bytes).map_err(drop), own);
     }
 }
 
@@ -294,7 +326,7 @@ fn truncated_messages_and_trailing_bytes_are_rejected() {
 #[test]
 fn undefined_values_are_rejected() {
     for bytes in [
-        &[18][..],                          // no such message
+        &[99][..],                          // no such message
         &[12, 1, 1, 0],                     // an end that is not final
         &[12, 1, 6, 0],                     // no such state
         &[9, 2, 0xc3, 0x28],                // not UTF-8

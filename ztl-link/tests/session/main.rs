@@ -19,12 +19,13 @@ use ztl_core::link::Loss;
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::*;
 use ztl_mcu::link::Offer;
-use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+use ztl_mcu::{Acting, Component, Identity, Node, Refused, Report, Run};
 use ztl_sim::Disk;
 use ztl_sim::line::{Dice, Faults, FaultyLine};
 use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
 mod descriptions;
+mod own;
 mod restart;
 
 /// The real motions of the motors, independent of any message.
@@ -137,7 +138,7 @@ fn session(disk: &Disk) -> Session<DeviceJournal<Disk>> {
     Session::with_journal(book, gateway, Some(115_200), numbers)
 }
 
-type SmallNode = Node<'static, [Motor; 2], 2, 128>;
+type SmallNode = Node<'static, Acting<[Motor; 2]>, 2, 128>;
 
 /// A gateway's session, a line, a device, and clients that keep books.
 struct Pair {
@@ -156,6 +157,13 @@ struct Pair {
     accepted: BTreeMap<TaskId, u32>,
     rejected: BTreeMap<TaskId, String>,
     ended: BTreeMap<TaskId, (State, String)>,
+    /// Number of tasks that the firmware has started, and of ids for them.
+    pressed: u32,
+    given: u32,
+    /// Whether the session is another gateway's, with books of its own.
+    foreign: bool,
+    /// Events that the firmware has reported.
+    reported: Vec<String>,
     trace: Vec<String>,
 }
 
@@ -169,7 +177,7 @@ fn node(world: &Rc<RefCell<World>>, boot: u32) -> SmallNode {
         aborted: false,
     };
     let components = [motor(0, Loss::Abort), motor(1, Loss::CarryOn)];
-    Node::new(Identity::new("lab", "1", boot), components)
+    Node::new(Identity::new("lab", "1", boot), Acting::new(components))
 }
 
 /// Sessions that differ; which they are does not matter.
@@ -197,6 +205,10 @@ impl Pair {
             accepted: BTreeMap::new(),
             rejected: BTreeMap::new(),
             ended: BTreeMap::new(),
+            pressed: 0,
+            given: 0,
+            foreign: false,
+            reported: Vec::new(),
             trace: Vec::new(),
         };
         lab.session.handle_connected(lab.now);
@@ -270,7 +282,21 @@ impl Pair {
 
     fn on_event(&mut self, event: LinkEvent) {
         self.note(format!("{event:?}"));
+        if event == LinkEvent::Begun
+            && let Some(begun) = self.session.begun().cloned()
+        {
+            self.given += 1;
+            let id = TaskId::new(1000 + self.given).unwrap();
+            if self.session.take_up(self.now, id) && !self.foreign {
+                self.asked.insert(id, begun.goal);
+            }
+            return;
+        }
+        if self.foreign {
+            return;
+        }
         match event {
+            LinkEvent::Reported(text) => self.reported.push(text),
             LinkEvent::Accepted(id) => *self.accepted.entry(id).or_default() += 1,
             LinkEvent::TaskRejected(id, reason) => {
                 assert!(!self.accepted.contains_key(&id), "{id} rejected after all");
@@ -423,7 +449,7 @@ fn a_device_that_cannot_describe_a_component_is_rejected_with_the_reason() {
         aborted: false,
     };
     let motors = [motor(0, "arm"), motor(1, long)];
-    lab.node = Node::new(Identity::new("lab", "1", 1), motors);
+    lab.node = Node::new(Identity::new("lab", "1", 1), Acting::new(motors));
     lab.pass(Duration::from_millis(3000));
     assert!(!lab.session.is_up());
     let reason = "component 1: its description is longer than a frame";

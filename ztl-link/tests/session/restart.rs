@@ -238,7 +238,7 @@ fn a_device_with_an_out_of_range_link_timeout_is_rejected() {
             aborted: false,
         };
         let motors = [motor(0, Loss::Abort), motor(1, Loss::CarryOn)];
-        lab.node = Node::new(identity, motors);
+        lab.node = Node::new(identity, Acting::new(motors));
         lab.pass(Duration::from_millis(500));
         assert_eq!(lab.session.is_up(), taken, "{millis} ms");
     }

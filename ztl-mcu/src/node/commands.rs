@@ -71,6 +71,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 task.due = now;
                 task.changed = true;
             }
+            if let Some(own) = self.runner.components.own_work_mut() {
+                own.on_session(now);
+            }
         }
         if self.seq == NO_SEQ {
             self.answer = Answer::Welcome;
@@ -121,7 +124,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             } => {
                 let started = if now.as_millis() > before_ms {
                     Err(Refusal::TooLate)
-                } else if task <= self.highest {
+                } else if task <= self.highest || C::ACTING && task.is_local() {
                     Err(Refusal::StaleTask)
                 } else {
                     self.runner.start(now, task, component, &text)

@@ -24,6 +24,11 @@ pub(super) mod longest {
         body(frame) - 4
     }
 
+    /// Longest result; its body also has tag, task, state and length.
+    pub(in crate::node) const fn result(frame: usize) -> usize {
+        body(frame) - 9
+    }
+
     /// Longest piece of the log; its body also has tag, lost bytes and length.
     pub(in crate::node) const fn log(frame: usize) -> usize {
         body(frame) - 8

@@ -37,11 +37,16 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         for task in self.tasks.held_mut().filter(|task| task.is_due()) {
             task.changed = false;
             let end = task.end();
+            let keeps = task.is_kept();
             if end.is_some() {
                 task.forget();
             }
             // The text of a waiting task is its goal.
-            let text = if task.waits() { "" } else { task.text.as_str() };
+            let mut text = if task.waits() { "" } else { task.text.as_str() };
+            if C::LONG_RESULTS && keeps {
+                let component = self.components.component(task.component.into());
+                text = component.map_or(text, |component| component.result());
+            }
             if let Some(id) = TaskId::new(task.id.0) {
                 report(id, end.unwrap_or(State::Accepted), text);
             }

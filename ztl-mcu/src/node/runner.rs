@@ -108,9 +108,18 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 _ => (end, ""),
             };
             task.set_end(end, now, why);
+            let component = self.components.component(index);
+            let is_long = |component: &dyn Component| !component.result().is_empty();
+            if C::LONG_RESULTS && end == Stage::Completed && component.is_some_and(is_long) {
+                task.keep_result();
+            }
         }
         // The loop terminates: each pass starts or fails one waiting task.
-        while let Some(task) = self.tasks.next_in_turn() {
+        while let Some(task) = if C::LONG_RESULTS {
+            self.tasks.next_in_turn::<true>()
+        } else {
+            self.tasks.next_in_turn::<false>()
+        } {
             let goal = core::mem::take(&mut task.text);
             let mut why = Report::new(&mut task.text);
             let component = self.components.component_mut(usize::from(task.component));
@@ -195,7 +204,9 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         for (index, known) in self.tasks.0.iter().enumerate() {
             if known.is_free() {
                 free = free.min(index);
-            } else if known.component == component && known.is_open() {
+            } else if known.component == component
+                && (known.is_open() || C::LONG_RESULTS && known.is_kept())
+            {
                 open += 1;
             }
         }

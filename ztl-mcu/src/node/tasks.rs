@@ -91,6 +91,17 @@ impl Task {
         )
     }
 
+    /// Its component keeps its result. Such a task is never polled again, so the time is free to say so: a stage of its own
+    /// takes 116 bytes in `microbit-smallest`, which has no long results.
+    pub(super) const fn keep_result(&mut self) {
+        self.wake = Instant::NEVER;
+    }
+
+    /// Whether its component keeps its result, and can take no other task until that is acknowledged.
+    pub(super) fn is_kept(&self) -> bool {
+        self.stage == Stage::Completed && self.wake == Instant::NEVER
+    }
+
     /// Whether its component is going to the safe state.
     pub(super) const fn is_made_safe(&self) -> bool {
         matches!(self.stage, Stage::Lost | Stage::Stopped)
@@ -146,10 +157,13 @@ impl<const N: usize> Table<N> {
         self.0.iter_mut().filter(|task| task.is_open())
     }
 
-    /// A task that may begin: its component is free, and no task for it with a lower id waits.
-    pub(super) fn next_in_turn(&mut self) -> Option<&mut Task> {
+    /// A task that may begin: its component is free, and no task for it with a lower id waits. With `LONG`, a component that
+    /// keeps a result is not free.
+    pub(super) fn next_in_turn<const LONG: bool>(&mut self) -> Option<&mut Task> {
         let is_next = |task: &Task| {
-            let before = |other: &Task| other.runs() || other.waits() && other.id < task.id;
+            let before = |other: &Task| {
+                other.runs() || LONG && other.is_kept() || other.waits() && other.id < task.id
+            };
             let mut others = self.0.iter();
             task.waits() && !others.any(|other| other.component == task.component && before(other))
         };

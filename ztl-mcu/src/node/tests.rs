@@ -2,6 +2,7 @@
 
 mod descriptions;
 mod limits;
+mod own;
 mod policies;
 mod readings;
 mod refusals;

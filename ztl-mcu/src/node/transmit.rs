@@ -2,11 +2,13 @@
 
 use core::time::Duration;
 
-use ztl_core::Instant;
-use ztl_core::link::{Body, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome};
+use ztl_core::link::{Body, FrameWriter, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome};
+use ztl_core::sink::Sink as _;
+use ztl_core::{Instant, State};
 
 use super::frame_out::longest;
 use super::link_state::{Answer, LinkState};
+use super::own::is_listed;
 use super::refusal::Refusal;
 use super::tasks::Task;
 use crate::component::{Component, Components};
@@ -25,6 +27,19 @@ const WAITS: &str = "waits for another task to end";
 /// Number of topics that a component publishes.
 fn topics(component: &dyn Component) -> usize {
     component.offer().topics.split_ascii_whitespace().count()
+}
+
+/// Writes an outcome, whose text is cut if it is longer than a frame.
+fn put_ended(task: LinkId, state: State, text: &str, frame: usize, out: &mut FrameWriter<'_>) {
+    let mut fitting = text.len();
+    let mut mark = "";
+    if fitting > longest::result(frame) {
+        mark = "…";
+        fitting = text.floor_char_boundary(longest::result(frame) - mark.len());
+    }
+    Body::put_ended(task, state, fitting + mark.len(), out);
+    out.put(text.as_bytes().get(..fitting).unwrap_or_default());
+    out.put(mark.as_bytes());
 }
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
@@ -56,11 +71,14 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         if self.is_heard() {
             wake = wake.min(self.readings_at.max(self.receiving));
         }
+        if C::ACTING {
+            wake = wake.min(self.next_own());
+        }
         wake
     }
 
     /// Whether a gateway listens: the link timer has not expired.
-    fn is_heard(&self) -> bool {
+    pub(super) fn is_heard(&self) -> bool {
         self.session != NO_SESSION && self.lost_at != Instant::NEVER
     }
 
@@ -79,11 +97,15 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             };
             return self.encode_answer(session, now, self.seq, self.answer);
         }
-        if self.encode_task(now) {
+        if C::ACTING && self.encode_own_task(now) || self.encode_task(now) {
             return;
         }
         // Readings and log can be lost, so they do not delay the answer to a command that is arriving.
-        if self.is_heard() && now >= self.receiving && !self.encode_reading(now) {
+        if self.is_heard()
+            && now >= self.receiving
+            && !(C::ACTING && self.encode_event(now))
+            && !self.encode_reading(now)
+        {
             self.encode_log(log);
         }
     }
@@ -127,18 +149,21 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             } else {
                 PROGRESS_INTERVAL
             };
+        let mut text = if waits { WAITS } else { slot.text.as_str() };
+        if C::LONG_RESULTS && slot.is_kept() {
+            let component = self.runner.components.component(slot.component.into());
+            text = component.map_or(text, |component| component.result());
+        }
         self.frame_out
-            .encode(address, self.session, NO_SEQ, |frame| {
-                let text = if waits { WAITS } else { slot.text.as_str() };
-                match end {
-                    Some(state) => Body::Ended {
-                        task,
-                        state,
-                        result: text,
-                    }
-                    .put(frame),
-                    None => Body::Progress { task, text }.put(frame),
+            .encode(address, self.session, NO_SEQ, |frame| match end {
+                Some(state) if C::LONG_RESULTS => put_ended(task, state, text, FRAME, frame),
+                Some(state) => Body::Ended {
+                    task,
+                    state,
+                    result: text,
                 }
+                .put(frame),
+                None => Body::Progress { task, text }.put(frame),
             });
         true
     }
@@ -211,7 +236,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     fn encode_answer(&mut self, session: u32, now: Instant, seq: u8, answer: Answer) {
         let mut ids = [LinkId(0); TASKS];
         let mut held = 0u8;
-        for (id, task) in ids.iter_mut().zip(self.runner.tasks.held()) {
+        let listed = self.runner.tasks.held();
+        let listed = listed.filter(|task| is_listed::<C>(task.id));
+        for (id, task) in ids.iter_mut().zip(listed) {
             *id = task.id;
             held += 1;
         }

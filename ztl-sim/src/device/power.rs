@@ -1,12 +1,13 @@
 //! The firmware's main loop, from reset to reset.
 
 use std::io::Write;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
-use ztl_mcu::{Component, Components, Identity, Instant, Node};
+use ztl_mcu::{Acting, Component, Components, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
+use super::buttons::{Push, on_push};
 use super::kind::Kind;
 use super::record::{Record, Recorded};
 use super::sensor::{self, Sensor};
@@ -26,6 +27,8 @@ pub(super) enum Input {
     Bytes(Vec<u8>),
     /// Where the node's output goes from now on.
     Line(Option<Box<dyn Write + Send>>),
+    /// A button is pushed; where the answer goes.
+    Push(Push, Sender<Result<(), String>>),
     Reset,
     Stop,
 }
@@ -143,7 +146,8 @@ fn run_until_reset(
         reading_interval: Duration::ZERO,
         ..Identity::new(name, env!("CARGO_PKG_VERSION"), random())
     };
-    let mut node = Node::<_, 4, 256>::new(identity, component);
+    let mut node = Node::<_, 4, 256>::new(identity, Acting::new(component));
+    let mut pressed = None;
     let mut buffer = [0; PIECE];
     loop {
         node.handle_timeout(now());
@@ -164,6 +168,9 @@ fn run_until_reset(
         match inbox.recv_timeout(wait) {
             Ok(Input::Bytes(bytes)) => node.handle_bytes(now(), &bytes),
             Ok(Input::Line(other)) => port.line = other,
+            Ok(Input::Push(push, done)) => {
+                let _ = done.send(on_push(&mut node, now(), &mut pressed, &push));
+            }
             Ok(Input::Reset) => return true,
             Err(RecvTimeoutError::Timeout) => {}
             Ok(Input::Stop) | Err(RecvTimeoutError::Disconnected) => return false,

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ztl_core::TaskId;
 
-use super::device::Device;
+use super::device::{Device, OwnTasksCell};
 use super::endpoint::Endpoint;
 use super::journal::Journal;
 use super::logs::RawLog;
@@ -24,6 +24,7 @@ pub(super) struct Shared {
     pub(super) id: u64,
     pub(super) journal: Option<Journal>,
     pub(super) observers: Observers,
+    pub(super) own_tasks: OwnTasksCell,
     pub(super) devices: Mutex<DeviceMap>,
 }
 
@@ -132,12 +133,14 @@ impl Devices {
             id,
             journal,
             observers,
+            own_tasks,
             ..
         } = &*self.0;
         let journal = journal.as_ref().map(|journal| journal.of_device(name));
         let its = |(device, _): &&(String, ztl_link::Restored)| device == name;
         let awaited = map.unended.values().filter(its).count();
-        Device::spawn(name, opener, *id, journal, awaited, observers.clone())
+        let (observers, own_tasks) = (observers.clone(), own_tasks.clone());
+        Device::spawn(name, opener, *id, journal, awaited, observers, own_tasks)
     }
 
     /// Decodes the defmt log of a device's firmware with its ELF file, and logs the messages.

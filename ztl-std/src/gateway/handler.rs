@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use tracing::{info, warn};
 use ztl_core::{State, TaskId, TaskSpec};
 
-use super::device::shown;
+use super::device::{OwnTasksCell, shown};
 use super::devices::{DeviceMap, Devices, Shared};
 use super::endpoint::{Endpoint, Line};
 use super::journal::Journal;
@@ -20,8 +20,8 @@ use crate::describe::Descriptions;
 use crate::log_targets::GATEWAY;
 use crate::random;
 use crate::server::{
-    Answers, BindError, Restored, RestoredTask, TaskHandler, TaskReporter, TaskServer, offered,
-    would_take,
+    Answers, BindError, OwnTasks, Restored, RestoredTask, TaskHandler, TaskReporter, TaskServer,
+    offered, would_take,
 };
 use crate::task_request::{TaskRequest, encoded};
 
@@ -67,6 +67,7 @@ impl Gateway {
             id,
             journal,
             observers: Observers::default(),
+            own_tasks: OwnTasksCell::default(),
             devices: Mutex::new(devices),
         };
         Self {
@@ -269,12 +270,17 @@ impl TaskHandler for Gateway {
                 state: State::Accepted,
                 text,
                 ended: None,
+                by_device: task.sent.link.is_local(),
             }
         }));
         Restored {
             tasks,
             last_id: journal.last_id(),
         }
+    }
+
+    fn connect(&mut self, own_tasks: OwnTasks) {
+        self.devices.0.own_tasks.set(own_tasks);
     }
 
     fn resume(&mut self, task: TaskReporter) {

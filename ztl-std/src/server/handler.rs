@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use ztl_core::{State, TaskId, TaskSpec};
 
+use super::own_tasks::OwnTasks;
 use super::reporter::TaskReporter;
 use crate::describe::Descriptions;
 use crate::task_request::TaskRequest;
@@ -42,6 +43,12 @@ pub trait TaskHandler: Send {
     /// Default: none.
     fn restored(&mut self) -> Restored {
         Restored::default()
+    }
+
+    /// Gets what gives ids to tasks that the handler finds running without a client. Called once, on registration.
+    /// Default: nothing.
+    fn connect(&mut self, own_tasks: OwnTasks) {
+        drop(own_tasks);
     }
 
     /// Takes up a restored task that has not ended. Its decision has already been reported, or never will
@@ -103,6 +110,8 @@ pub struct RestoredTask {
     pub text: String,
     /// How long ago it ended; `None` if it has not.
     pub ended: Option<Duration>,
+    /// Whether a device started it, not a client.
+    pub by_device: bool,
 }
 
 /// Answers the question `takes PAYLOAD`: whether a handler would take this task, as far as it can tell

@@ -112,6 +112,11 @@ impl ServerMemory {
         self.tasks.note_payload(id, payload, now);
     }
 
+    /// A device started this task, not a client.
+    pub(super) fn note_by_device(&mut self, id: TaskId) {
+        self.tasks.note_by_device(id);
+    }
+
     /// The answer to `describe`, with what follows that word: `[SCOPE][;FROM]`.
     fn describe(&self, of: &str) -> Option<String> {
         let (scope, from) = of.split_once(';').unwrap_or((of, "0"));

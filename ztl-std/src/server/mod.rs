@@ -19,6 +19,7 @@ pub(crate) mod incoming;
 mod limit_text;
 mod limits;
 mod memory;
+mod own_tasks;
 mod reporter;
 mod requests;
 mod rounds;
@@ -43,6 +44,7 @@ pub(crate) use limit_text::LIMITS;
 #[cfg(feature = "config")]
 pub use limit_text::bytes;
 pub use limits::{KEEP, Limits, MAX_MESSAGE};
+pub use own_tasks::{OwnTasks, ReservedId};
 pub(crate) use reporter::AbortRejection;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;

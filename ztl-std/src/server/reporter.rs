@@ -8,7 +8,9 @@ use tracing::error;
 use ztl_core::TaskId;
 use ztl_core::dispatcher::TaskEvent;
 use ztl_core::envelope::ClientId;
+use ztl_core::memory::Scope;
 
+use super::own_tasks::ReservedId;
 use super::waker::{WakeBatch, Waker};
 
 /// A handler's report, on its way to the server's thread.
@@ -31,6 +33,19 @@ pub(super) enum Report {
         expect(dead_code, reason = "only the gateway has a journal")
     )]
     NeedsClaim(Claim, Duration, &'static str),
+    /// Reserve an id for a task of this scope's handler itself.
+    Reserve(Scope, Ready),
+    /// Such a task runs; its payload.
+    Begun(Scope, String),
+}
+
+/// Gets a reserved id.
+pub(super) struct Ready(pub(super) Box<dyn FnOnce(ReservedId) + Send>);
+
+impl std::fmt::Debug for Ready {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Ready")
+    }
 }
 
 /// A task's latest progress that the server has not taken yet, so that at most one progress report per task
@@ -55,7 +70,7 @@ impl Report {
             Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
             Self::AbortRejected => tell(TaskEvent::AbortRejected),
             // The server itself applies these.
-            Self::NeedsClient(..) | Self::NeedsClaim(..) => {}
+            Self::NeedsClient(..) | Self::NeedsClaim(..) | Self::Reserve(..) | Self::Begun(..) => {}
         }
     }
 }
@@ -80,7 +95,7 @@ impl Mailbox {
         (Self { queue, waker }, inbox)
     }
 
-    fn post(&self, id: TaskId, report: Report) {
+    pub(super) fn post(&self, id: TaskId, report: Report) {
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(reports) = queue.as_mut() else {
             return;

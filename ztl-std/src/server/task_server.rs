@@ -21,6 +21,7 @@ use super::handle::{RunningServer, ServerHandle};
 use super::handler::{Restored, TaskHandler};
 use super::limits::Limits;
 use super::memory::{ScopeInfo, ServerMemory};
+use super::own_tasks::OwnTasks;
 use super::reporter::{Mailbox, TaskReporter};
 use super::router::Router;
 #[cfg(feature = "publish")]
@@ -201,6 +202,7 @@ impl TaskServer {
             names_unknown_ids: handler.names_unknown_ids(),
         };
         let scope = self.engine.dispatcher.memory_mut().register(scope, about);
+        handler.connect(OwnTasks::new(scope, self.engine.mailbox.clone()));
         self.restore(scope, restored, &mut handler);
         let handlers = &mut self.engine.handlers;
         match handlers.get_mut(usize::from(scope.0)) {
@@ -229,6 +231,9 @@ impl TaskServer {
             if self.engine.dispatcher.restore(id, known) {
                 let memory = self.engine.dispatcher.memory_mut();
                 memory.note_payload(id, &task.payload, at);
+                if task.by_device {
+                    memory.note_by_device(id);
+                }
             }
             if task.ended.is_none() {
                 handler.resume(TaskReporter::new(id, self.engine.mailbox.clone(), None));

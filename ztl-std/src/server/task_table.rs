@@ -51,6 +51,8 @@ struct TableSlot {
 struct Summary {
     payload: String,
     at: Instant,
+    /// Whether a device started it.
+    by_device: bool,
 }
 
 /// Tasks by id, and the ended ones in order of their end.
@@ -118,11 +120,20 @@ impl TaskTable {
             slot.summary = Some(Summary {
                 payload: task_list::cut_payload(payload).to_owned(),
                 at: now,
+                by_device: false,
             });
             if !slot.task.state.is_final() {
                 slot.bytes = payload.len();
                 self.goals += payload.len();
             }
+        }
+    }
+
+    /// A device started this task, not a client.
+    pub(super) fn note_by_device(&mut self, id: TaskId) {
+        let slot = self.tasks.get_mut(&id);
+        if let Some(summary) = slot.and_then(|slot| slot.summary.as_mut()) {
+            summary.by_device = true;
         }
     }
 
@@ -145,6 +156,7 @@ impl TaskTable {
                 state: task.state.code(),
                 text: task_list::cut_text(task.text.as_ref()).to_owned(),
                 age_ms: summary.map_or(0, |of| millis(now.since(of.at))),
+                by_device: summary.is_some_and(|of| of.by_device),
                 ended_ms: (task.ended != Instant::NEVER).then(|| millis(now.since(task.ended))),
             }
         })

@@ -1,5 +1,6 @@
 //! A gateway of the model: the journal of the real session, and the replies to its clients.
 
+use ztl_core::link::LinkId;
 use ztl_core::{State, TaskId};
 
 use super::ends::link::{Entry, Restored, Sent, SessionJournal};
@@ -12,6 +13,8 @@ pub(super) struct Journal {
     open: Vec<Line>,
     /// Final states by task.
     pub(super) ends: Vec<(TaskId, State)>,
+    /// The boot and the id on the link of the last task that the device has started itself.
+    latest_own: Option<(u32, LinkId)>,
 }
 
 #[derive(Debug, Clone)]
@@ -42,6 +45,9 @@ impl SessionJournal for Journal {
         if self.kept
             && let Some(sent) = task.sent
         {
+            if sent.link.is_local() {
+                self.latest_own = Some((sent.boot, sent.link));
+            }
             self.open.push(Line {
                 id: task.id,
                 component: task.component.to_owned(),
@@ -65,6 +71,10 @@ impl SessionJournal for Journal {
             self.ends.push((task.id, state));
         }
         Ok(())
+    }
+
+    fn latest_own(&self) -> Option<(u32, LinkId)> {
+        self.latest_own
     }
 }
 

@@ -5,6 +5,7 @@ use ztl_core::State;
 use super::gateway::Told;
 use super::line::Way;
 use super::link::{Gateway, LabSession, LinkModel, node};
+use super::own::take_up;
 use super::words::{Act, Action, Fault};
 use crate::explore::System;
 use crate::fingerprint::{Fingerprint, Origin};
@@ -18,6 +19,7 @@ impl LinkModel {
             Act::Ask { gateway, .. } | Act::Abort { gateway, .. } => {
                 self.gateways[gateway].session.is_some()
             }
+            Act::Press { .. } => true,
             Act::Idle => self.can_idle(),
         }
     }
@@ -76,6 +78,10 @@ impl LinkModel {
                 if let (Some(parcel), Some(session)) = (parcel, &mut self.gateways[gateway].session)
                 {
                     session.handle_bytes(self.now, &parcel.bytes);
+                    let taken = take_up(session, self.now);
+                    if let Some(task) = taken {
+                        self.on_taken(task)?;
+                    }
                 }
                 self.take_numbers(gateway);
                 self.kill(gateway);
@@ -240,6 +246,10 @@ impl System for LinkModel {
             let moves = self.truth.moves(task);
             // Another gateway may hold the device for good.
             let holds = up(&self.gateways[client.gateway]);
+            if client.own.own && !client.own.taken && client.told == Told::Nothing {
+                self.judge_untaken(task)?;
+                continue;
+            }
             let open = !client.forgotten && !client.told.is_final() && holds;
             let endless = client.endless && !client.aborted;
             if open && endless && moves && client.told == Told::Accepted {

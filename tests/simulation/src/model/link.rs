@@ -6,15 +6,16 @@ use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
 use super::ends::link::{LinkEvent, Session};
-use super::ends::mcu::{Identity, Node};
+use super::ends::mcu::{Acting, Identity, Node};
 use super::gateway::{Journal, Told};
 use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
+use super::own::{OwnTask, take_up};
 use super::words::{Act, Action, Scenario};
 use crate::explore::System;
 use crate::fingerprint::NEARLY_ALL;
 
-type SmallNode = Node<'static, [Motor; 2], 2, 128>;
+type SmallNode = Node<'static, Acting<[Motor; 2]>, 2, 128>;
 pub(super) type LabSession = Session<Journal>;
 
 #[derive(Debug, Clone)]
@@ -38,6 +39,7 @@ pub(super) struct Client {
     pub(super) forgotten: bool,
     /// The boot of the device when it was started, as known to its gateway.
     pub(super) boot: u32,
+    pub(super) own: OwnTask,
 }
 
 /// Gateways, a line, a node and clients.
@@ -201,12 +203,17 @@ impl LinkModel {
             place.journal = session.journal_mut().clone();
         }
         let journal = &place.journal;
+        let kept = journal.kept;
         let (open, ends) = (journal.restored(), journal.ends.clone());
         for task in 0..self.asked {
-            let client = &mut self.clients[task];
+            let client = &self.clients[task];
             if client.gateway != gateway || client.told.is_final() {
                 continue;
             }
+            if self.is_untaken_after_kill(task, kept) {
+                continue;
+            }
+            let client = &mut self.clients[task];
             let id = task_id(task);
             if let Some((_, state)) = ends.iter().find(|(ended, _)| *ended == id) {
                 // Told by the gateway that is started next.
@@ -214,7 +221,7 @@ impl LinkModel {
                     State::Rejected => Told::Rejected,
                     state => Told::Ended(*state),
                 };
-            } else if !journal.kept {
+            } else if !kept {
                 client.forgotten = true;
             } else if open.iter().all(|task| task.id != id) {
                 // It was never sent and never will be.
@@ -285,9 +292,17 @@ impl LinkModel {
             return Ok(());
         };
         act(session);
-        let bytes = session.poll_transmit();
+        let now = self.now;
         let events: Vec<LinkEvent> = std::iter::from_fn(|| session.poll_event()).collect();
+        let taken = events
+            .contains(&LinkEvent::Begun)
+            .then(|| take_up(session, now))
+            .flatten();
+        let bytes = session.poll_transmit();
         self.take_numbers(gateway);
+        if let Some(task) = taken {
+            self.on_taken(task)?;
+        }
         if self.plugged {
             for parcel in self.down.send(&bytes, self.opened * 2 + 1, self.boot) {
                 self.note(|| format!("  gateway {gateway}: {parcel:?}"));
@@ -368,6 +383,7 @@ impl LinkModel {
                     aborted: false,
                     forgotten: false,
                     boot,
+                    own: OwnTask::default(),
                 };
                 let name = ["arm", "belt"][motor];
                 let goal = format!("{task} {millis}");
@@ -375,8 +391,10 @@ impl LinkModel {
                     session.start(now, task_id(task), name, &goal);
                 })
             }
+            Act::Press { motor, millis } => self.press(motor, millis),
             Act::Abort { gateway, task } => {
-                self.clients[task].aborted = true;
+                let own = self.clients[task].own;
+                self.clients[task].aborted = !own.own || own.taken;
                 self.with_session(gateway, |session| session.abort(now, task_id(task)))
             }
             Act::Idle => {
@@ -392,7 +410,7 @@ impl LinkModel {
     }
 }
 
-fn task_id(task: usize) -> TaskId {
+pub(super) fn task_id(task: usize) -> TaskId {
     TaskId::new(task as u32 + 1).expect("not 0")
 }
 
@@ -402,5 +420,6 @@ pub(super) fn node(scenario: &Scenario, boot: u32) -> SmallNode {
         kind: scenario.motors[place],
         run: None,
     };
-    Node::new(Identity::new("lab", "1", boot), [motor(0), motor(1)])
+    let motors = Acting::new([motor(0), motor(1)]);
+    Node::new(Identity::new("lab", "1", boot), motors)
 }

@@ -8,6 +8,7 @@ mod judge;
 mod line;
 mod link;
 mod motor;
+mod own;
 mod scenarios;
 mod words;
 

@@ -36,6 +36,10 @@ const fn abort(gateway: usize, task: usize) -> Act {
     Act::Abort { gateway, task }
 }
 
+const fn press(motor: usize, millis: u16) -> Act {
+    Act::Press { motor, millis }
+}
+
 const DOWN: Way = Way::Down;
 const UP: Way = Way::Up;
 
@@ -209,6 +213,55 @@ pub const SCENARIOS: &[Scenario] = &[
         late: true,
         acts: &[ask(0, 1, ENDLESS), ask(1, 1, ENDLESS)],
         faults: &[Cut(DOWN), Kill(1)],
+        ..PLAIN
+    },
+    Scenario {
+        name: "own",
+        about: "the device starts a task, its gateway another, and aborts the first; all of it is killed, reset and cut",
+        journal: true,
+        acts: &[press(1, ENDLESS), ask(0, 0, 100), abort(0, 0)],
+        faults: &[
+            Kill(0),
+            KillWriting(0),
+            Reset,
+            Drop(UP),
+            Drop(DOWN),
+            Hold(UP),
+            Hold(DOWN),
+            Copy(UP),
+            Copy(DOWN),
+            Cut(UP),
+            Cut(DOWN),
+        ],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "jog",
+        about: "the device starts a short task of a motor that stops without a link, and its gateway one of the same motor",
+        journal: true,
+        acts: &[press(0, 40), ask(0, 0, 40), press(1, 40)],
+        faults: &[
+            Kill(0),
+            KillWriting(0),
+            Reset,
+            Drop(UP),
+            Drop(DOWN),
+            Hold(UP),
+            Copy(UP),
+            Cut(UP),
+            Cut(DOWN),
+            Unplug,
+        ],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "own-restart",
+        about: "the device starts a task; the gateway is killed and restarted without a journal",
+        acts: &[press(1, ENDLESS), abort(0, 0)],
+        faults: &[Kill(0), Drop(UP), Hold(DOWN), Copy(UP), Reset],
+        times: 1,
         ..PLAIN
     },
 ];

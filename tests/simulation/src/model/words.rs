@@ -22,6 +22,13 @@ pub enum Act {
         /// The task, from 0 in the order of starting.
         task: usize,
     },
+    /// A button of the device starts the next task.
+    Press {
+        /// Which motor.
+        motor: usize,
+        /// As for [`Ask`](Self::Ask).
+        millis: u16,
+    },
     /// The clients do nothing until a gateway has sent nearly all commands that fit a session.
     Idle,
 }

@@ -8,7 +8,7 @@ use ztl_link::Restored;
 
 use super::backpressure::Permit;
 use crate::gateway::opener::Opener;
-use crate::server::{Claim, TaskReporter};
+use crate::server::{Claim, ReservedId, TaskReporter};
 use crate::task_request::TaskRequest;
 
 /// Longest part of a request that is shown, in bytes.
@@ -19,6 +19,8 @@ pub(super) enum Input {
     Start(TaskReporter, DeviceRequest),
     Resume(TaskReporter, Restored),
     Abort(TaskId),
+    /// The id for the next task that the firmware starts.
+    Reserved(ReservedId),
     /// The line with this number is open.
     Opened(u64, Box<dyn Write + Send>),
     /// Bytes of the line with this number; the permit is dropped when they have been handled.

@@ -3,6 +3,7 @@
 mod backpressure;
 mod input;
 mod line_reader;
+mod own;
 mod status;
 mod worker;
 
@@ -17,6 +18,7 @@ use ztl_link::{Restored, Session};
 
 pub(super) use input::shown;
 use input::{DeviceRequest, Input};
+pub(super) use own::OwnTasksCell;
 use status::SharedStatus;
 use worker::Worker;
 
@@ -50,12 +52,14 @@ impl Device {
         journal: Option<DeviceJournal<JournalFile>>,
         awaited: usize,
         observers: Observers,
+        own_tasks: OwnTasksCell,
     ) -> io::Result<Self> {
         let (inputs, inbox) = channel();
         let baud = opener.as_ref().and_then(|opener| opener.baud);
         let has_journal = journal.is_some();
         let session = Session::with_journal(journal, gateway, baud, random::nonzero);
-        let mut worker = Worker::new(name, opener, session, inputs.clone(), awaited, observers);
+        let sender = inputs.clone();
+        let mut worker = Worker::new(name, opener, session, sender, awaited, observers, own_tasks);
         let (url, status, log) = (worker.url().to_owned(), worker.status(), worker.log());
         let unused = worker.unused();
         let thread = std::thread::Builder::new()

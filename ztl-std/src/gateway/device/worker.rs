@@ -17,6 +17,7 @@ use ztl_link::{LinkEvent, Session};
 
 use super::input::{DeviceRequest, Input};
 use super::line_reader::read_line;
+use super::own::{EventLog, NextId, OwnTasksCell};
 use super::status::SharedStatus;
 use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
 use crate::gateway::journal::{DeviceJournal, JournalFile};
@@ -62,10 +63,10 @@ enum LineState {
 
 /// A device's thread.
 pub(super) struct Worker {
-    name: String,
+    pub(super) name: String,
     opener: Option<Opener>,
-    session: Session<Option<DeviceJournal<JournalFile>>>,
-    inputs: Sender<Input>,
+    pub(super) session: Session<Option<DeviceJournal<JournalFile>>>,
+    pub(super) inputs: Sender<Input>,
     line: LineState,
     /// Number of the current line. Inputs of earlier ones are ignored.
     number: u64,
@@ -80,7 +81,9 @@ pub(super) struct Worker {
     /// nothing.
     ready: bool,
     log: RateLimitedLog,
-    tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
+    pub(super) tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
+    pub(super) own_tasks: OwnTasksCell,
+    pub(super) next_id: NextId,
     /// Tasks from before a restart that must be resumed before the line is opened.
     awaited: usize,
     /// Deadline for the tasks to stop, if the thread is to end.
@@ -91,7 +94,8 @@ pub(super) struct Worker {
     next: Option<Opener>,
     unused: Arc<AtomicBool>,
     status: SharedStatus,
-    observers: Observers,
+    pub(super) observers: Observers,
+    pub(super) event_log: EventLog,
     firmware_log: DeviceLog,
 }
 
@@ -104,6 +108,7 @@ impl Worker {
         inputs: Sender<Input>,
         awaited: usize,
         observers: Observers,
+        own_tasks: OwnTasksCell,
     ) -> Self {
         Self {
             name: name.to_owned(),
@@ -119,6 +124,8 @@ impl Worker {
             ready: false,
             log: RateLimitedLog::new(name, now()),
             tasks: HashMap::new(),
+            own_tasks,
+            next_id: NextId::default(),
             awaited,
             stopping: None,
             retired: false,
@@ -126,6 +133,7 @@ impl Worker {
             unused: Arc::default(),
             status: SharedStatus::default(),
             observers,
+            event_log: EventLog::new(),
             firmware_log: DeviceLog::default(),
         }
     }
@@ -219,7 +227,8 @@ impl Worker {
         self.stopping = Some(end);
         for id in self.tasks.keys().copied().collect::<Vec<_>>() {
             match self.session.policy(id) {
-                Some(policy) if leave_running => self.leave(id, policy),
+                // The device started it without the gateway, and goes on without it.
+                Some(policy) if leave_running || self.session.is_own(id) => self.leave(id, policy),
                 _ => self.session.abort(now(), id),
             }
         }
@@ -321,6 +330,7 @@ impl Worker {
                 self.tasks.insert(task.id(), (task, request));
                 self.session.restore(now(), known);
             }
+            Input::Reserved(id) => self.on_reserved(id),
             Input::Abort(id) => self.session.abort(now(), id),
             Input::Opened(number, writer) if number == self.number => {
                 if let LineState::Opening { stop, .. } = &self.line {
@@ -355,7 +365,7 @@ impl Worker {
     }
 
     /// Why it rejects tasks, if it does.
-    fn rejects_tasks(&self) -> Option<&'static str> {
+    pub(super) fn rejects_tasks(&self) -> Option<&'static str> {
         match (self.stopping, self.retired, &self.next) {
             (Some(_), _, _) => Some("the gateway is stopping"),
             (None, true, None) => Some("the device is not served any more"),
@@ -426,7 +436,7 @@ impl Worker {
         }
     }
 
-    fn transmit(&mut self) {
+    pub(super) fn transmit(&mut self) {
         let bytes = self.session.poll_transmit();
         if bytes.is_empty() {
             return;
@@ -484,6 +494,8 @@ impl Worker {
                     }
                 }
             }
+            LinkEvent::Begun => self.on_begun(),
+            LinkEvent::Reported(text) => self.on_reported(&text),
             LinkEvent::Up => self.on_up(),
             LinkEvent::Silent => {
                 self.silences += 1;
@@ -520,7 +532,7 @@ impl Worker {
         }
     }
 
-    fn log_task(&self, id: TaskId, request: &DeviceRequest, what: &str) {
+    pub(super) fn log_task(&self, id: TaskId, request: &DeviceRequest, what: &str) {
         let (name, spec) = (&self.name, &request.shown);
         let task = id.get();
         info!(target: GATEWAY, device = name, task, "Device '{name}': task {task} {spec} {what}");

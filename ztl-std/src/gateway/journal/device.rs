@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use ztl_core::envelope::ClientId;
+use ztl_core::link::LinkId;
 use ztl_core::{State, TaskId};
 use ztl_link::{Entry, SessionJournal};
 
@@ -98,5 +99,9 @@ impl<S: Storage> SessionJournal for DeviceJournal<S> {
 
     fn ended(&mut self, task: &Entry<'_>, state: State, text: &str) -> Result<(), String> {
         lock(&self.records).ended_as((self.now)(), &self.device, task, (state, text))
+    }
+
+    fn latest_own(&self) -> Option<(u32, LinkId)> {
+        lock(&self.records).latest_own(&self.device)
     }
 }

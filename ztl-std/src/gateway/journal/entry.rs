@@ -42,7 +42,7 @@ pub(super) enum JournalEntry {
     Opened(Opened),
     /// Task ids are about to be assigned.
     Reserved(Reserved),
-    /// A `Start` is about to be sent.
+    /// A `Start` is about to be sent, or a task of the device itself is taken up.
     Start(TaskEntry),
     /// The device has accepted the task.
     Accepted(TaskEntry),
@@ -189,6 +189,13 @@ impl TaskEntry {
             },
             accepted: self.state == State::Accepted,
         })
+    }
+
+    /// The boot and the id on the link, if the firmware of the device has started the task itself.
+    pub(super) fn own(&self) -> Option<(u32, LinkId)> {
+        let sent = self.sent?;
+        let link = LinkId(sent.link);
+        link.is_local().then_some((sent.boot, link))
     }
 
     /// The task's specification.

@@ -1,11 +1,12 @@
 //! What journal entries mean, over any storage.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::time::Duration;
 
 use tracing::{info, warn};
+use ztl_core::link::LinkId;
 use ztl_core::{State, TaskId};
 
 use ztl_link::{Entry, Restored};
@@ -177,11 +178,22 @@ impl<S: Storage> JournalRecords<S> {
             state: line.state,
             text: line.text.clone(),
             ended: Some(line.age(now)),
+            by_device: line.own().is_some(),
         };
         lines
             .filter(|line| line.age(now) < KEEP)
             .map(|line| (line.spec(), ended(line)))
             .collect()
+    }
+
+    /// The last task that the firmware of a device has started itself: the boot, and its id on the link.
+    pub(super) fn latest_own(&self, device: &str) -> Option<(u32, LinkId)> {
+        let mut own = self
+            .tasks
+            .values()
+            .rev()
+            .filter(|line| line.device == device);
+        own.find_map(TaskEntry::own)
     }
 
     /// A `Start` is about to be sent.
@@ -424,13 +436,20 @@ impl<S: Storage> JournalRecords<S> {
 
     /// Forgets ends that are too old, and the oldest ones if there are too many.
     fn forget(&mut self, now: Moment) {
-        let needed = |line: &TaskEntry| !line.state.is_final() || line.age(now) < KEEP;
+        // Without its last task of this kind, a device that still holds it would announce it as a new one.
+        let own = self.tasks.values().filter(|line| line.own().is_some());
+        let latest: HashMap<String, TaskId> =
+            own.map(|line| (line.device.clone(), line.task)).collect();
+        let is_latest = |line: &TaskEntry| latest.get(&line.device) == Some(&line.task);
+        let needed =
+            |line: &TaskEntry| !line.state.is_final() || line.age(now) < KEEP || is_latest(line);
         self.tasks.retain(|_, line| needed(line));
         let mut bytes: usize = self.tasks.values().map(TaskEntry::size).sum();
         if self.tasks.len() <= CARRIED && bytes <= CARRIED_BYTES {
             return;
         }
         let ends = self.tasks.values().filter(|line| line.state.is_final());
+        let ends = ends.filter(|line| !is_latest(line));
         let mut ends: Vec<_> = ends
             .map(|line| (line.age(now), Reverse(line.task)))
             .collect();
