@@ -5,6 +5,7 @@
 
 use super::ids::Ids;
 use super::link_id::LinkId;
+use super::parameter::ParameterMessage;
 use crate::lifecycle::State;
 
 /// Opens a session.
@@ -273,6 +274,8 @@ pub enum Body<'a> {
         /// The next bytes of its description, at most [`DESCRIPTION_PART`](super::DESCRIPTION_PART).
         bytes: &'a [u8],
     },
+    /// Either: about parameters.
+    Parameter(ParameterMessage<'a>),
 }
 
 /// A message of a gateway, as a node parses it: like [`Body`], but the goal is not validated.

@@ -2,6 +2,7 @@
 
 use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, Welcome};
 use super::ids::{IdList, Ids};
+use super::parameter;
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
 use crate::sink::Sink;
@@ -16,6 +17,7 @@ impl<'a> Body<'a> {
         let tag = reader.u32();
         let body = match tag {
             0..=5 => Self::from_gateway(tag, &mut reader),
+            parameter::FIRST..=parameter::LAST => Self::Parameter(reader.parameter_message(tag)),
             _ => Self::from_node(tag, &mut reader),
         };
         reader.finish(body)
@@ -162,6 +164,7 @@ impl<'a> Body<'a> {
             } => {
                 sink.byte(17).byte(index).byte(component).bytes(bytes);
             }
+            Self::Parameter(message) => message.put(sink),
         }
     }
 }
