@@ -8,6 +8,8 @@ use ztl_core::link::Offer;
 use ztl_core::sink::{Sink, SliceSink, put_fixed};
 use ztl_core::tasks::push_cut;
 
+use crate::parameters::Tuning;
+
 /// The state of a component's task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -179,6 +181,9 @@ pub trait Components {
     /// Whether the node asks them for [ticks](Component::next_tick). If not, it has no code for that.
     const TICKING: bool = false;
 
+    /// Number of parameters that clients may set. If there are none, the node has no code for them.
+    const PARAMETER_COUNT: u8 = 0;
+
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
 
@@ -194,6 +199,16 @@ pub trait Components {
     fn description(&self, index: usize) -> &str {
         let _ = index;
         ""
+    }
+
+    /// Their parameters; [`Tuned`](crate::parameters::Tuned) has some.
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        None
+    }
+
+    /// Their parameters, mutable.
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        None
     }
 }
 
@@ -228,6 +243,7 @@ impl<T: Component, const N: usize> Components for [T; N] {
 impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
     const TICKING: bool = C::TICKING;
+    const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -243,6 +259,14 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn description(&self, index: usize) -> &str {
         C::description(self, index)
+    }
+
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        C::tuning(self)
+    }
+
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        C::tuning_mut(self)
     }
 }
 
@@ -263,6 +287,7 @@ pub struct Ticking<C>(pub C);
 impl<C: Components> Components for Ticking<C> {
     const DESCRIBED: bool = C::DESCRIBED;
     const TICKING: bool = true;
+    const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
 
     fn count(&self) -> usize {
         self.0.count()
@@ -278,6 +303,14 @@ impl<C: Components> Components for Ticking<C> {
 
     fn description(&self, index: usize) -> &str {
         self.0.description(index)
+    }
+
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        self.0.tuning()
+    }
+
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        self.0.tuning_mut()
     }
 }
 

@@ -29,8 +29,10 @@
 //! ```
 
 use ztl_core::link::DESCRIPTION_PART;
+use ztl_core::link::parameter::NO_COMPONENT;
 
 use crate::component::{Component, Components, Ticking};
+use crate::parameters::Tuning;
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -93,12 +95,14 @@ pub struct Described<C>(pub C);
 impl<C: Components + DescribeAll> Components for Described<C> {
     const DESCRIBED: bool = {
         assert!(
-            parts(C::DESCRIPTIONS) + C::DESCRIPTIONS.len() <= 256,
+            parts(C::DESCRIPTIONS) + C::DESCRIPTIONS.len() + (C::PARAMETER_COUNT > 0) as usize
+                <= 256,
             "the descriptions are too long: 48 bytes for each index that is not a component's"
         );
         true
     };
     const TICKING: bool = C::TICKING;
+    const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
 
     fn count(&self) -> usize {
         self.0.count()
@@ -115,6 +119,14 @@ impl<C: Components + DescribeAll> Components for Described<C> {
     fn description(&self, index: usize) -> &str {
         C::DESCRIPTIONS.get(index).copied().unwrap_or_default()
     }
+
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        self.0.tuning()
+    }
+
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        self.0.tuning_mut()
+    }
 }
 
 /// Number of messages that these descriptions take.
@@ -127,9 +139,14 @@ const fn parts(descriptions: &[&str]) -> usize {
     parts
 }
 
+/// Whether there is anything for an index beyond the components.
+pub(crate) const fn has_parts<C: Components>() -> bool {
+    C::DESCRIBED || C::PARAMETER_COUNT > 0
+}
+
 /// The part of the descriptions for an index beyond the components: the component, and the next bytes of its
-/// description.
-pub(crate) fn part(components: &impl Components, index: u8) -> Option<(u8, &[u8])> {
+/// description. The last one announces the parameters ([13.1]).
+pub(crate) fn part<C: Components>(components: &C, index: u8) -> Option<(u8, &[u8])> {
     let count = components.count();
     let mut before = usize::from(index).checked_sub(count)?;
     for component in 0..count {
@@ -141,5 +158,6 @@ pub(crate) fn part(components: &impl Components, index: u8) -> Option<(u8, &[u8]
             before -= 1;
         }
     }
-    None
+    (C::PARAMETER_COUNT > 0 && before == 0)
+        .then_some((NO_COMPONENT, const { &[C::PARAMETER_COUNT] }))
 }

@@ -61,6 +61,7 @@
 //! | move a part with an async driver (`embedded-hal-async`) | `driver` | `async`, `critical-section` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
+//! | have values that people set and save: calibrations, limits | [`parameters`](mod@parameters) | |
 //! | learn whether a gateway is there | [`Node::link`] | |
 //! | report results as structs | [`Report`]`::value` | `serde` (default) |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
@@ -85,6 +86,7 @@ pub mod driver;
 mod goal;
 pub mod log;
 mod node;
+pub mod parameters;
 #[cfg(feature = "critical-section")]
 mod pieces;
 pub mod pump;

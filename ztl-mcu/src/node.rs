@@ -5,6 +5,7 @@ mod frame_out;
 mod link_state;
 #[cfg(feature = "zmtp")]
 mod local;
+mod parameters;
 mod refusal;
 mod runner;
 pub(crate) mod tasks;
@@ -15,7 +16,9 @@ use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{Body, Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed};
+use ztl_core::link::{
+    Body, Decoder, FrameError, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed,
+};
 use ztl_core::time::micros;
 
 use crate::component::Components;
@@ -227,9 +230,23 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
             Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
+            Err(FrameError::Body(_)) if C::PARAMETER_COUNT > 0 => self.on_parameter_frame(now),
             Err(_) => self.on_damage(),
         }
         self.decoder.reset();
+    }
+
+    /// Handles a frame whose message is none of those that every node knows.
+    fn on_parameter_frame(&mut self, now: Instant) {
+        let session = self.state.session;
+        let command = self.decoder.parameter_command(session);
+        match command.ok().filter(|_| session != NO_SESSION) {
+            Some(command) => {
+                self.state
+                    .on_parameter_command(now, command, &mut self.counters);
+            }
+            None => self.on_damage(),
+        }
     }
 
     /// Counts a dropped frame.

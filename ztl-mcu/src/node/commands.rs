@@ -11,7 +11,7 @@ use super::link_state::{Answer, Counters, LinkState, count};
 use super::refusal::Refusal;
 use super::utf8::push_utf8;
 use crate::component::Components;
-use crate::describe::part;
+use crate::describe::{has_parts, part};
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
     /// Handles a frame that was verified under the current session (index 0) or under no session.
@@ -81,13 +81,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         command: LinkCommand<'_>,
         counters: &mut Counters,
     ) {
-        if seq == self.seq {
-            count(&mut counters.repeats);
-            self.answer_due = true;
-            return;
-        }
-        if seq != next_seq(self.seq) {
-            count(&mut counters.out_of_sequence);
+        if !self.is_next(seq, counters) {
             return;
         }
         let mut text = String::<FRAME>::new();
@@ -102,7 +96,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             LinkCommand::Describe { index } => (
                 Answer::Component(index),
                 if usize::from(index) < self.runner.components.count()
-                    || C::DESCRIBED && part(&self.runner.components, index).is_some()
+                    || has_parts::<C>() && part(&self.runner.components, index).is_some()
                 {
                     Ok(())
                 } else {
@@ -131,7 +125,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             LinkCommand::Ping => (Answer::Pong, Ok(())),
             LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return,
         };
-        self.answer = match executed {
+        let answer = match executed {
             Ok(()) => answer,
             // The node never drops an ended task that is not acknowledged.
             Err(Refusal::TableFull)
@@ -141,6 +135,35 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             }
             Err(refusal) => Answer::Refused(refusal),
         };
+        self.answered(now, seq, answer, counters);
+    }
+
+    /// Whether a command is to be executed: not if it repeats the last one, whose answer is then due again, or is out of
+    /// sequence.
+    #[inline]
+    pub(super) fn is_next(&mut self, seq: u8, counters: &mut Counters) -> bool {
+        if seq == self.seq {
+            count(&mut counters.repeats);
+            self.answer_due = true;
+            return false;
+        }
+        let is_next = seq == next_seq(self.seq);
+        if !is_next {
+            count(&mut counters.out_of_sequence);
+        }
+        is_next
+    }
+
+    /// Keeps the answer to a command that was executed, which also restarts the link timer.
+    #[inline]
+    pub(super) fn answered(
+        &mut self,
+        now: Instant,
+        seq: u8,
+        answer: Answer,
+        counters: &mut Counters,
+    ) {
+        self.answer = answer;
         self.seq = seq;
         self.answer_due = true;
         self.heard = now;

@@ -3,6 +3,7 @@
 use core::time::Duration;
 
 use ztl_core::Instant;
+use ztl_core::link::parameter::ParameterMessage;
 use ztl_core::link::{Body, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome};
 
 use super::frame_out::longest;
@@ -10,7 +11,7 @@ use super::link_state::{Answer, LinkState};
 use super::refusal::Refusal;
 use super::tasks::Task;
 use crate::component::{Component, Components};
-use crate::describe::part;
+use crate::describe::{has_parts, part};
 use crate::log::LogSource;
 
 /// How often an outcome is repeated until it is acknowledged.
@@ -225,7 +226,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 if let Some(component) = self.runner.components.component(usize::from(index)) {
                     let offer = component.offer();
                     Body::Component { index, offer }.put(frame);
-                } else if C::DESCRIBED
+                } else if has_parts::<C>()
                     && let Some((component, bytes)) = part(&self.runner.components, index)
                 {
                     Body::Description {
@@ -246,6 +247,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             }
             Answer::Aborting(task) => Body::Aborting { task }.put(frame),
             Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
+            Answer::Parameter(index) if C::PARAMETER_COUNT > 0 => {
+                self.runner.put_parameter(index, frame);
+            }
+            Answer::Saved if C::PARAMETER_COUNT > 0 => {
+                Body::Parameter(ParameterMessage::Saved).put(frame);
+            }
+            Answer::Parameter(_) | Answer::Saved => {}
         });
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str();

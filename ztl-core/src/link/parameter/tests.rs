@@ -187,13 +187,12 @@ fn truncated_messages_and_trailing_bytes_are_rejected() {
 #[test]
 fn undefined_values_are_rejected() {
     for bytes in [
-        &[23, 0, 5][..],                              // no such kind
-        &[23, 0, 0, 2],                               // neither true nor false
-        &[23, 0, 4, 2, 0xc3, 0x28],                   // not UTF-8
-        &[25, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0, 0],       // no such state
-        &[25, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 0],       // no such domain
-        &[25, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1],       // a value of another kind
-        &[25, 0, 0, 0, 0, 0, 0, 1, 2, 3, 1, 2, 1, 4], // a value out of its range
+        &[23, 0, 5][..],                        // no such kind
+        &[23, 0, 0, 2],                         // neither true nor false
+        &[23, 0, 4, 2, 0xc3, 0x28],             // not UTF-8
+        &[25, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0, 0], // no such state
+        &[25, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 0], // no such domain
+        &[25, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1], // a value of another kind
     ] {
         assert!(Body::parse(bytes).is_err(), "{bytes:?}");
     }
