@@ -2,6 +2,7 @@
 
 mod descriptions;
 mod limits;
+mod parameters;
 mod policies;
 mod readings;
 mod refusals;

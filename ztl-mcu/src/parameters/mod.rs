@@ -8,7 +8,7 @@
 //!
 //! ```
 //! use ztl_mcu::parameters;
-//! use ztl_mcu::parameters::{Declaration, Parameter, Text, Tunable, Tuned, Value};
+//! use ztl_mcu::parameters::{Declaration, Text, Tunable, Tuned, Value};
 //!
 //! parameters! {
 //!     /// What differs from one finger to the next.
