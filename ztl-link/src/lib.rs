@@ -7,6 +7,7 @@ mod device;
 mod event;
 mod journal;
 mod outcome;
+mod parameters;
 mod receive;
 mod send;
 mod session;
@@ -17,5 +18,8 @@ mod task;
 pub use device::{ComponentInfo, DeviceInfo};
 pub use event::LinkEvent;
 pub use journal::{Entry, Restored, Sent, SessionJournal};
+pub use parameters::{
+    ParameterAnswer, ParameterFailure, ParameterInfo, ParameterRequest, ParameterValue,
+};
 pub use state::Session;
 pub use statistics::{LinkCounters, RoundTrips};
