@@ -171,6 +171,8 @@ impl Worker {
             while let Some(event) = self.session.poll_event() {
                 self.on_event(event);
             }
+            // What the events led to.
+            self.transmit();
             if self.retired && self.has_no_tasks() {
                 self.on_settled();
             }
