@@ -42,11 +42,18 @@
 //! let components = Tuned::new((finger,));
 //! # drop(components);
 //! ```
+//!
+//! [`Tuned::load`] saves values in a [`Storage`]: with the feature `flash` in any NOR flash that implements
+//! `embedded-storage` (`Flash`), or in an EEPROM or a file of the firmware's own.
 
 mod declare;
+#[cfg(feature = "flash")]
+mod flash;
 mod tuned;
 
 pub use declare::{Declaration, Parameter, ParameterType, Text};
+#[cfg(feature = "flash")]
+pub use flash::Flash;
 pub use tuned::{SaveError, Storage, Tuned, Tuning};
 pub use ztl_core::link::parameter::{Domain, Kept, Unfit, Value};
 

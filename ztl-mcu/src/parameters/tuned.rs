@@ -8,7 +8,7 @@ use crate::component::{Component, Components};
 use crate::describe::DescribeAll;
 
 /// Longest saved value: kind, length, and a text of 48 bytes.
-const LONGEST_VALUE: usize = 50;
+pub(super) const LONGEST_VALUE: usize = 50;
 
 /// Where values are saved. `()` saves nothing.
 pub trait Storage {
