@@ -8,6 +8,7 @@ mod lines;
 #[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
 mod logs;
 mod neighbours;
+mod parameters;
 mod readings;
 mod reload;
 mod restart;

@@ -32,6 +32,7 @@ fn main() -> io::Result<()> {
         "log",
         "node.rs",
         "node",
+        "parameters",
     ];
     for name in names {
         collect(&mcu.join(name), &mut files)?;
@@ -59,7 +60,7 @@ fn main() -> io::Result<()> {
     }
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
-         mod component;\npub mod describe;\npub mod log;\nmod node;\n\
+         mod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\n\
          pub use component::{{Component, Components, Reading, Refused, Report, Run, Ticking}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use ztl_std::State;
-use ztl_std::gateway::{DeviceReports, PARAMETERS, ParameterGoal, ParameterReport};
+use ztl_std::gateway::{DeviceReports, PARAMETERS, ParameterGoal, ParameterReport, ReportedValue};
 
 use crate::columns::table;
 use crate::data_format::DataFormat;
@@ -137,7 +137,11 @@ impl Param {
                             "; until the device is restarted, unless you run `ztl param save {device}`"
                         ),
                     };
-                    line(flat(&format!("{} = {}{until}", one.name, with_unit(&one))));
+                    line(flat(&format!(
+                        "{} = {}{until}",
+                        one.name,
+                        shown(&one, &one.value)
+                    )));
                 }
             }
             What::Save(Save { at }) => {
@@ -158,7 +162,17 @@ impl At {
             None => scope_of(&server, &self.device)?,
         };
         let mut remote = server.connect(&scope)?;
-        let status = remote.run(&self.device, PARAMETERS, &goal.to_text(), Some(LIMIT))?;
+        let status = remote.run(&self.device, PARAMETERS, &goal.to_text(), Some(LIMIT));
+        let status = status.map_err(|error| {
+            let text = error.to_string();
+            match text.contains(&format!("no component '{PARAMETERS}'")) {
+                true => format!(
+                    "the gateway at {} is older than parameters",
+                    server.endpoint()
+                ),
+                false => text,
+            }
+        })?;
         match status.state {
             State::Completed => Ok((self.device, status.text)),
             _ => Err(format!("{}: {}", self.device, flat(&status.text)).into()),
@@ -192,11 +206,11 @@ fn scope_of(server: &QueriedServer, name: &str) -> Result<String, Box<dyn std::e
     }
 }
 
-/// A value with its unit.
-fn with_unit(one: &ParameterReport) -> String {
+/// A value of a parameter as people read it.
+fn shown(one: &ParameterReport, value: &ReportedValue) -> String {
     let text = match one.kind.as_str() {
-        "text" => format!("'{}'", one.value),
-        _ => format!("{} {}", one.value, one.unit),
+        "text" => format!("'{value}'"),
+        _ => format!("{value} {}", one.unit),
     };
     text.trim_end().to_owned()
 }
@@ -210,7 +224,7 @@ fn row(one: &ParameterReport) -> Vec<String> {
     };
     let default = match one.value == one.default {
         true => "default".to_owned(),
-        false => format!("default {}", one.default),
+        false => format!("default {}", shown(one, &one.default)),
     };
     let kept = match one.kept.as_str() {
         "saved" => "saved",
@@ -220,7 +234,7 @@ fn row(one: &ParameterReport) -> Vec<String> {
     };
     let cells = [
         one.name.clone(),
-        with_unit(one),
+        shown(one, &one.value),
         takes,
         default,
         kept.to_owned(),

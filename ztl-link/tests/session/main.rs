@@ -25,6 +25,7 @@ use ztl_sim::line::{Dice, Faults, FaultyLine};
 use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
 mod descriptions;
+mod parameters;
 mod restart;
 
 /// The real motions of the motors, independent of any message.

@@ -81,14 +81,25 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         command: LinkCommand<'_>,
         counters: &mut Counters,
     ) {
-        if !self.is_next(seq, counters) {
-            return;
-        }
+        self.in_sequence(now, seq, counters, |state, counters| {
+            state.execute(now, command, counters)
+        });
+    }
+
+    /// Executes a command; returns its answer, or `None` if it is not one.
+    #[inline]
+    fn execute(
+        &mut self,
+        now: Instant,
+        command: LinkCommand<'_>,
+        counters: &mut Counters,
+    ) -> Option<Answer> {
         let mut text = String::<FRAME>::new();
         if let LinkCommand::Start { goal, .. } = command
             && push_utf8(&mut text, goal).is_none()
         {
-            return count(&mut counters.errors);
+            count(&mut counters.errors);
+            return None;
         }
         // A command that arrives after the link timer expired does not undo the loss.
         self.check_link_timer(now);
@@ -123,9 +134,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             }
             LinkCommand::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
             LinkCommand::Ping => (Answer::Pong, Ok(())),
-            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return,
+            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return None,
         };
-        let answer = match executed {
+        Some(match executed {
             Ok(()) => answer,
             // The node never drops an ended task that is not acknowledged.
             Err(Refusal::TableFull)
@@ -134,35 +145,31 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Refused(Refusal::TableFullOfEnded)
             }
             Err(refusal) => Answer::Refused(refusal),
-        };
-        self.answered(now, seq, answer, counters);
+        })
     }
 
-    /// Whether a command is to be executed: not if it repeats the last one, whose answer is then due again, or is out of
-    /// sequence.
+    /// Executes a command that follows the last one, and keeps its answer. A command that repeats the last one only gets its
+    /// answer again; any other is dropped.
     #[inline]
-    pub(super) fn is_next(&mut self, seq: u8, counters: &mut Counters) -> bool {
-        if seq == self.seq {
-            count(&mut counters.repeats);
-            self.answer_due = true;
-            return false;
-        }
-        let is_next = seq == next_seq(self.seq);
-        if !is_next {
-            count(&mut counters.out_of_sequence);
-        }
-        is_next
-    }
-
-    /// Keeps the answer to a command that was executed, which also restarts the link timer.
-    #[inline]
-    pub(super) fn answered(
+    pub(super) fn in_sequence(
         &mut self,
         now: Instant,
         seq: u8,
-        answer: Answer,
         counters: &mut Counters,
+        execute: impl FnOnce(&mut Self, &mut Counters) -> Option<Answer>,
     ) {
+        if seq == self.seq {
+            count(&mut counters.repeats);
+            self.answer_due = true;
+            return;
+        }
+        if seq != next_seq(self.seq) {
+            count(&mut counters.out_of_sequence);
+            return;
+        }
+        let Some(answer) = execute(self, counters) else {
+            return;
+        };
         self.answer = answer;
         self.seq = seq;
         self.answer_due = true;

@@ -21,30 +21,36 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         counters: &mut Counters,
     ) {
         count(&mut counters.frames);
-        if addr != ADDR_ONLY_NODE || seq == NO_SEQ || !self.is_next(seq, counters) {
-            return;
+        if addr == ADDR_ONLY_NODE && seq != NO_SEQ {
+            self.in_sequence(now, seq, counters, |state, _| {
+                // Like for any other command.
+                state.check_link_timer(now);
+                Some(state.runner.execute(command))
+            });
         }
-        self.check_link_timer(now);
-        let done = match command {
-            ParameterCommand::Read { index } => self.runner.parameter(index).map(drop),
-            ParameterCommand::Set { index, value } => self.runner.set_parameter(index, value),
-            ParameterCommand::Save => self.runner.save_parameters(),
-        };
-        let answer = match (done, command) {
-            (Err(reason), _) => {
-                Report::new(&mut self.runner.reason).text(reason);
-                Answer::Refused(Refusal::ByComponent)
-            }
-            (Ok(()), ParameterCommand::Save) => Answer::Saved,
-            (Ok(()), ParameterCommand::Read { index } | ParameterCommand::Set { index, .. }) => {
-                Answer::Parameter(index)
-            }
-        };
-        self.answered(now, seq, answer, counters);
     }
 }
 
 impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
+    fn execute(&mut self, command: ParameterCommand<'_>) -> Answer {
+        let (answer, done) = match command {
+            ParameterCommand::Read { index } => {
+                (Answer::Parameter(index), self.parameter(index).map(drop))
+            }
+            ParameterCommand::Set { index, value } => {
+                (Answer::Parameter(index), self.set_parameter(index, value))
+            }
+            ParameterCommand::Save => (Answer::Saved, self.save_parameters()),
+        };
+        match done {
+            Ok(()) => answer,
+            Err(reason) => {
+                Report::new(&mut self.reason).text(reason);
+                Answer::Refused(Refusal::ByComponent)
+            }
+        }
+    }
+
     fn parameter(&self, index: u8) -> Result<Parameter<'_>, &'static str> {
         let tuning = self.components.tuning();
         let parameter = tuning.and_then(|tuning| tuning.parameter(index));
