@@ -26,12 +26,24 @@ const NETWORKED: &str = "ethernet";
 /// An image with an async driver, and the feature that it needs.
 const ASYNC: &str = "async";
 
+/// An image that saves parameters in flash, and the feature that it needs.
+const FLASH: &str = "flash";
+
 /// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the
-/// same with an async driver, a bare serial port, and servers for ZeroMQ clients without a gateway.
+/// same with an async driver, with parameters, with parameters that are saved, a bare serial port, and servers for ZeroMQ clients without a gateway.
 const MORE: &[(&str, &[&str])] = &[
     (
         MEASURED,
-        &["quiet", "described", "smallest", ASYNC, "uart", "zmtp"],
+        &[
+            "quiet",
+            "described",
+            "smallest",
+            ASYNC,
+            "parameters",
+            FLASH,
+            "uart",
+            "zmtp",
+        ],
     ),
     ("lm3s6965evb", &["zmtp", NETWORKED]),
     ("mps2-an386", &["uart", "zmtp"]),
@@ -87,14 +99,14 @@ pub(crate) fn run_in_qemu(project: &Project, name: &str, port: u16) -> Result<()
     Ok(())
 }
 
-/// Whether an image has much code that is not ours: a network stack, which may panic and formats text.
+/// Whether an image has much code that is not ours and may panic: a network stack, `sequential-storage`.
 pub(crate) fn has_foreign_code(image: &str) -> bool {
-    image.ends_with(NETWORKED)
+    image.ends_with(NETWORKED) || image.ends_with(FLASH)
 }
 
 /// Whether an image needs the feature of its name.
 fn needs_feature(image: &str) -> bool {
-    [NETWORKED, ASYNC].contains(&image)
+    [NETWORKED, ASYNC, FLASH].contains(&image)
 }
 
 /// Whether an image has async functions.

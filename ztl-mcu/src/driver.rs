@@ -72,6 +72,7 @@ use ztl_core::link::Offer;
 
 use crate::component::{Component, Refused, Report, Run};
 use crate::node::tasks::{TEXT, TaskText};
+use crate::parameters::Tunable;
 
 const INTERRUPTED: &str = "its driver was interrupted";
 
@@ -307,6 +308,8 @@ impl<D, const GOAL: usize> Drop for Leaving<'_, '_, D, GOAL> {
         });
     }
 }
+
+impl<D, const GOAL: usize> Tunable for &Slot<'_, D, GOAL> {}
 
 impl<D: Driver, const GOAL: usize> Component for &Slot<'_, D, GOAL> {
     fn offer(&self) -> Offer<'_> {
