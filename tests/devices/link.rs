@@ -182,11 +182,13 @@ fn clauses_are_numbered_consecutively() {
         };
         let (section, number) = clause.split_once('.').unwrap();
         let here: (u32, u32) = (section.parse().unwrap(), number.parse().unwrap());
-        let follows = here == (last.0, last.1 + 1) || here == (last.0 + 1, 1);
+        // Section 12 has no clauses.
+        let next = if last.0 == 11 { 13 } else { last.0 + 1 };
+        let follows = here == (last.0, last.1 + 1) || here == (next, 1);
         assert!(follows, "[{clause}] after {last:?}");
         last = here;
     }
-    assert_eq!(last.0, 11);
+    assert_eq!(last.0, 13);
 }
 
 /// Moves as documented.

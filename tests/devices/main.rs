@@ -4,3 +4,4 @@ mod boards;
 mod line_command;
 mod line_faults;
 mod link;
+mod link_parameters;

@@ -9,6 +9,7 @@ mod lines;
 mod logs;
 mod neighbours;
 mod own;
+mod parameters;
 mod readings;
 mod reload;
 mod restart;

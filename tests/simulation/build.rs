@@ -27,12 +27,14 @@ fn main() -> io::Result<()> {
     let mcu = root.join("ztl-mcu/src");
     let names = [
         "acting.rs",
+        "bus.rs",
         "component.rs",
         "describe.rs",
         "log.rs",
         "log",
         "node.rs",
         "node",
+        "parameters",
     ];
     for name in names {
         collect(&mcu.join(name), &mut files)?;
@@ -60,7 +62,7 @@ fn main() -> io::Result<()> {
     }
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
-         mod acting;\nmod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\n\
+         mod acting;\nmod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\n\
          pub use acting::{{Acting, OwnWork}};\n\
          pub use component::{{Component, Components, LongResults, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\

@@ -32,9 +32,12 @@ const RTIC: &str = "rtic";
 /// The lamp by postcard-rpc, to compare with, and the feature that it needs.
 const POSTCARD: &str = "postcard";
 
-/// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the
-/// same by another project and with an async driver, a bare serial port, and servers for ZeroMQ clients without a gateway; an I2C servo driver,
-/// and the robot as an RTIC app.
+/// An image that saves parameters in flash, and the feature that it needs.
+const FLASH: &str = "flash";
+
+/// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the same
+/// by another project, with an async driver, with parameters, with parameters that are saved, a bare serial port, and
+/// servers for ZeroMQ clients without a gateway; an I2C servo driver, and the robot as an RTIC app.
 const MORE: &[(&str, &[&str])] = &[
     (
         MEASURED,
@@ -44,6 +47,8 @@ const MORE: &[(&str, &[&str])] = &[
             "smallest",
             POSTCARD,
             ASYNC,
+            "parameters",
+            FLASH,
             "uart",
             "zmtp",
         ],
@@ -105,9 +110,9 @@ pub(crate) fn run_in_qemu(project: &Project, name: &str, port: u16) -> Result<()
 }
 
 /// Whether an image has much code that is not ours and may panic or format text: a network stack, embassy's HAL,
-/// postcard-rpc.
+/// postcard-rpc, `sequential-storage`.
 pub(crate) fn has_foreign_code(image: &str) -> bool {
-    [NETWORKED, POSTCARD]
+    [NETWORKED, POSTCARD, FLASH]
         .iter()
         .any(|name| image.ends_with(name))
         || image.starts_with("pico")
@@ -115,7 +120,7 @@ pub(crate) fn has_foreign_code(image: &str) -> bool {
 
 /// Whether an image needs the feature of its name.
 fn needs_feature(image: &str) -> bool {
-    [NETWORKED, ASYNC, RTIC, POSTCARD].contains(&image)
+    [NETWORKED, ASYNC, FLASH, RTIC, POSTCARD].contains(&image)
 }
 
 /// Whether an image has async functions.

@@ -42,6 +42,8 @@ pub struct DeviceInfo {
     pub count: u8,
     /// The components described so far.
     pub components: Vec<ComponentInfo>,
+    /// Number of its parameters; 0 until it has announced them (`docs/link.md` [13.1]).
+    pub parameters: u8,
 }
 
 impl DeviceInfo {

@@ -2,6 +2,8 @@
 
 use ztl_core::{State, TaskId};
 
+use crate::parameters::ParameterAnswer;
+
 /// A change of a task or of the link.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LinkEvent {
@@ -27,6 +29,8 @@ pub enum LinkEvent {
     Begun,
     /// The firmware reports this event.
     Reported(String),
+    /// The answer to the request about parameters with this number.
+    Parameter(u64, ParameterAnswer),
     /// A reading, with the number of its topic.
     Reading(u8, Vec<u8>),
     /// The next bytes of the firmware's log.

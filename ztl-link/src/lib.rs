@@ -9,6 +9,7 @@ mod event;
 mod journal;
 mod outcome;
 mod own;
+mod parameters;
 mod receive;
 mod send;
 mod session;
@@ -20,5 +21,8 @@ pub use device::{ComponentInfo, DeviceInfo};
 pub use event::LinkEvent;
 pub use journal::{Entry, Restored, Sent, SessionJournal};
 pub use own::BegunTask;
+pub use parameters::{
+    ParameterAnswer, ParameterFailure, ParameterInfo, ParameterRequest, ParameterValue,
+};
 pub use state::{BusNeeds, Session};
 pub use statistics::{LinkCounters, RoundTrips};

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use ztl_core::link::parameter::NO_COMPONENT;
 use ztl_core::link::{
     Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, NO_SESSION, VERSION,
     Welcome, session_key,
@@ -139,6 +140,7 @@ impl<J: SessionJournal> Session<J> {
             self.own.on_boot(welcome.replaces);
         }
         self.on_reset(now, welcome);
+        let parameters = known.as_ref().map_or(0, |device| device.parameters);
         let components = known.map(|device| device.components).unwrap_or_default();
         self.device = Some(DeviceInfo {
             name: welcome.name.to_owned(),
@@ -148,6 +150,7 @@ impl<J: SessionJournal> Session<J> {
             link_timeout,
             count: welcome.components,
             components,
+            parameters,
         });
         self.compare_held(now, welcome);
         self.ask_about_own_soon(now);
@@ -288,9 +291,12 @@ impl<J: SessionJournal> Session<J> {
                     bytes,
                 },
             ) if asked == index && bytes.len() <= DESCRIPTION_PART => {
-                let mut components = self.device.iter_mut().flat_map(|it| &mut it.components);
-                if let Some(known) = components.nth(component.into()) {
-                    known.description.extend_from_slice(bytes);
+                if let Some(device) = &mut self.device {
+                    if component == NO_COMPONENT {
+                        device.parameters = bytes.first().copied().unwrap_or_default();
+                    } else if let Some(known) = device.components.get_mut(usize::from(component)) {
+                        known.description.extend_from_slice(bytes);
+                    }
                 }
                 self.next_part = index.checked_add(1);
             }
@@ -306,6 +312,7 @@ impl<J: SessionJournal> Session<J> {
                 self.end(now, id, State::Rejected, reason);
             }
             (CommandKind::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
+            (CommandKind::Parameter, body) if self.on_parameter_answer(&body) => {}
             // The outcome will be reported, or was reported already.
             (CommandKind::Abort(link), Body::Aborting { task }) if task == link => {
                 self.on_abort_answered(link);

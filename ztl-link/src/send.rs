@@ -82,7 +82,8 @@ impl<J: SessionJournal> Session<J> {
         measured.max(line).max(REPEAT_LEAST)
     }
 
-    /// Sends the most urgent command if none is in flight: aborts, starts, questions for descriptions, pings.
+    /// Sends the most urgent command if none is in flight: aborts, starts, questions for descriptions, requests
+    /// about parameters, pings.
     pub(crate) fn next_command(&mut self, now: Instant) {
         if self.in_flight.is_some() || self.phase != Phase::Up {
             return;
@@ -98,6 +99,8 @@ impl<J: SessionJournal> Session<J> {
         if let Some(index) = self.next_part {
             let command = CommandKind::DescribePart(index);
             self.command(now, command, Body::Describe { index });
+        } else if self.send_parameter_request(now) {
+            // It is in flight.
         } else if now >= self.ping_due() {
             self.command(now, CommandKind::Ping, Body::Ping);
         }

@@ -49,6 +49,8 @@ impl<J: SessionJournal> Session<J> {
             events: VecDeque::new(),
             device: None,
             next_part: None,
+            parameter_asked: None,
+            parameter_requests: VecDeque::new(),
             write_again: None,
             highest: 0,
             clock: None,
@@ -285,6 +287,7 @@ impl<J: SessionJournal> Session<J> {
             self.counters.lost += 1;
             self.events.push_back(LinkEvent::Lost);
         }
+        self.fail_parameter_requests();
         let carrying: Vec<TaskId> = self
             .tasks
             .iter()

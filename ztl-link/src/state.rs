@@ -9,6 +9,7 @@ use ztl_core::{Instant, TaskId};
 use crate::device::DeviceInfo;
 use crate::event::LinkEvent;
 use crate::own::Own;
+use crate::parameters::ParameterRequest;
 use crate::statistics::{LinkCounters, RoundTrips};
 use crate::task::Task;
 
@@ -39,6 +40,8 @@ pub(crate) enum CommandKind {
     Start(TaskId),
     Abort(LinkId),
     Ping,
+    /// The request in [`Session::parameter_asked`].
+    Parameter,
 }
 
 /// The command that was sent and is not answered.
@@ -99,6 +102,9 @@ pub struct Session<J = ()> {
     pub(crate) device: Option<DeviceInfo>,
     /// The next part of the descriptions to ask for; `None` if the device has no more.
     pub(crate) next_part: Option<u8>,
+    /// The request about parameters in flight, and those that wait, each with its number.
+    pub(crate) parameter_asked: Option<(u64, ParameterRequest)>,
+    pub(crate) parameter_requests: VecDeque<(u64, ParameterRequest)>,
     /// When to retry outcomes that could not be written.
     pub(crate) write_again: Option<Instant>,
     /// The highest link id that the device is known to have started. The next `Start` uses the one above, so that a

@@ -5,8 +5,9 @@ use ztl_core::Instant;
 use ztl_core::link::LinkId;
 
 use crate::bus::BusState;
-use crate::component::{Component, Components, Report};
+use crate::component::{Component, Components, Report, forward};
 use crate::node::tasks::{TEXT, TaskText};
+use crate::parameters::Tuning;
 
 /// Most tasks of the firmware that a node holds at a time.
 const TASKS: usize = 4;
@@ -61,37 +62,9 @@ impl<C> Acting<C> {
 }
 
 impl<C: Components> Components for Acting<C> {
-    const DESCRIBED: bool = C::DESCRIBED;
-    const LONG_RESULTS: bool = C::LONG_RESULTS;
     const ACTING: bool = true;
 
-    fn count(&self) -> usize {
-        self.components.count()
-    }
-
-    fn component(&self, index: usize) -> Option<&dyn Component> {
-        self.components.component(index)
-    }
-
-    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        self.components.component_mut(index)
-    }
-
-    fn description(&self, index: usize) -> &str {
-        self.components.description(index)
-    }
-
-    fn next_tick(&self, index: usize) -> Instant {
-        self.components.next_tick(index)
-    }
-
-    fn bus(&self) -> Option<&BusState> {
-        self.components.bus()
-    }
-
-    fn bus_mut(&mut self) -> Option<&mut BusState> {
-        self.components.bus_mut()
-    }
+    forward!(components: parts descriptions results bus parameters);
 
     fn own_work(&self) -> Option<&OwnWork> {
         Some(&self.own)

@@ -21,7 +21,8 @@ use ztl_core::Instant;
 use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
 
 use crate::acting::OwnWork;
-use crate::component::{Component, Components};
+use crate::component::{Component, Components, forward};
+use crate::parameters::Tuning;
 
 /// A node that has not begun its answer this long after the question keeps silent, because another may be asked by then.
 pub const TURN: Duration = Duration::from_millis(4);
@@ -153,37 +154,7 @@ impl<C> OnBus<C> {
 }
 
 impl<C: Components> Components for OnBus<C> {
-    const DESCRIBED: bool = C::DESCRIBED;
-    const LONG_RESULTS: bool = C::LONG_RESULTS;
-    const ACTING: bool = C::ACTING;
-
-    fn count(&self) -> usize {
-        self.components.count()
-    }
-
-    fn component(&self, index: usize) -> Option<&dyn Component> {
-        self.components.component(index)
-    }
-
-    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        self.components.component_mut(index)
-    }
-
-    fn description(&self, index: usize) -> &str {
-        self.components.description(index)
-    }
-
-    fn next_tick(&self, index: usize) -> Instant {
-        self.components.next_tick(index)
-    }
-
-    fn own_work(&self) -> Option<&OwnWork> {
-        self.components.own_work()
-    }
-
-    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
-        self.components.own_work_mut()
-    }
+    forward!(components: parts descriptions results own_work parameters);
 
     fn bus(&self) -> Option<&BusState> {
         Some(&self.state)

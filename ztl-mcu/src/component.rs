@@ -15,6 +15,7 @@ use ztl_core::tasks::push_cut;
 
 use crate::acting::OwnWork;
 use crate::bus::BusState;
+use crate::parameters::Tuning;
 
 /// The state of a component's task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -221,6 +222,9 @@ pub trait Components {
     /// Whether the firmware starts tasks itself and reports events. If not, the node has no code for that.
     const ACTING: bool = false;
 
+    /// Number of parameters that clients may set. If there are none, the node has no code for them.
+    const PARAMETER_COUNT: u8 = 0;
+
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
 
@@ -262,6 +266,16 @@ pub trait Components {
 
     /// The same, mutable.
     fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        None
+    }
+
+    /// Their parameters; [`Tuned`](crate::parameters::Tuned) has some.
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        None
+    }
+
+    /// Their parameters, mutable.
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
         None
     }
 }
@@ -306,6 +320,7 @@ impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
     const LONG_RESULTS: bool = C::LONG_RESULTS;
     const ACTING: bool = C::ACTING;
+    const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -342,52 +357,93 @@ impl<C: Components + ?Sized> Components for &mut C {
     fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
         C::own_work_mut(self)
     }
+
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        C::tuning(self)
+    }
+
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        C::tuning_mut(self)
+    }
 }
+
+/// Implements parts of [`Components`] for a wrapper by those of the components in this field.
+macro_rules! forward {
+    ($field:tt: $($part:ident)+) => {
+        $(forward!(@$part $field);)+
+    };
+    (@parts $field:tt) => {
+        fn count(&self) -> usize {
+            self.$field.count()
+        }
+
+        fn component(&self, index: usize) -> Option<&dyn Component> {
+            self.$field.component(index)
+        }
+
+        fn component_mut(
+            &mut self,
+            index: usize,
+        ) -> Option<&mut dyn Component> {
+            self.$field.component_mut(index)
+        }
+
+        fn next_tick(&self, index: usize) -> Instant {
+            self.$field.next_tick(index)
+        }
+    };
+    (@descriptions $field:tt) => {
+        const DESCRIBED: bool = C::DESCRIBED;
+
+        fn description(&self, index: usize) -> &str {
+            self.$field.description(index)
+        }
+    };
+    (@results $field:tt) => {
+        const LONG_RESULTS: bool = C::LONG_RESULTS;
+    };
+    (@bus $field:tt) => {
+        fn bus(&self) -> Option<&BusState> {
+            self.$field.bus()
+        }
+
+        fn bus_mut(&mut self) -> Option<&mut BusState> {
+            self.$field.bus_mut()
+        }
+    };
+    (@own_work $field:tt) => {
+        const ACTING: bool = C::ACTING;
+
+        fn own_work(&self) -> Option<&OwnWork> {
+            self.$field.own_work()
+        }
+
+        fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+            self.$field.own_work_mut()
+        }
+    };
+    (@parameters $field:tt) => {
+        const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
+
+        fn tuning(&self) -> Option<&dyn Tuning> {
+            self.$field.tuning()
+        }
+
+        fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+            self.$field.tuning_mut()
+        }
+    };
+}
+pub(crate) use forward;
 
 /// Components some of which report [results](Component::result) of more than 48 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct LongResults<C>(pub C);
 
 impl<C: Components> Components for LongResults<C> {
-    const DESCRIBED: bool = C::DESCRIBED;
     const LONG_RESULTS: bool = true;
-    const ACTING: bool = C::ACTING;
 
-    fn count(&self) -> usize {
-        self.0.count()
-    }
-
-    fn component(&self, index: usize) -> Option<&dyn Component> {
-        self.0.component(index)
-    }
-
-    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        self.0.component_mut(index)
-    }
-
-    fn description(&self, index: usize) -> &str {
-        self.0.description(index)
-    }
-
-    fn next_tick(&self, index: usize) -> Instant {
-        self.0.next_tick(index)
-    }
-
-    fn bus(&self) -> Option<&BusState> {
-        self.0.bus()
-    }
-
-    fn bus_mut(&mut self) -> Option<&mut BusState> {
-        self.0.bus_mut()
-    }
-
-    fn own_work(&self) -> Option<&OwnWork> {
-        self.0.own_work()
-    }
-
-    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
-        self.0.own_work_mut()
-    }
+    forward!(0: parts descriptions bus own_work parameters);
 }
 
 macro_rules! tuples {

@@ -30,9 +30,12 @@
 
 use ztl_core::Instant;
 use ztl_core::link::DESCRIPTION_PART;
+use ztl_core::link::parameter::NO_COMPONENT;
 
 use crate::acting::{Acting, OwnWork};
-use crate::component::{Component, Components, LongResults};
+use crate::bus::BusState;
+use crate::component::{Component, Components, LongResults, forward};
+use crate::parameters::Tuning;
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
 
@@ -99,40 +102,17 @@ pub struct Described<C>(pub C);
 impl<C: Components + DescribeAll> Components for Described<C> {
     const DESCRIBED: bool = {
         assert!(
-            parts(C::DESCRIPTIONS) + C::DESCRIPTIONS.len() <= 256,
+            parts(C::DESCRIPTIONS) + C::DESCRIPTIONS.len() + (C::PARAMETER_COUNT > 0) as usize
+                <= 256,
             "the descriptions are too long: 48 bytes for each index that is not a component's"
         );
         true
     };
-    const LONG_RESULTS: bool = C::LONG_RESULTS;
-    const ACTING: bool = C::ACTING;
 
-    fn count(&self) -> usize {
-        self.0.count()
-    }
-
-    fn component(&self, index: usize) -> Option<&dyn Component> {
-        self.0.component(index)
-    }
-
-    fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        self.0.component_mut(index)
-    }
-
-    fn next_tick(&self, index: usize) -> Instant {
-        self.0.next_tick(index)
-    }
+    forward!(0: parts results bus own_work parameters);
 
     fn description(&self, index: usize) -> &str {
         C::DESCRIPTIONS.get(index).copied().unwrap_or_default()
-    }
-
-    fn own_work(&self) -> Option<&OwnWork> {
-        self.0.own_work()
-    }
-
-    fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
-        self.0.own_work_mut()
     }
 }
 
@@ -146,9 +126,14 @@ const fn parts(descriptions: &[&str]) -> usize {
     parts
 }
 
+/// Whether there is anything for an index beyond the components.
+pub(crate) const fn has_parts<C: Components>() -> bool {
+    C::DESCRIBED || C::PARAMETER_COUNT > 0
+}
+
 /// The part of the descriptions for an index beyond the components: the component, and the next bytes of its
-/// description.
-pub(crate) fn part(components: &impl Components, index: u8) -> Option<(u8, &[u8])> {
+/// description. The last one announces the parameters ([13.1]).
+pub(crate) fn part<C: Components>(components: &C, index: u8) -> Option<(u8, &[u8])> {
     let count = components.count();
     let mut before = usize::from(index).checked_sub(count)?;
     for component in 0..count {
@@ -160,5 +145,6 @@ pub(crate) fn part(components: &impl Components, index: u8) -> Option<(u8, &[u8]
             before -= 1;
         }
     }
-    None
+    (C::PARAMETER_COUNT > 0 && before == 0)
+        .then_some((NO_COMPONENT, const { &[C::PARAMETER_COUNT] }))
 }

@@ -83,6 +83,7 @@ use ztl_core::time::micros;
 use crate::component::{Component, Reading, Refused, Report, Run};
 use crate::describe::Describe;
 use crate::node::tasks::{TEXT, TaskText};
+use crate::parameters::Tunable;
 
 const INTERRUPTED: &str = "its driver was interrupted";
 const LATE: &str = "its driver began too late";
@@ -427,6 +428,8 @@ impl<D, const GOAL: usize> Drop for Leaving<'_, '_, D, GOAL> {
 
 /// The component of a [`Slot`], from [`Slot::component`].
 pub struct SlotComponent<'s, 'o, D, const GOAL: usize = TEXT>(&'s Slot<'o, D, GOAL>);
+
+impl<D, const GOAL: usize> Tunable for SlotComponent<'_, '_, D, GOAL> {}
 
 impl<D: Driver, const GOAL: usize> Component for SlotComponent<'_, '_, D, GOAL> {
     fn offer(&self) -> Offer<'_> {

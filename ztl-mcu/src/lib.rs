@@ -61,6 +61,7 @@
 //! | move a part with an async driver (`embedded-hal-async`) | `driver` | `async`, `critical-section` |
 //! | parse goals into structs, enums, numbers | `parse_goal` | `serde` (default) |
 //! | say which goals it takes and what they do | [`describe`] | |
+//! | have values that people set and save: calibrations, limits | [`parameters`](mod@parameters) | |
 //! | learn whether a gateway is there | [`Node::link`] | |
 //! | start tasks from a button, report events | [`Acting`], [`Node::start_here`], [`Node::report_event`] | |
 //! | report results as structs | [`Report`]`::value` | `serde` (default) |
@@ -90,6 +91,7 @@ pub mod driver;
 mod goal;
 pub mod log;
 mod node;
+pub mod parameters;
 #[cfg(feature = "critical-section")]
 mod pieces;
 pub mod pump;

@@ -7,6 +7,7 @@ mod link_state;
 #[cfg(feature = "zmtp")]
 mod local;
 mod own;
+mod parameters;
 mod refusal;
 mod runner;
 pub(crate) mod tasks;
@@ -17,7 +18,9 @@ use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{Body, Decoder, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed};
+use ztl_core::link::{
+    Body, Decoder, FrameError, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed,
+};
 use ztl_core::time::micros;
 
 #[cfg(doc)]
@@ -237,11 +240,34 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
             Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
-            // The frame is not borrowed any more.
-            Err(_) if C::ACTING => self.on_own_answer(now),
+            Err(FrameError::Body(_)) if C::ACTING || C::PARAMETER_COUNT > 0 => {
+                self.on_other_frame(now);
+            }
             Err(_) => self.on_damage(),
         }
         self.decoder.reset();
+    }
+
+    /// Handles what only some nodes know: commands about parameters, and answers about tasks and events of the firmware.
+    fn on_other_frame(&mut self, now: Instant) {
+        let session = self.state.session;
+        if session == NO_SESSION {
+            return self.on_damage();
+        }
+        if C::PARAMETER_COUNT > 0
+            && let Ok(command) = self.decoder.parameter_command(session)
+        {
+            let counters = &mut self.counters;
+            return self.state.on_parameter_command(now, command, counters);
+        }
+        let address = self.state.address();
+        if C::ACTING
+            && let Some(answer) = self.decoder.own_answer(address, session)
+        {
+            count(&mut self.counters.frames);
+            return self.state.on_own_answer(now, answer);
+        }
+        self.on_damage();
     }
 
     /// Counts a dropped frame.

@@ -38,6 +38,7 @@ mod log;
 mod man;
 mod option_values;
 mod original;
+mod param;
 mod ps;
 mod publish;
 #[cfg(feature = "record")]
@@ -111,6 +112,8 @@ enum ZtlCommand {
     Line(line::Line),
     /// Show the devices of a gateway: components, tasks and links
     Devices(devices::Devices),
+    /// Show, set and save the parameters of a gateway's devices
+    Param(param::Param),
     /// Show what a server offers: scopes, handlers and components
     Describe(describe::Describe),
     /// Show the tasks of a server
@@ -185,6 +188,7 @@ fn main() -> ExitCode {
         ZtlCommand::Doctor(doctor) => doctor.run(),
         ZtlCommand::Keys(keys) => keys.run(),
         ZtlCommand::Describe(describe) => describe.run(),
+        ZtlCommand::Param(param) => param.run(),
         ZtlCommand::Ps(ps) => ps.run(),
         ZtlCommand::Abort(abort) => abort.run(),
         ZtlCommand::Subscribe(subscribe) => subscribe.run(),

@@ -5,6 +5,7 @@
 
 use super::ids::Ids;
 use super::link_id::LinkId;
+use super::parameter::ParameterMessage;
 use crate::lifecycle::State;
 
 /// Opens a session.
@@ -299,6 +300,8 @@ pub enum Body<'a> {
         /// Number of the event.
         number: u32,
     },
+    /// Either: about parameters.
+    Parameter(ParameterMessage<'a>),
 }
 
 /// A message of a gateway, as a node parses it: like [`Body`], but the goal is not validated.

@@ -3,6 +3,7 @@
 use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};
 use super::ids::{IdList, Ids};
 use super::link_id::LinkId;
+use super::parameter;
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
 use crate::sink::Sink;
@@ -17,6 +18,7 @@ impl<'a> Body<'a> {
         let tag = reader.u32();
         let body = match tag {
             0..=5 => Self::from_gateway(tag, &mut reader),
+            parameter::FIRST..=parameter::LAST => Self::Parameter(reader.parameter_message(tag)),
             _ => Self::from_node(tag, &mut reader),
         };
         reader.finish(body)
@@ -191,6 +193,7 @@ impl<'a> Body<'a> {
             Self::EventAck { number } => {
                 sink.byte(21).number(number);
             }
+            Self::Parameter(message) => message.put(sink),
         }
     }
 }

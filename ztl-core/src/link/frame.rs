@@ -7,6 +7,7 @@
 
 use super::NO_SEQ;
 use super::body::{Body, LinkCommand, OwnAnswer};
+use super::parameter::ParameterCommand;
 use super::wire::BodyError;
 use crate::sink::{BufferTooSmall, Sink};
 
@@ -441,6 +442,20 @@ impl<const N: usize> Decoder<N> {
         let (_, to, seq, body) = self.checked(&[session]).ok()?;
         let own = to == addr && seq == NO_SEQ;
         own.then(|| OwnAnswer::parse(body).ok()).flatten()
+    }
+
+    /// Like [`command`](Self::command), for commands about parameters only, of a gateway's `session`: the address, the
+    /// sequence number and the command.
+    ///
+    /// # Errors
+    /// See [`FrameError`]; all other messages are unknown.
+    pub fn parameter_command(
+        &self,
+        session: u32,
+    ) -> Result<(u8, u8, ParameterCommand<'_>), FrameError> {
+        let (_, addr, seq, body) = self.checked(&[session])?;
+        let command = ParameterCommand::parse(body).map_err(FrameError::Body)?;
+        Ok((addr, seq, command))
     }
 
     /// The index of the session, the address, the sequence number, and the body.

@@ -10,6 +10,7 @@ mod codec;
 mod frame;
 mod ids;
 mod link_id;
+pub mod parameter;
 mod wire;
 
 pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};

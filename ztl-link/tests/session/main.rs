@@ -26,6 +26,7 @@ use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
 mod descriptions;
 mod own;
+mod parameters;
 mod restart;
 
 /// The real motions of the motors, independent of any message.

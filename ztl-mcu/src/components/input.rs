@@ -10,6 +10,7 @@ use super::expected::put_takes;
 use crate::component::{Component, Reading, Refused, Report, Run};
 use crate::describe::{About, Describe, Goal as Rule};
 use crate::description;
+use crate::parameters::Tunable;
 
 /// Settings of an input. Start with [`DEFAULT`](Self::DEFAULT) and change what differs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -91,6 +92,8 @@ impl<P: InputPin> DigitalInput<P> {
         Ok(())
     }
 }
+
+impl<P> Tunable for DigitalInput<P> {}
 
 impl<P> Describe for DigitalInput<P> {
     const DESCRIPTION: &'static str = description!(About {

@@ -12,6 +12,7 @@ use super::number;
 use crate::component::{Component, Refused, Report, Run};
 use crate::describe::{About, Describe, Goal as Rule};
 use crate::description;
+use crate::parameters::Tunable;
 
 /// Longest pulse, an hour.
 const LONGEST_MS: u32 = 3_600_000;
@@ -141,6 +142,8 @@ impl<P: OutputPin> DigitalOutput<P> {
         }
     }
 }
+
+impl<P> Tunable for DigitalOutput<P> {}
 
 impl<P> Describe for DigitalOutput<P> {
     // No rule covers `pulse 200`, and one that leaves it out would call it wrong.

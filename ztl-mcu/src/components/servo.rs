@@ -11,6 +11,7 @@ use super::profile::{Limits, Profile, after_ticks, ticks_between};
 use crate::component::{Component, Refused, Report, Run};
 use crate::describe::{About, Describe, Goal as Rule};
 use crate::description;
+use crate::parameters::Tunable;
 
 /// Logarithm of the number of parts in a millidegree.
 const SHIFT: u32 = 14;
@@ -189,6 +190,8 @@ impl<P: SetDutyCycle> Servo<P> {
         Ok(())
     }
 }
+
+impl<P> Tunable for Servo<P> {}
 
 impl<P> Describe for Servo<P> {
     const DESCRIPTION: &'static str = description!(About {

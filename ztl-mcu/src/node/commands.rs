@@ -11,7 +11,7 @@ use super::link_state::{Answer, Counters, LinkState, count};
 use super::refusal::Refusal;
 use super::utf8::push_utf8;
 use crate::component::Components;
-use crate::describe::part;
+use crate::describe::{has_parts, part};
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
     /// Handles a frame that was verified under the current session (index 0) or under no session.
@@ -35,7 +35,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 self.runner.tasks.acknowledge(task);
             }
             (true, seq, command) if seq != NO_SEQ => {
-                self.ask(now);
                 self.on_command(now, seq, command, counters);
             }
             _ => {}
@@ -88,20 +87,25 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         command: LinkCommand<'_>,
         counters: &mut Counters,
     ) {
-        if seq == self.seq {
-            count(&mut counters.repeats);
-            self.answer_due = true;
-            return;
-        }
-        if seq != next_seq(self.seq) {
-            count(&mut counters.out_of_sequence);
-            return;
-        }
+        self.in_sequence(now, seq, counters, |state, counters| {
+            state.execute(now, command, counters)
+        });
+    }
+
+    /// Executes a command; returns its answer, or `None` if it is not one.
+    #[inline]
+    fn execute(
+        &mut self,
+        now: Instant,
+        command: LinkCommand<'_>,
+        counters: &mut Counters,
+    ) -> Option<Answer> {
         let mut text = String::<FRAME>::new();
         if let LinkCommand::Start { goal, .. } = command
             && push_utf8(&mut text, goal).is_none()
         {
-            return count(&mut counters.errors);
+            count(&mut counters.errors);
+            return None;
         }
         // A command that arrives after the link timer expired does not undo the loss.
         self.check_link_timer(now);
@@ -109,7 +113,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             LinkCommand::Describe { index } => (
                 Answer::Component(index),
                 if usize::from(index) < self.runner.components.count()
-                    || C::DESCRIBED && part(&self.runner.components, index).is_some()
+                    || has_parts::<C>() && part(&self.runner.components, index).is_some()
                 {
                     Ok(())
                 } else {
@@ -136,9 +140,9 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             }
             LinkCommand::Abort { task } => (Answer::Aborting(task), self.runner.abort(task, now)),
             LinkCommand::Ping => (Answer::Pong, Ok(())),
-            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return,
+            LinkCommand::Hello(_) | LinkCommand::Ack { .. } => return None,
         };
-        self.answer = match executed {
+        Some(match executed {
             Ok(()) => answer,
             // The node never drops an ended task that is not acknowledged.
             Err(Refusal::TableFull)
@@ -147,7 +151,33 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Refused(Refusal::TableFullOfEnded)
             }
             Err(refusal) => Answer::Refused(refusal),
+        })
+    }
+
+    /// Executes a command that follows the last one, and keeps its answer. A command that repeats the last one only gets its
+    /// answer again; any other is dropped.
+    #[inline]
+    pub(super) fn in_sequence(
+        &mut self,
+        now: Instant,
+        seq: u8,
+        counters: &mut Counters,
+        execute: impl FnOnce(&mut Self, &mut Counters) -> Option<Answer>,
+    ) {
+        self.ask(now);
+        if seq == self.seq {
+            count(&mut counters.repeats);
+            self.answer_due = true;
+            return;
+        }
+        if seq != next_seq(self.seq) {
+            count(&mut counters.out_of_sequence);
+            return;
+        }
+        let Some(answer) = execute(self, counters) else {
+            return;
         };
+        self.answer = answer;
         self.seq = seq;
         self.answer_due = true;
         self.heard = now;

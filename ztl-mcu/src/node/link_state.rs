@@ -52,6 +52,9 @@ pub(super) enum Answer {
     Refused(Refusal),
     Aborting(LinkId),
     Pong,
+    /// To a command about the parameter with this number.
+    Parameter(u8),
+    Saved,
 }
 
 /// Everything but the decoder, whose buffer a received frame borrows while it is handled.

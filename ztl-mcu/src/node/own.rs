@@ -2,7 +2,7 @@
 
 use core::time::Duration;
 
-use ztl_core::link::{Body, LinkId, Loss, NO_SEQ, NO_SESSION, OwnAnswer};
+use ztl_core::link::{Body, LinkId, Loss, NO_SEQ, OwnAnswer};
 use ztl_core::{Instant, State};
 
 use super::link_state::LinkState;
@@ -100,6 +100,18 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
     }
 
+    /// Handles what the gateway says of tasks and events of the firmware.
+    pub(super) fn on_own_answer(&mut self, now: Instant, answer: OwnAnswer) {
+        match answer {
+            OwnAnswer::Noted { task } => self.on_noted(now, task),
+            OwnAnswer::EventAck { number } => {
+                if let Some(own) = self.runner.components.own_work_mut() {
+                    own.on_event_ack(now, number);
+                }
+            }
+        }
+    }
+
     /// The gateway knows a task of the firmware. Answered by its progress or its outcome.
     fn on_noted(&mut self, now: Instant, id: LinkId) {
         let Some(own) = self.runner.components.own_work_mut() else {
@@ -192,25 +204,6 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             wake = wake.min(own.event_due.max(self.receiving));
         }
         wake
-    }
-}
-
-impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, FRAME> {
-    /// Handles a frame that is not a command: the gateway may say something of tasks and events of the firmware.
-    pub(super) fn on_own_answer(&mut self, now: Instant) {
-        let state = &mut self.state;
-        let session = Some(state.session).filter(|session| *session != NO_SESSION);
-        let address = state.address();
-        match session.and_then(|session| self.decoder.own_answer(address, session)) {
-            Some(OwnAnswer::Noted { task }) => state.on_noted(now, task),
-            Some(OwnAnswer::EventAck { number }) => {
-                if let Some(own) = state.runner.components.own_work_mut() {
-                    own.on_event_ack(now, number);
-                }
-            }
-            None => return self.on_damage(),
-        }
-        super::count(&mut self.counters.frames);
     }
 }
 

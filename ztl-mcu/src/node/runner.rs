@@ -305,6 +305,6 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
 }
 
 /// Whether a component goes to the safe state: all do, or it does not carry on without a link.
-fn goes_to_safety(component: &dyn Component, all: bool) -> bool {
+pub(super) fn goes_to_safety(component: &dyn Component, all: bool) -> bool {
     all || component.offer().loss != Loss::CarryOn
 }

@@ -3,6 +3,7 @@
 mod descriptions;
 mod limits;
 mod own;
+mod parameters;
 mod policies;
 mod readings;
 mod refusals;

@@ -2,6 +2,7 @@
 
 use core::time::Duration;
 
+use ztl_core::link::parameter::ParameterMessage;
 use ztl_core::link::{Body, FrameWriter, Ids, LinkId, NO_SEQ, NO_SESSION, VERSION, Welcome};
 use ztl_core::sink::Sink as _;
 use ztl_core::{Instant, State};
@@ -12,7 +13,7 @@ use super::own::is_listed;
 use super::refusal::Refusal;
 use super::tasks::Task;
 use crate::component::{Component, Components};
-use crate::describe::part;
+use crate::describe::{has_parts, part};
 use crate::log::LogSource;
 
 /// How often an outcome is repeated until it is acknowledged.
@@ -267,7 +268,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                     if let Some(component) = self.runner.components.component(usize::from(index)) {
                         let offer = component.offer();
                         Body::Component { index, offer }.put(frame);
-                    } else if C::DESCRIBED
+                    } else if has_parts::<C>()
                         && let Some((component, bytes)) = part(&self.runner.components, index)
                     {
                         Body::Description {
@@ -288,6 +289,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 }
                 Answer::Aborting(task) => Body::Aborting { task }.put(frame),
                 Answer::Pong => Body::Pong { clock_ms, held }.put(frame),
+                Answer::Parameter(index) if C::PARAMETER_COUNT > 0 => {
+                    self.runner.put_parameter(index, frame);
+                }
+                Answer::Saved if C::PARAMETER_COUNT > 0 => {
+                    Body::Parameter(ParameterMessage::Saved).put(frame);
+                }
+                Answer::Parameter(_) | Answer::Saved => {}
             });
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str();

@@ -2,7 +2,8 @@
 
 use ztl_mcu::describe::{About, Goal};
 use ztl_mcu::link::Offer;
-use ztl_mcu::{Component, Instant, Refused, Report, Run, description};
+use ztl_mcu::parameters::{Declaration, Text, Tunable, Value};
+use ztl_mcu::{Component, Instant, Refused, Report, Run, description, parameters};
 
 /// The properties of an axis.
 #[derive(Debug)]
@@ -53,10 +54,20 @@ pub(super) const PAN: AxisKind = AxisKind {
     }),
 };
 
+parameters! {
+    /// What people can set.
+    #[derive(Debug)]
+    pub(super) struct Settings {
+        speed: f32 = Parameter::<f32>::new(1.0).range(0.1, 4.0).about("times its usual speed");
+        label: Text<16> = Parameter::<Text<16>>::new("").about("what people call it");
+    }
+}
+
 /// The motor and its movement.
 #[derive(Debug)]
 pub(super) struct Axis {
     kind: &'static AxisKind,
+    settings: Settings,
     /// Where and when the movement began.
     from: (f32, Instant),
     target: f32,
@@ -64,9 +75,10 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    pub(super) const fn new(kind: &'static AxisKind) -> Self {
+    pub(super) fn new(kind: &'static AxisKind) -> Self {
         Self {
             kind,
+            settings: Settings::default(),
             from: (0.0, Instant::ZERO),
             target: 0.0,
             stopped: false,
@@ -75,7 +87,7 @@ impl Axis {
 
     fn position(&self, now: Instant) -> f32 {
         let (start, at) = self.from;
-        let way = self.kind.speed * now.since(at).as_secs_f32();
+        let way = self.kind.speed * self.settings.speed * now.since(at).as_secs_f32();
         if self.target >= start {
             (start + way).min(self.target)
         } else {
@@ -98,6 +110,18 @@ impl Axis {
     fn stop(&mut self, now: Instant) {
         self.move_to(now, self.position(now));
         self.stopped = true;
+    }
+}
+
+impl Tunable for Axis {
+    const PARAMETERS: &'static [Declaration] = Settings::PARAMETERS;
+
+    fn value(&self, index: usize) -> Option<Value<'_>> {
+        self.settings.value(index)
+    }
+
+    fn set(&mut self, index: usize, value: Value<'_>) {
+        self.settings.set(index, value);
     }
 }
 

@@ -1,9 +1,12 @@
 //! The firmware's main loop, from reset to reset.
 
+use std::cell::RefCell;
+use std::collections::HashMap;
 use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
+use ztl_mcu::parameters::{SaveError, Storage, Tunable, Tuned, Tuning};
 use ztl_mcu::{Acting, Component, Components, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
@@ -75,29 +78,63 @@ impl Port {
     }
 }
 
-/// The only component of a device, and what it says of itself.
-struct Part<C> {
-    component: C,
+/// The flash of a device, which keeps saved parameters when it is reset.
+type Flash = RefCell<HashMap<u64, Vec<u8>>>;
+
+/// Most parameters of a device.
+const SAVED: usize = 4;
+
+struct Saved<'f>(&'f Flash);
+
+impl Storage for Saved<'_> {
+    fn read(&mut self, key: u64, buffer: &mut [u8]) -> Result<Option<usize>, SaveError> {
+        let flash = self.0.borrow();
+        let Some(value) = flash.get(&key) else {
+            return Ok(None);
+        };
+        let room = buffer.get_mut(..value.len()).ok_or(SaveError::Failed)?;
+        room.copy_from_slice(value);
+        Ok(Some(value.len()))
+    }
+
+    fn write(&mut self, key: u64, bytes: &[u8]) -> Result<(), SaveError> {
+        self.0.borrow_mut().insert(key, bytes.to_vec());
+        Ok(())
+    }
+}
+
+/// The only component of a device, its parameters, and what it says of itself.
+struct Part<'f, C> {
+    component: Tuned<(C,), (), Saved<'f>, SAVED>,
     description: &'static str,
 }
 
-impl<C: Component> Components for Part<C> {
+impl<C: Component + Tunable> Components for Part<'_, C> {
     const DESCRIBED: bool = true;
+    const PARAMETER_COUNT: u8 = <Tuned<(C,), (), Saved<'static>, SAVED>>::PARAMETER_COUNT;
 
     fn count(&self) -> usize {
         1
     }
 
     fn component(&self, index: usize) -> Option<&dyn Component> {
-        (index == 0).then_some(&self.component as &dyn Component)
+        self.component.component(index)
     }
 
     fn component_mut(&mut self, index: usize) -> Option<&mut dyn Component> {
-        (index == 0).then_some(&mut self.component as &mut dyn Component)
+        self.component.component_mut(index)
     }
 
     fn description(&self, _index: usize) -> &str {
         self.description
+    }
+
+    fn tuning(&self) -> Option<&dyn Tuning> {
+        self.component.tuning()
+    }
+
+    fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        self.component.tuning_mut()
     }
 }
 
@@ -108,18 +145,19 @@ pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
         Some(_) => Duration::ZERO,
         None => Duration::from_millis(1),
     };
+    let flash = Flash::default();
     let mut run = || match device.kind {
         Kind::Gripper => {
             let finger = (Axis::new(&FINGER), FINGER.description);
-            run_until_reset(device, finger, inbox, &mut port)
+            run_until_reset(device, finger, inbox, (&mut port, &flash))
         }
         Kind::Head => {
             let pan = (Axis::new(&PAN), PAN.description);
-            run_until_reset(device, pan, inbox, &mut port)
+            run_until_reset(device, pan, inbox, (&mut port, &flash))
         }
         Kind::Sensor => {
             let probe = (Sensor::new(pause), sensor::DESCRIPTION);
-            run_until_reset(device, probe, inbox, &mut port)
+            run_until_reset(device, probe, inbox, (&mut port, &flash))
         }
     };
     while run() {
@@ -132,12 +170,13 @@ pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
 /// Returns `true` if it was reset, `false` if it was stopped.
 fn run_until_reset(
     device: &Settings,
-    (component, description): (impl Component, &'static str),
+    (component, description): (impl Component + Tunable, &'static str),
     inbox: &Receiver<Input>,
-    port: &mut Port,
+    (port, flash): (&mut Port, &Flash),
 ) -> bool {
+    let component = Recorded::new(component, device.record.clone());
     let component = Part {
-        component: Recorded::new(component, device.record.clone()),
+        component: Tuned::new((component,)).load(Saved(flash)),
         description,
     };
     let name = device.kind.name();

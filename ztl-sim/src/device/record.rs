@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use ztl_core::repr::put_quoted;
 use ztl_mcu::link::Offer;
+use ztl_mcu::parameters::{Declaration, Tunable, Value};
 use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run};
 
 use ztl_std::time::now;
@@ -71,6 +72,18 @@ impl<C: Component> Recorded<C> {
 
 /// Forwards every method. Add new methods of the trait here.
 #[warn(clippy::missing_trait_methods)]
+impl<C: Tunable> Tunable for Recorded<C> {
+    const PARAMETERS: &'static [Declaration] = C::PARAMETERS;
+
+    fn value(&self, index: usize) -> Option<Value<'_>> {
+        self.component.value(index)
+    }
+
+    fn set(&mut self, index: usize, value: Value<'_>) {
+        self.component.set(index, value);
+    }
+}
+
 impl<C: Component> Component for Recorded<C> {
     fn offer(&self) -> Offer<'_> {
         self.component.offer()

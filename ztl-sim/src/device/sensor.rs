@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use ztl_mcu::describe::{About, Goal};
 use ztl_mcu::link::Offer;
+use ztl_mcu::parameters::Tunable;
 use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run, description};
 
 /// Length of a reading in bytes.
@@ -36,6 +37,8 @@ pub(super) const DESCRIPTION: &str = description!(About {
 });
 
 const TAKES: &str = "probe takes no goals, it only publishes";
+
+impl Tunable for Sensor {}
 
 impl Component for Sensor {
     fn offer(&self) -> Offer<'_> {

@@ -14,6 +14,7 @@ mod handler;
 mod journal;
 mod logs;
 mod opener;
+mod parameters;
 mod rate_limited_log;
 mod reading_value;
 mod readings;
@@ -27,6 +28,7 @@ pub use endpoint::{
 pub use handler::Gateway;
 pub use journal::{DeviceJournal, Journal, JournalError, JournalRecords, Moment, Storage};
 pub use logs::{LogPiece, RawLog};
+pub use parameters::{PARAMETERS, ParameterGoal, ParameterReport, ReportedValue};
 pub use reading_value::{READING_FORMATS, ReadingFormat};
 pub use readings::{Reading, Readings};
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};

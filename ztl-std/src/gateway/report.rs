@@ -7,6 +7,7 @@ use ztl_core::TaskSpec;
 use ztl_core::link::{Busy, Loss};
 use ztl_link::{ComponentInfo, LinkCounters};
 
+use super::parameters::{PARAMETERS, ParameterGoal};
 use crate::describe::ComponentDescription;
 
 /// The devices of a gateway by name.
@@ -84,6 +85,9 @@ pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result
             "device '{}' takes no tasks now: {problem}",
             spec.handler
         ));
+    }
+    if spec.component == PARAMETERS {
+        return ParameterGoal::parse(spec.goal).map(drop);
     }
     let mut components = device.components.iter();
     let Some(component) = components.find(|component| component.name == spec.component) else {

@@ -22,6 +22,7 @@ use super::power::Power;
 use crate::component::{Component, Refused, Report, Run};
 use crate::describe::{About, Describe, Goal as Rule};
 use crate::description;
+use crate::parameters::Tunable;
 
 /// A stepper motor. Its goals are absolute positions in steps or another unit, and `home` if it has a switch at its low
 /// end.
@@ -149,6 +150,8 @@ enum Goal {
     Home,
     Steps(i32),
 }
+
+impl<M: StepDrive> Tunable for Stepper<M> {}
 
 impl<M: StepDrive> Describe for Stepper<M> {
     // No rule covers both numbers and `home`.

@@ -21,6 +21,8 @@ pub(super) enum Input {
     Abort(TaskId),
     /// The id for the next task that the firmware starts.
     Reserved(ReservedId),
+    /// A request about parameters, with the text of its goal.
+    Parameters(TaskReporter, String),
     /// The line with this number is open.
     Opened(u64, Box<dyn Write + Send>),
     /// Bytes of the line with this number; the permit is dropped when they have been handled.

@@ -4,6 +4,7 @@ mod backpressure;
 mod input;
 mod line_reader;
 mod own;
+mod parameters;
 mod status;
 mod worker;
 
@@ -25,6 +26,7 @@ use worker::Worker;
 use super::journal::{DECIDED, DeviceJournal, JournalFile, UNWRITTEN};
 use super::logs::DeviceLog;
 use super::opener::Opener;
+use super::parameters::PARAMETERS;
 use super::readings::Observers;
 use crate::random;
 use crate::server::TaskReporter;
@@ -89,6 +91,12 @@ impl Device {
     }
 
     pub(super) fn start(&self, task: TaskReporter, request: &TaskRequest) {
+        if request.component == PARAMETERS {
+            let _ = self
+                .inputs
+                .send(Input::Parameters(task, request.goal.clone()));
+            return;
+        }
         let mut request = DeviceRequest::from(request);
         request.claim = self
             .has_journal

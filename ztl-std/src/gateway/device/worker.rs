@@ -18,6 +18,7 @@ use ztl_link::{LinkEvent, Session};
 use super::input::{DeviceRequest, Input};
 use super::line_reader::read_line;
 use super::own::{EventLog, NextId, OwnTasksCell};
+use super::parameters::Parameters;
 use super::status::SharedStatus;
 use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
 use crate::gateway::journal::{DeviceJournal, JournalFile};
@@ -84,6 +85,7 @@ pub(super) struct Worker {
     pub(super) tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
     pub(super) own_tasks: OwnTasksCell,
     pub(super) next_id: NextId,
+    parameters: Parameters,
     /// Tasks from before a restart that must be resumed before the line is opened.
     awaited: usize,
     /// Deadline for the tasks to stop, if the thread is to end.
@@ -126,6 +128,7 @@ impl Worker {
             tasks: HashMap::new(),
             own_tasks,
             next_id: NextId::default(),
+            parameters: Parameters::default(),
             awaited,
             stopping: None,
             retired: false,
@@ -176,7 +179,9 @@ impl Worker {
             while let Some(event) = self.session.poll_event() {
                 self.on_event(event);
             }
-            if self.retired && self.tasks.is_empty() {
+            // What the events led to.
+            self.transmit();
+            if self.retired && self.has_no_tasks() {
                 self.on_settled();
             }
             self.check_opening();
@@ -188,16 +193,20 @@ impl Worker {
                 self.ready,
                 self.problem.as_ref(),
             );
-            let unused = self.opener.is_none() && self.awaited == 0 && self.tasks.is_empty();
+            let unused = self.opener.is_none() && self.awaited == 0 && self.has_no_tasks();
             self.unused.store(unused, Ordering::Release);
             if let Some(end) = self.stopping
-                && (self.tasks.is_empty() || now() >= end)
+                && (self.has_no_tasks() || now() >= end)
             {
                 self.leave_unconfirmed();
                 break;
             }
         }
         self.close();
+    }
+
+    fn has_no_tasks(&self) -> bool {
+        self.tasks.is_empty() && self.parameters.is_empty()
     }
 
     pub(super) fn url(&self) -> &str {
@@ -331,6 +340,13 @@ impl Worker {
                 self.session.restore(now(), known);
             }
             Input::Reserved(id) => self.on_reserved(id),
+            Input::Parameters(task, goal) => match self.rejects_tasks() {
+                Some(reason) => task.rejected(reason),
+                None => {
+                    let session = &mut self.session;
+                    self.parameters.start(now(), session, task, goal);
+                }
+            },
             Input::Abort(id) => self.session.abort(now(), id),
             Input::Opened(number, writer) if number == self.number => {
                 if let LineState::Opening { stop, .. } = &self.line {
@@ -520,6 +536,11 @@ impl Worker {
             LinkEvent::Log { lost, bytes } => {
                 let boot = self.session.device().map_or(0, |device| device.boot);
                 self.firmware_log.put(boot, lost, bytes);
+            }
+            LinkEvent::Parameter(number, answer) => {
+                let (name, session) = (&self.name, &mut self.session);
+                let parameters = &mut self.parameters;
+                parameters.on_answer(now(), name, session, number, answer);
             }
             LinkEvent::Reading(topic, bytes) => {
                 let device = self.session.device();

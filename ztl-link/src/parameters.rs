@@ -1,0 +1,195 @@
+//! Reads, sets and saves the parameters of a device (`docs/link.md`, section 13).
+
+use ztl_core::Instant;
+use ztl_core::link::parameter::{
+    Domain, Kept, NO_COMPONENT, Parameter, ParameterCommand, ParameterMessage, Value,
+};
+use ztl_core::link::{Body, NO_SESSION};
+
+use crate::event::LinkEvent;
+use crate::journal::SessionJournal;
+use crate::state::{CommandKind, Session};
+
+/// A value of a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ParameterValue {
+    /// A switch.
+    Bool(bool),
+    /// A number without sign.
+    U32(u32),
+    /// A whole number.
+    I32(i32),
+    /// A number.
+    F32(f32),
+    /// A text.
+    Text(String),
+}
+
+impl ParameterValue {
+    /// The value to send or to check.
+    #[must_use]
+    pub fn as_value(&self) -> Value<'_> {
+        match self {
+            Self::Bool(on) => Value::Bool(*on),
+            Self::U32(number) => Value::U32(*number),
+            Self::I32(number) => Value::I32(*number),
+            Self::F32(number) => Value::F32(*number),
+            Self::Text(text) => Value::Text(text),
+        }
+    }
+}
+
+impl From<Value<'_>> for ParameterValue {
+    fn from(value: Value<'_>) -> Self {
+        match value {
+            Value::Bool(on) => Self::Bool(on),
+            Value::U32(number) => Self::U32(number),
+            Value::I32(number) => Self::I32(number),
+            Value::F32(number) => Self::F32(number),
+            Value::Text(text) => Self::Text(text.to_owned()),
+        }
+    }
+}
+
+/// A parameter, as its device describes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterInfo {
+    /// Index of its component; `None` if it belongs to the firmware as a whole.
+    pub component: Option<usize>,
+    /// Its name.
+    pub name: String,
+    /// Unit of the numbers.
+    pub unit: String,
+    /// What it means.
+    pub about: String,
+    /// What a restart of the device makes of its value.
+    pub kept: Kept,
+    /// The values that it takes.
+    pub domain: Domain,
+    /// Its value in a new device.
+    pub default: ParameterValue,
+    /// Its value.
+    pub value: ParameterValue,
+}
+
+impl From<Parameter<'_>> for ParameterInfo {
+    fn from(parameter: Parameter<'_>) -> Self {
+        let component = parameter.component;
+        Self {
+            component: (component != NO_COMPONENT).then_some(component.into()),
+            name: parameter.name.to_owned(),
+            unit: parameter.unit.to_owned(),
+            about: parameter.about.to_owned(),
+            kept: parameter.kept,
+            domain: parameter.domain,
+            default: parameter.default.into(),
+            value: parameter.value.into(),
+        }
+    }
+}
+
+/// What to do with the parameters of a device.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ParameterRequest {
+    /// Read the one with this index.
+    Read(u8),
+    /// Set the one with this index.
+    Set(u8, ParameterValue),
+    /// Save all values.
+    Save,
+}
+
+/// Why a request about parameters has failed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ParameterFailure {
+    /// The device has none, or its firmware is older than parameters.
+    NoParameters,
+    /// It was not sent, for this reason.
+    NotSent(&'static str),
+    /// The device refuses it, for this reason.
+    Refused(String),
+    /// The link was lost before the answer: the device may have done it or not.
+    Unknown,
+}
+
+/// The answer to a request: the parameter, or `None` when all are saved.
+pub type ParameterAnswer = Result<Option<ParameterInfo>, ParameterFailure>;
+
+impl<J: SessionJournal> Session<J> {
+    /// Asks the device about its parameters. The answer follows as [`LinkEvent::Parameter`] with this number. Aborts and
+    /// starts go first. A request is never repeated in another session, so it is carried out at most once.
+    pub fn request_parameter(&mut self, now: Instant, number: u64, request: ParameterRequest) {
+        if !self.answers() && self.ending == NO_SESSION {
+            let reason = "the device is not answering";
+            return self.answer(number, Err(ParameterFailure::NotSent(reason)));
+        }
+        self.parameter_requests.push_back((number, request));
+        self.next_command(now);
+    }
+
+    fn answer(&mut self, number: u64, answer: ParameterAnswer) {
+        self.events.push_back(LinkEvent::Parameter(number, answer));
+    }
+
+    /// Sends the next request, if there is one. Returns whether a command is in flight now.
+    pub(crate) fn send_parameter_request(&mut self, now: Instant) -> bool {
+        while let Some((number, request)) = self.parameter_requests.pop_front() {
+            let known = self.device.as_ref().filter(|it| it.parameters > 0);
+            let Some(most) = known.map(|device| device.max_body) else {
+                self.answer(number, Err(ParameterFailure::NoParameters));
+                continue;
+            };
+            let command = match &request {
+                ParameterRequest::Read(index) => ParameterCommand::Read { index: *index },
+                ParameterRequest::Set(index, value) => ParameterCommand::Set {
+                    index: *index,
+                    value: value.as_value(),
+                },
+                ParameterRequest::Save => ParameterCommand::Save,
+            };
+            let body = Body::Parameter(ParameterMessage::Command(command));
+            let mut len = 0;
+            body.put(&mut |bytes: &[u8]| len += bytes.len());
+            if len > most {
+                let reason = "the value is longer than the device takes";
+                self.answer(number, Err(ParameterFailure::NotSent(reason)));
+                continue;
+            }
+            self.command(now, CommandKind::Parameter, body);
+            self.parameter_asked = Some((number, request));
+            return true;
+        }
+        false
+    }
+
+    /// Handles the answer to the request in flight. Returns `false` if it is the answer to something else.
+    pub(crate) fn on_parameter_answer(&mut self, body: &Body<'_>) -> bool {
+        let Some((number, request)) = &self.parameter_asked else {
+            return false;
+        };
+        let answer = match (request, *body) {
+            (
+                ParameterRequest::Read(asked) | ParameterRequest::Set(asked, _),
+                Body::Parameter(ParameterMessage::Is(parameter)),
+            ) if parameter.index == *asked => Ok(Some(parameter.into())),
+            (ParameterRequest::Save, Body::Parameter(ParameterMessage::Saved)) => Ok(None),
+            (_, Body::Refused { reason }) => Err(ParameterFailure::Refused(reason.to_owned())),
+            _ => return false,
+        };
+        let number = *number;
+        self.parameter_asked = None;
+        self.answer(number, answer);
+        true
+    }
+
+    /// Fails all requests, because the session is lost.
+    pub(crate) fn fail_parameter_requests(&mut self) {
+        if let Some((number, _)) = self.parameter_asked.take() {
+            self.answer(number, Err(ParameterFailure::Unknown));
+        }
+        for (number, _) in std::mem::take(&mut self.parameter_requests) {
+            let reason = "the link was lost before";
+            self.answer(number, Err(ParameterFailure::NotSent(reason)));
+        }
+    }
+}
