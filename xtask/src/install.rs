@@ -51,14 +51,6 @@ const QEMU: [&str; 2] = [
     "qemu-system-riscv32 --version >&2 && qemu-system-arm --version",
 ];
 
-/// Installs everything that tests need.
-pub(crate) fn all(project: &Project) -> Result<()> {
-    programs(project)?;
-    cargo_deb(project)?;
-    javascript(project)?;
-    peers(project)
-}
-
 /// Installs all missing programs.
 pub(crate) fn programs(project: &Project) -> Result<()> {
     let sh = &project.sh;
