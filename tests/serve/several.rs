@@ -2,7 +2,7 @@
 
 use ztl_std::State::{Aborted, Accepted, Completed};
 use ztl_std::{RemoteTask, TaskId};
-use ztl_tests::lab::{PATIENCE, until};
+use ztl_tests::lab::{PATIENCE, busy, until};
 
 use crate::rig::{Rig, end, is_starved, progress, rejection, trigger};
 
@@ -95,6 +95,7 @@ fn open_files(rig: &Rig, remote: &mut RemoteTask) -> usize {
 
 #[test]
 fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
+    let _busy = busy();
     let text = format!(
         "at-once: 200\nscopes: {{/test: {{p: {{go: {{{WAITS}, at-once: 400}}, echo: echo}}}}}}"
     );
@@ -150,6 +151,7 @@ fn a_thousand_quick_tasks_in_sequence_all_complete() {
 
 #[test]
 fn thirty_concurrent_tasks_are_aborted() {
+    let _busy = busy();
     let rig = rig("at-once: 30");
     let mut remote = rig.remote();
     let tasks: Vec<TaskId> = (0..30)
@@ -165,6 +167,7 @@ fn thirty_concurrent_tasks_are_aborted() {
 
 #[test]
 fn ending_children_lose_no_reply() {
+    let _busy = busy();
     let rig = Rig::new("echo: {run: [echo, 'said {goal}']}");
     // A client that asks once and waits: ZeroMQ used to drop a frame of a reply when a child ended.
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");
