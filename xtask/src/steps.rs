@@ -114,11 +114,13 @@ pub(crate) fn test(project: &Project, only: &[String]) -> Result<()> {
     let begin = Instant::now();
     if only.is_empty() {
         all(project)?;
+        println!("\nAll passed in {}", seconds(begin));
+        return Ok(());
     }
     for step in steps().filter(|step| only.iter().any(|name| name == step.name)) {
         step.run(project, ONLY)?;
     }
-    println!("\nAll passed in {}", seconds(begin));
+    println!("\nAll passed in {}: {}", seconds(begin), only.join(", "));
     Ok(())
 }
 
