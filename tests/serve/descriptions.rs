@@ -146,7 +146,9 @@ fn hostile_descriptions_end_and_reach_no_terminal() {
         });
         let port = server.port.to_string();
         for options in [&["describe"][..], &["describe", "--yaml"]] {
-            let ended = Process::run(ztl().args(options).args(["-p", &port]));
+            let command = Process::start(ztl().args(options).args(["-p", &port]));
+            // A second of computing.
+            let ended = command.end(PATIENCE * 3);
             assert_eq!(ended.code, Some(0), "{}", ended.stderr);
             let control = |c: char| c.is_control() && c != '\n';
             assert!(!ended.stdout.contains(control), "{options:?}");
