@@ -9,8 +9,8 @@ use ztl_pickle::Pickle;
 use ztl_record::{Content, Formats, Read, Reader, Recording, Source};
 use ztl_std::{Publisher, Subscriber};
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, Random, SCOPE, Scratch, Server, Terminal, our_client_at, port_of,
-    run_python, seed, until, ztl,
+    Ended, PATIENCE, Process, Random, SCOPE, Scratch, Server, Terminal, busy, our_client_at,
+    port_of, run_python, seed, until, ztl,
 };
 
 /// Prints a line for each message of each file that PyPI's `mcap` reads from its start: file, topic, schema, log time,
@@ -235,6 +235,7 @@ fn a_publisher_that_goes_and_comes_back_is_said_and_recorded_again() {
 /// 50 recorders, ten at a time: each is killed at a random moment.
 #[test]
 fn a_killed_recorder_loses_at_most_a_second() {
+    let _busy = busy();
     let scratch = Scratch::new();
     let mut random = Random::new(seed());
     let mut killed: Vec<(PathBuf, f64)> = Vec::new();

@@ -203,6 +203,7 @@ fn tasks_that_are_aborted_together_are_aborted_once_each() {
     });
     let expected = (0..5).map(|at| (at, Ok(status(State::Aborted, "None"))));
     assert_eq!(told, expected.collect());
+    server.process.wait_for("abort 5");
     let aborted = server.process.stdout();
     let aborted: Vec<&str> = aborted
         .lines()

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::TriggerError;
 use ztl_std::gateway::Gateway;
-use ztl_tests::lab::{PATIENCE, until};
+use ztl_tests::lab::{PATIENCE, busy, until};
 
 use crate::lines::{complete, problem, serve};
 
@@ -34,6 +34,7 @@ fn latency(remote: &mut ztl_std::RemoteTask) -> Duration {
 
 #[test]
 fn a_flooding_silent_or_blocked_device_does_not_affect_its_neighbour() {
+    let _busy = busy();
     let mut gateway = Gateway::new();
     gateway
         .add("head", ztl_sim::endpoint("sim:head").unwrap())

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Accepted, Completed, Failed};
 use ztl_std::TaskId;
-use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, Process, our_client, until, ztl};
+use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, Process, busy, our_client, until, ztl};
 
 use crate::rig::{Rig, dies, end, kill, lives, progress, told, trigger};
 
@@ -233,6 +233,7 @@ fn leftover_processes_do_not_delay_the_task_and_are_killed_by_default() {
 
 #[test]
 fn the_group_of_a_program_that_forks_without_end_is_killed() {
+    let _busy = busy();
     // At most a hundred, each starting the next.
     let fork = "if [ $1 -gt 0 ]; then trap '' TERM; sh fork.sh $(($1 - 1)) & fi; echo $$ >> pids; sleep 60; sleep 60";
     let rig = Rig::new("forks: {run: [sh, fork.sh, '100'], abort: {grace: 200 ms}}");

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use ztl_std::describe::{GoalValue, ScopeDescriptions, parse};
 use ztl_std::{ExecutableTask, TaskController, TaskError, TaskRequest, encoded};
 use ztl_tests::lab::{
-    Ended, FakeServer, PATIENCE, Process, Random, SCOPE, Scratch, Server, in_time, port_of,
+    Ended, FakeServer, PATIENCE, Process, Random, SCOPE, Scratch, Server, busy, in_time, port_of,
     run_python, seed, serve, until, ztl,
 };
 
@@ -121,6 +121,7 @@ fn people_see_goals_and_what_they_mean() {
 
 #[test]
 fn hostile_descriptions_end_and_reach_no_terminal() {
+    let _busy = busy();
     let probe = "$ztl;5;0;{ztl: 1, version: '0.1.0', boot: 7, scopes: {\"/lab\": {}}, running: {}}";
     let deep = format!("{}{}", "{\"list-of\": ".repeat(100), "}".repeat(100));
     let deep = deep.replace("\"list-of\": }", "\"list-of\": {}}");
@@ -145,7 +146,9 @@ fn hostile_descriptions_end_and_reach_no_terminal() {
         });
         let port = server.port.to_string();
         for options in [&["describe"][..], &["describe", "--yaml"]] {
-            let ended = Process::run(ztl().args(options).args(["-p", &port]));
+            let command = Process::start(ztl().args(options).args(["-p", &port]));
+            // A second of computing.
+            let ended = command.end(PATIENCE * 3);
             assert_eq!(ended.code, Some(0), "{}", ended.stderr);
             let control = |c: char| c.is_control() && c != '\n';
             assert!(!ended.stdout.contains(control), "{options:?}");

@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ztl_std::State::{Aborted, Completed};
-use ztl_std::{RequestError, TaskId, TriggerError};
+use ztl_std::{RemoteTask, RequestError, TaskId, TriggerError};
 use ztl_tests::lab::{PATIENCE, Process, Scratch, python, reserve_port, signal, until, ztl};
 
 use crate::rig::{Rig, dies, end, kill, lives, progress, start, told, trigger};
@@ -71,7 +71,7 @@ fn the_watchdog_finds_a_program_that_is_just_starting() {
         rig.server.process.wait_for_end_of_output();
         let begun = rig.scratch.path("begun").exists();
         println!("after {delay} times 400 µs: begun: {begun}");
-        assert!(rig.at_home().is_empty(), "{delay}: {:?}", rig.at_home());
+        rig.wait_deserted(format_args!("after {delay} times 400 µs"));
     }
 }
 
@@ -166,9 +166,7 @@ fn no_program_starts_while_the_watchdog_is_being_replaced() {
         });
         // The watchdog that confirmed the program knows of it.
         rig.server.process.kill();
-        until("nothing runs", PATIENCE, || {
-            rig.at_home().is_empty().then_some(())
-        });
+        rig.wait_deserted("after the kill");
     }
 }
 
@@ -285,9 +283,7 @@ fn a_suspended_watchdog_is_replaced_before_another_program_starts() {
     });
     assert!(!lives(first));
     rig.server.process.kill();
-    until("nothing runs", PATIENCE, || {
-        rig.at_home().is_empty().then_some(())
-    });
+    rig.wait_deserted("after the kill");
 }
 
 /// A `ztl` whose stderr is this file.
@@ -354,6 +350,13 @@ fn after_a_restart_a_tasks_outcome_is_unknown() {
     assert_eq!(rig.run("echo", "again"), (Completed, "again".to_owned()));
 }
 
+/// A connected client that does not wait long.
+fn impatient(rig: &Rig, task: TaskId) -> RemoteTask {
+    let mut remote = rig.remote().with_timeout(Duration::from_secs(1));
+    until("an answer in time", PATIENCE, || remote.status(task).ok());
+    remote
+}
+
 #[test]
 fn a_resumed_server_learns_what_its_programs_did() {
     let rig = Rig::new(
@@ -370,8 +373,9 @@ fn a_resumed_server_learns_what_its_programs_did() {
     };
     let ends = started("go");
     let limited = started("limited");
+    let mut impatient = impatient(&rig, ends);
     rig.server.process.signal("STOP");
-    let silent = remote.status(ends).expect_err("nobody answers");
+    let silent = impatient.status(ends).expect_err("nobody answers");
     assert!(
         matches!(silent, RequestError::NoAnswer { .. }),
         "{silent:?}"
@@ -391,8 +395,9 @@ fn a_suspended_server_executes_an_abort_once_resumed() {
     let mut remote = rig.remote();
     let id = trigger(&mut remote, "go", "");
     let process = rig.process("pid");
+    let mut impatient = impatient(&rig, id);
     rig.server.process.signal("STOP");
-    remote.abort(id).expect_err("nobody answers");
+    impatient.abort(id).expect_err("nobody answers");
     assert!(lives(process));
     rig.server.process.signal("CONT");
     assert_eq!(end(&mut remote, id), (Aborted, "aborted".to_owned()));

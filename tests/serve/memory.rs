@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use ztl_std::{RequestError, State};
-use ztl_tests::lab::{PATIENCE, built, process_status};
+use ztl_tests::lab::{PATIENCE, built, busy, process_status};
 
 use crate::rig::Rig;
 
@@ -40,6 +40,7 @@ fn threads_are_woken_by_eventfd() {
 
 #[test]
 fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
+    let _busy = busy();
     // A test build is larger by itself; the released one counts as a whole.
     let rig = Rig::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
     for number in 0..1000 {
@@ -69,6 +70,7 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
 /// Newer results replace long ones; running tasks and the latest outcomes stay.
 #[test]
 fn long_results_take_no_more_memory_than_the_limit() {
+    let _busy = busy();
     let rig = Rig::new(
         "long: {run: [sh, -c, 'head -c 700000 /dev/zero | tr \"\\0\" x'], output: 1000 KiB}\n        \
          runs: {run: [sleep, '3600']}",

@@ -71,9 +71,7 @@ fn programs_with_children_leave_no_process_behind() {
         assert_eq!(rig.run("fails", "").0, Failed);
         assert_eq!(rig.run("ends", "").0, Failed);
     }
-    until("all have ended", PATIENCE, || {
-        rig.at_home().is_empty().then_some(())
-    });
+    rig.wait_deserted("after the tasks");
     // No zombie either: only the watchdog is a child of the server.
     assert_eq!(rig.children().len(), 1);
 }

@@ -1,5 +1,6 @@
 //! A server of programs, and the processes that it starts.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -121,6 +122,14 @@ impl Rig {
             std::fs::read_link(process.join("cwd")).is_ok_and(|directory| directory == home)
         };
         all.map(|process| process.path()).filter(at_home).collect()
+    }
+
+    /// Waits until there are none: what is killed ends a moment later.
+    #[track_caller]
+    pub fn wait_deserted(&self, when: impl Display) {
+        until(&format!("nothing runs, {when}"), PATIENCE, || {
+            self.at_home().is_empty().then_some(())
+        });
     }
 
     /// The process whose id a program has written into a file.

@@ -2,7 +2,7 @@
 
 use ztl_std::State::{Aborted, Accepted, Completed};
 use ztl_std::{RemoteTask, TaskId};
-use ztl_tests::lab::{PATIENCE, until};
+use ztl_tests::lab::{PATIENCE, busy, until};
 
 use crate::rig::{Rig, end, is_starved, progress, rejection, trigger};
 
@@ -95,10 +95,15 @@ fn open_files(rig: &Rig, remote: &mut RemoteTask) -> usize {
 
 #[test]
 fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
+    let _busy = busy();
+    // A program that looks again and again would leave no time to the others, 200 times.
+    let waits = "run: [flock, --shared, lock, echo, '{goal} done']";
     let text = format!(
-        "at-once: 200\nscopes: {{/test: {{p: {{go: {{{WAITS}, at-once: 400}}, echo: echo}}}}}}"
+        "at-once: 200\nscopes: {{/test: {{p: {{go: {{{waits}, at-once: 400}}, echo: echo}}}}}}"
     );
     let rig = Rig::of_file(&text, &[]);
+    let lock = std::fs::File::create(rig.scratch.path("lock")).expect("a file");
+    lock.lock().expect("a lock");
     let mut remote = rig.remote();
     let before = open_files(&rig, &mut remote);
     let tasks: Vec<TaskId> = (0..200)
@@ -110,7 +115,7 @@ fn two_hundred_concurrent_tasks_run_and_the_next_is_rejected() {
     // Another client is answered at once meanwhile.
     let one = *tasks.first().expect("200");
     assert_eq!(rig.remote().status(one).expect("an answer").state, Accepted);
-    let_go(&rig, "all");
+    drop(lock);
     for id in tasks {
         assert_eq!(end(&mut remote, id), (Completed, "all done".to_owned()));
     }
@@ -150,6 +155,7 @@ fn a_thousand_quick_tasks_in_sequence_all_complete() {
 
 #[test]
 fn thirty_concurrent_tasks_are_aborted() {
+    let _busy = busy();
     let rig = rig("at-once: 30");
     let mut remote = rig.remote();
     let tasks: Vec<TaskId> = (0..30)
@@ -165,6 +171,7 @@ fn thirty_concurrent_tasks_are_aborted() {
 
 #[test]
 fn ending_children_lose_no_reply() {
+    let _busy = busy();
     let rig = Rig::new("echo: {run: [echo, 'said {goal}']}");
     // A client that asks once and waits: ZeroMQ used to drop a frame of a reply when a child ended.
     let socket = zmq::Context::new().socket(zmq::REQ).expect("a socket");

@@ -541,7 +541,7 @@ fn a_killed_server_leaves_no_program_behind() {
         rig.server.process.kill();
         // That of the watchdog, too.
         rig.server.process.wait_for_end_of_output();
-        assert!(rig.at_home().is_empty(), "{delay}: {:?}", rig.at_home());
+        rig.wait_deserted(format_args!("delay {delay}"));
     }
 }
 

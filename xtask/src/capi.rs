@@ -15,7 +15,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result};
 use xshell::cmd;
 
-use crate::project::{COMMAND, Project};
+use crate::project::Project;
 use crate::zig::{self, Target, Zig};
 use crate::{install, rerun};
 use join::{HEADER, Tools};
@@ -77,7 +77,7 @@ fn for_linux(project: &Project, target: Target, check: bool, glibc: bool) -> Res
 /// Runs the examples and tests in C, with encryption and under checkers.
 pub(crate) fn test(project: &Project) -> Result<()> {
     install::python(project)?;
-    project.cargo("build").args(COMMAND).run()?;
+    project.build_programs()?;
     // Alone, without the features that other packages use.
     project.cargo("build --package ztl-c --lib").run()?;
     let built = &project.target;

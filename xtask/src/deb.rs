@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, ensure};
 use xshell::cmd;
 
-use crate::project::{COMMAND, Project};
+use crate::project::Project;
 use crate::{dist, install, zig};
 
 /// What differs between the units in `examples/systemd` and those of the package.
@@ -36,7 +36,7 @@ pub(crate) fn build(project: &Project, names: &[String]) -> Result<Vec<PathBuf>>
     let here = [env::consts::ARCH.to_owned()];
     let targets = zig::targets(if names.is_empty() { &here } else { names })?;
     let cargo_deb = install::cargo_deb(project)?;
-    project.cargo("build").args(COMMAND).run()?;
+    project.build_programs()?;
     let mut packages = Vec::new();
     for (target, program) in dist::build_all(project, &targets, "debian")? {
         let target_dir = program.ancestors().nth(2).context("a target directory")?;

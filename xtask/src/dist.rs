@@ -6,17 +6,15 @@ mod contents;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
-use xshell::{Shell, cmd};
+use xshell::{Cmd, Shell, cmd};
 
-use crate::project::{COMMAND, Project};
+use crate::project::{COMMAND, Project, TOGETHER};
 use crate::zig::{Target, Zig, targets};
 use crate::{capi, install, paths};
 use contents::Contents;
 
 /// Maximum size of a program in bytes.
 const MOST: u64 = 4 * 1024 * 1024;
-
-const TEST: &str = "test --quiet --package ztl-tests --test";
 
 /// The features of a static program: all but libzmq, which needs a compiler for C++.
 const STATIC: [&str; 3] = ["--no-default-features", "--features", "static"];
@@ -37,12 +35,21 @@ pub(crate) fn build(project: &Project, names: &[String], check: bool) -> Result<
     Ok(())
 }
 
-/// The part that the test command runs. One target shows that C programs can be linked.
-pub(crate) fn test(project: &Project) -> Result<()> {
-    let targets = targets(&["x86_64", "i686"])?;
-    run_all(project, &build_small(project, &targets)?)?;
-    let i686 = targets.last().context("a target")?;
-    capi::check(project, *i686)
+/// The targets of the test command. One shows that C programs can be linked.
+const TESTED: [&str; 2] = ["x86_64", "i686"];
+const LINKED: [&str; 1] = ["i686"];
+
+/// What [`check`] runs.
+pub(crate) fn build_tested(project: &Project) -> Result<()> {
+    build_small(project, &targets(&TESTED)?)?;
+    capi::build(project, &LINKED.map(str::to_owned), false, false)
+}
+
+/// The part that the test command runs.
+pub(crate) fn check(project: &Project) -> Result<()> {
+    run_all(project, &build_small(project, &targets(&TESTED)?)?)?;
+    let mut linked = targets(&LINKED)?.into_iter();
+    linked.try_for_each(|target| capi::check(project, target))
 }
 
 /// Builds the programs for robots, checks their size, and writes the checksums.
@@ -123,14 +130,14 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     let sh = &project.sh;
     install::emulators(sh)?;
     install::python(project)?;
-    project.cargo("build").args(COMMAND).run()?;
+    project.build_programs()?;
     let release = release(built)?;
     let check = "--check --strict --quiet SHA256SUMS".split(' ');
     cmd!(sh, "env --chdir {release} sha256sum {check...}").run()?;
     bill::check(project, release)?;
     for (target, path) in built {
         let run = |variable: &str, how: &str| {
-            let test = project.cargo(&format!("{TEST} command -- --ignored dist::"));
+            let test = test(project, "command").args(["--", "--ignored", "dist::"]);
             let test = test.env("ZTL_DIST", path).env(variable, how);
             test.env("ZTL_DIST_TARGET", target.triple()).run()
         };
@@ -143,7 +150,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
             }
         }
         if target.is_here() {
-            let test = project.cargo(&format!("{TEST} serve -- --nocapture memory::"));
+            let test = test(project, "serve").args(["--", "--nocapture", "memory::"]);
             test.env("ZTL_RELEASED", path).run()?;
         }
     }
@@ -157,6 +164,11 @@ fn watchdogs(project: &Project, kernel: &str, program: &Path) -> Result<()> {
     let python = install::python(project)?;
     let words = [&python, &script, Path::new(kernel), program];
     let command = words.map(|word| word.display().to_string()).join("\n");
-    let test = project.cargo(&format!("{TEST} serve -- killed::"));
+    let test = test(project, "serve").args(["--", "killed::"]);
     Ok(test.env("ZTL_COMMAND", command).run()?)
+}
+
+/// A test binary.
+fn test<'a>(project: &'a Project, name: &str) -> Cmd<'a> {
+    project.cargo(&format!("test --quiet {TOGETHER} --test {name}"))
 }

@@ -51,14 +51,6 @@ const QEMU: [&str; 2] = [
     "qemu-system-riscv32 --version >&2 && qemu-system-arm --version",
 ];
 
-/// Installs everything that tests need.
-pub(crate) fn all(project: &Project) -> Result<()> {
-    programs(project)?;
-    cargo_deb(project)?;
-    javascript(project)?;
-    peers(project)
-}
-
 /// Installs all missing programs.
 pub(crate) fn programs(project: &Project) -> Result<()> {
     let sh = &project.sh;
@@ -124,7 +116,8 @@ pub(crate) fn cargo_deb(project: &Project) -> Result<PathBuf> {
     let works = || has(sh, &program.to_string_lossy());
     make_once(sh, &home.join("deb.stamp"), PACKAGE, works, || {
         // Without its feature `lzma` it runs `xz`.
-        let options = ["--locked", "--no-default-features", "--root"];
+        // Compiled without optimisation, it packs one program as well.
+        let options = ["--locked", "--debug", "--no-default-features", "--root"];
         cmd!(sh, "cargo install {options...} {home} {PACKAGE}").run()
     })?;
     Ok(program)

@@ -1,6 +1,7 @@
 //! The project's development tasks, run as `cargo xtask COMMAND`.
 
 mod bare;
+mod beside;
 mod capi;
 mod cross;
 mod cycles;
@@ -131,7 +132,7 @@ fn main() -> ExitCode {
 fn run(command: XtaskCommand) -> anyhow::Result<()> {
     let project = &Project::enter()?;
     match command {
-        XtaskCommand::Setup => install::all(project),
+        XtaskCommand::Setup => steps::install(project),
         XtaskCommand::Check => steps::check(project),
         XtaskCommand::Test { list: true, .. } => {
             steps::list();

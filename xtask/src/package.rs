@@ -13,6 +13,9 @@ const CRATES: [&str; 13] = [
     "ztl-core", "ztl-zmtp", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-pickle", "ztl-std", "ztl-script", "ztl-record", "ztl-serve", "ztl-sim", "ztl-web", "ztl",
 ];
 
+/// The systems besides Linux on which a client may run.
+pub(crate) const FOREIGN: [&str; 2] = ["x86_64-pc-windows-gnu", "aarch64-apple-darwin"];
+
 /// Packages each crate, and compiles the last one from the packages alone, which replace the registry.
 pub(crate) fn check(project: &Project) -> Result<()> {
     let sh = &project.sh;
@@ -50,12 +53,11 @@ pub(crate) fn check(project: &Project) -> Result<()> {
     Ok(check.run()?)
 }
 
-/// Type-checks the library and the command for the systems besides Linux on which a client may run.
+/// Type-checks the library and the command for [`FOREIGN`].
 pub(crate) fn check_foreign(project: &Project) -> Result<()> {
-    const TARGETS: [&str; 2] = ["x86_64-pc-windows-gnu", "aarch64-apple-darwin"];
     let sh = &project.sh;
-    cross::add(sh, &TARGETS);
-    for target in TARGETS {
+    cross::add(sh, &FOREIGN);
+    for target in FOREIGN {
         if cross::compiled_core(sh, target).is_none() {
             println!("SKIPPED: {target}: rustup has not installed its standard library");
             continue;

@@ -2,6 +2,7 @@
 
 use std::env;
 use std::path::{Path, PathBuf};
+use std::thread;
 
 use anyhow::{Context as _, Result};
 use xshell::{Cmd, Shell};
@@ -11,6 +12,10 @@ pub(crate) const PACKAGE: &str = "ztl";
 
 /// The arguments with which Cargo builds the command.
 pub(crate) const COMMAND: [&str; 4] = ["--package", PACKAGE, "--bin", "ztl"];
+
+/// The packages whose programs, tests and examples are built together, so that each library is compiled once: Cargo
+/// compiles one again for each set of features. The C library has fewer, and the simulation its own profile.
+pub(crate) const TOGETHER: &str = "--workspace --exclude ztl-c --exclude ztl-simulation";
 
 /// The project's directories. The working directory is the root of the repository.
 pub(crate) struct Project {
@@ -46,7 +51,21 @@ impl Project {
         self.sh.cmd("cargo").arg("--locked").args(words.split(' '))
     }
 
-    /// The same for tests, which start programs and stop them by signals. This program may ignore signals, as under
+    /// Builds the programs that tests start.
+    pub(crate) fn build_programs(&self) -> Result<()> {
+        let build = self.cargo(&format!("build {TOGETHER} --bins --examples"));
+        Ok(build.run()?)
+    }
+
+    /// `cargo test` of all packages but the C library and the simulation. Most tests wait most of the time, so there are
+    /// more at once than processors.
+    pub(crate) fn test_together(&self) -> Result<Cmd<'_>> {
+        let threads = 2 * thread::available_parallelism()?.get();
+        let test = self.cargo_test().args(TOGETHER.split(' '));
+        Ok(test.env("RUST_TEST_THREADS", threads.to_string()))
+    }
+
+    /// `cargo test` for tests, which start programs and stop them by signals. This program may ignore signals, as under
     /// `nohup` or in the background of a script; the tests must not.
     pub(crate) fn cargo_test(&self) -> Cmd<'_> {
         let env = self.sh.cmd("env").arg("--default-signal=HUP,INT,QUIT");

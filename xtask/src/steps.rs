@@ -1,13 +1,19 @@
-//! `cargo xtask check` and `cargo xtask test`: the checks of the project, in the order that fails soonest.
+//! `cargo xtask check` and `cargo xtask test`: the checks of the project, in the order that fails soonest. What only
+//! computes runs beside the tests, which mostly wait.
 
-use std::time::{Duration, Instant};
+use std::iter;
+use std::time::Instant;
 
 use anyhow::{Context as _, Result};
 use xshell::cmd;
 
+use crate::beside::Beside;
+use crate::cross::Core;
 use crate::project::Project;
+use crate::zig::Zig;
 use crate::{
-    bare, capi, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, rerun, size,
+    bare, capi, cross, deb, dist, firmware, fuzz, image, install, long_runs, package, proof, rerun,
+    size,
 };
 
 /// The packages outside the workspace.
@@ -29,28 +35,41 @@ const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Resu
     Step { name, about, run }
 }
 
+const TOOLS: Step = step(
+    "tools",
+    "all that builds and tests need is installed",
+    install,
+);
+
 #[rustfmt::skip]
-const STEPS: [Step; 21] = [
-    step("tools", "compilers, libraries and programs are installed", install::programs),
+const BEFORE: [Step; 10] = [
     step("fmt", "all code is formatted, also outside the workspace", format),
     step("clippy", "no lint fires, in the workspace and in each no_std crate alone", clippy),
     step("doc", "the documentation builds without a warning", doc),
     step("package", "the crates could be published: their packages are complete and compile", package::check),
-    step("foreign", "the library and the command type-check for Windows and macOS", package::check_foreign),
-    step("python", "the original ZTL package is installed in a virtual environment", |project| install::python(project).map(drop)),
-    step("clients", "the npm package of the client in JavaScript is installed", install::javascript),
-    step("peers", "old and other peers are installed: libzmq 4.1.6, Python 2.7 where there is one, JeroMQ", install::peers),
-    step("bare", "the no_std crates build for three microcontrollers with nothing but `core`", bare::build),
     step("proof", "bytes from outside reach no panic: shown by linking", proof::prove),
     step("size", "the standard image and the boards' images have the recorded sizes", size::check),
     step("firmware", "the images of examples/firmware build; a Cortex-M0 needs the documented cycles", firmware::check),
     step("test", "all tests: units, documentation examples, and against the original package", tests),
     step("libzmq", "servers and clients pass their tests over libzmq, too", over_libzmq),
     step("c", "the C interface: examples and misuse, with the original's client, under sanitizers and valgrind", capi::test),
-    step("dist", "the static programs for x86-64 and i686 run in an empty root, and on old kernels", dist::test),
-    step("deb", "the Debian package installs in an empty root, runs the demo, and leaves no trace", deb::test),
+];
+
+/// These run beside the ones before: they keep processors busy, no result depends on time, and they build in directories
+/// that no step before uses.
+#[rustfmt::skip]
+const BESIDE: [Step; 5] = [
+    step("foreign", "the library and the command type-check for Windows and macOS", package::check_foreign),
+    step("bare", "the no_std crates build for three microcontrollers with nothing but `core`", bare::build),
+    step("static", "the static programs and C libraries for x86-64 and i686 build", dist::build_tested),
     step("model", "the link keeps its guarantees under every fault, and seeded mistakes are detected", long_runs::check_simulation),
     step("fuzz", "no fuzz target breaks a promise on its corpus, and on inputs generated from one seed", fuzz::smoke),
+];
+
+#[rustfmt::skip]
+const AFTER: [Step; 3] = [
+    step("dist", "the static programs run in an empty root, and on old kernels", dist::check),
+    step("deb", "the Debian package installs in an empty root, runs the demo, and leaves no trace", deb::test),
     step("demo", "`ztl demo --once` completes", demo),
 ];
 
@@ -75,47 +94,97 @@ const NOT_IN_CHECK: [&str; 6] = [
     "streams::our_subscriber",
 ];
 
+fn steps() -> impl Iterator<Item = &'static Step> {
+    let lists: [&'static [Step]; 4] = [&[TOOLS], &BEFORE, &BESIDE, &AFTER];
+    lists.into_iter().flatten()
+}
+
 pub(crate) fn names() -> Vec<&'static str> {
-    STEPS.iter().map(|step| step.name).collect()
+    steps().map(|step| step.name).collect()
 }
 
 pub(crate) fn list() {
-    for step in STEPS {
+    for step in steps() {
         println!("{:<8} {}", step.name, step.about);
     }
 }
 
-/// Runs the named steps in their usual order, or all.
+/// Runs the named steps one after another, or all.
 pub(crate) fn test(project: &Project, only: &[String]) -> Result<()> {
-    let wanted = |step: &&Step| only.is_empty() || only.iter().any(|name| name == step.name);
-    let steps: Vec<&Step> = STEPS.iter().filter(wanted).collect();
-    run(project, &steps, "cargo xtask test --only")
-}
-
-pub(crate) fn check(project: &Project) -> Result<()> {
-    let again = "cargo xtask check; it stopped at";
-    run(project, &CHECK.each_ref(), again)
-}
-
-fn run(project: &Project, steps: &[&Step], again: &str) -> Result<()> {
-    let all = Instant::now();
-    for (index, Step { name, about, run }) in steps.iter().enumerate() {
-        println!("\n=== {}/{} {name}: {about}", index + 1, steps.len());
-        let begin = Instant::now();
-        run(project).with_context(|| {
-            let time = seconds(begin.elapsed());
-            format!("step `{name}` FAILED after {time}. To run it again: {again} {name}\n")
-        })?;
-        println!("--- {name}: ok, {}", seconds(begin.elapsed()));
+    let begin = Instant::now();
+    if only.is_empty() {
+        all(project)?;
+        println!("\nAll passed in {}", seconds(begin));
+        return Ok(());
     }
-    let names: Vec<&str> = steps.iter().map(|step| step.name).collect();
-    let time = seconds(all.elapsed());
-    println!("\nAll passed in {time}: {}", names.join(", "));
+    for step in steps().filter(|step| only.iter().any(|name| name == step.name)) {
+        step.run(project, ONLY)?;
+    }
+    println!("\nAll passed in {}: {}", seconds(begin), only.join(", "));
     Ok(())
 }
 
-fn seconds(time: Duration) -> String {
-    format!("{:.1} s", time.as_secs_f64())
+const ONLY: &str = "cargo xtask test --only";
+
+fn all(project: &Project) -> Result<()> {
+    TOOLS.run(project, ONLY)?;
+    let names = BESIDE.each_ref().map(|step| step.name);
+    println!(
+        "\nBeside the next steps, and shown after them: {}",
+        names.join(", ")
+    );
+    let arguments = names.iter().flat_map(|name| ["--only", name]);
+    let mut beside = Beside::start(project, iter::once("test").chain(arguments))?;
+    for step in &BEFORE {
+        step.run(project, ONLY)?;
+        beside.has_not_failed()?;
+    }
+    beside.end()?;
+    AFTER.iter().try_for_each(|step| step.run(project, ONLY))
+}
+
+pub(crate) fn check(project: &Project) -> Result<()> {
+    let begin = Instant::now();
+    for step in &CHECK {
+        step.run(project, "cargo xtask check; it stopped at")?;
+    }
+    println!("\nAll passed in {}", seconds(begin));
+    Ok(())
+}
+
+impl Step {
+    fn run(&self, project: &Project, again: &str) -> Result<()> {
+        let Self { name, about, run } = self;
+        println!("\n=== {name}: {about}");
+        let begin = Instant::now();
+        run(project).with_context(|| {
+            let time = seconds(begin);
+            format!("step `{name}` FAILED after {time}. To run it again: {again} {name}\n")
+        })?;
+        println!("--- {name}: ok, {}", seconds(begin));
+        Ok(())
+    }
+}
+
+fn seconds(begin: Instant) -> String {
+    format!("{:.1} s", begin.elapsed().as_secs_f64())
+}
+
+/// Installs everything that builds and tests need, except an empty Debian root, which only root can make.
+pub(crate) fn install(project: &Project) -> Result<()> {
+    let sh = &project.sh;
+    install::programs(project)?;
+    install::cargo_deb(project)?;
+    install::emulators(sh)?;
+    install::javascript(project)?;
+    install::peers(project)?;
+    cross::add(sh, &package::FOREIGN);
+    let boards = firmware::boards(sh)?;
+    let boards = boards.iter().map(|board| board.target.as_str());
+    for target in cross::TARGETS.into_iter().chain(boards) {
+        Core::provide(sh, target)?;
+    }
+    Zig::provide(project).map(drop)
 }
 
 fn format(project: &Project) -> Result<()> {
@@ -135,10 +204,9 @@ fn clippy_workspace(project: &Project) -> Result<()> {
 }
 
 /// Crates without some of the features that a build of the workspace turns on.
-const PARTLY: [(&str, &[&str]); 4] = [
+const PARTLY: [(&str, &[&str]); 3] = [
     ("ztl-zmtp", &["--features", "alloc"]),
     ("ztl-std", &["--no-default-features"]),
-    ("ztl-std", &["--features", "schemars"]),
     ("ztl", &["--no-default-features", "--features", "static"]),
 ];
 
@@ -162,61 +230,41 @@ fn doc(project: &Project) -> Result<()> {
     Ok(doc.env("RUSTDOCFLAGS", "-D warnings").run()?)
 }
 
-/// The programs that the integration tests and the demo start.
-fn build_programs(project: &Project) -> Result<()> {
-    Ok(project.cargo("build --workspace --bins --examples").run()?)
-}
-
 fn units(project: &Project) -> Result<()> {
-    let tests = [
-        "--workspace",
-        "--lib",
-        "--bins",
-        "--exclude",
-        long_runs::SIMULATION,
-    ];
-    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])
+    let test = || Ok(project.test_together()?.args(["--lib", "--bins"]));
+    rerun::cargo_test(test, &[])
 }
 
 fn wire(project: &Project) -> Result<()> {
     install::python(project)?;
-    build_programs(project)?;
+    project.build_programs()?;
     let tests = WIRE.iter().flat_map(|name| ["--test", name]);
     let skip = NOT_IN_CHECK.iter().flat_map(|module| ["--skip", module]);
-    let test = || {
-        project
-            .cargo_test()
-            .args(["--package", "ztl-tests"])
-            .args(tests.clone())
-    };
-    rerun::cargo_test(|| Ok(test()), &skip.collect::<Vec<_>>())
+    let test = || Ok(project.test_together()?.args(tests.clone()));
+    rerun::cargo_test(test, &skip.collect::<Vec<_>>())
 }
 
 fn tests(project: &Project) -> Result<()> {
     install::python(project)?;
     install::javascript(project)?;
     install::peers(project)?;
-    build_programs(project)?;
+    project.build_programs()?;
     firmware::build_for_qemu(project)?;
     // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its
     // libraries.
-    let tests = [
-        "--workspace",
-        "--exclude",
-        "ztl-c",
-        "--exclude",
-        long_runs::SIMULATION,
-    ];
-    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])?;
+    rerun::cargo_test(|| project.test_together(), &[])?;
     // The features that the workspace does not use: components, an async loop, what interrupts share, defmt.
     let tests = ["--package", "ztl-mcu", "--all-features"];
-    rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])?;
-    let tests = ["--package", "ztl-std", "--features", "schemars", "describe"];
     rerun::cargo_test(|| Ok(project.cargo_test().args(tests)), &[])
 }
 
 /// What libzmq lacks: bounds, encryption in the one that `zmq-sys` compiles, and why a connection does not come about.
-const OURS_ALONE: [&str; 8] = [
+/// And what uses no connection, or only its own.
+const OURS_ALONE: [&str; 12] = [
+    "codec::",
+    "goals::",
+    "pickles::",
+    "differential::",
     "bounds::",
     "fuzz::damaged",
     "hostile::a_client_that_never_reads",
@@ -233,12 +281,12 @@ fn over_libzmq(project: &Project) -> Result<()> {
     install::python(project)?;
     install::javascript(project)?;
     install::peers(project)?;
-    build_programs(project)?;
+    project.build_programs()?;
     let tests = ["wire", "serve", "gateway", "compat"];
     let tests = tests.iter().flat_map(|name| ["--test", name]);
     let test = || {
-        let test = project.cargo_test().args(["--package", "ztl-tests"]);
-        Ok(test.args(tests.clone()).env("ZTL_TRANSPORT", "libzmq"))
+        let test = project.test_together()?.args(tests.clone());
+        Ok(test.env("ZTL_TRANSPORT", "libzmq"))
     };
     let skip = OURS_ALONE.iter().flat_map(|module| ["--skip", module]);
     rerun::cargo_test(test, &skip.collect::<Vec<_>>())
@@ -246,7 +294,7 @@ fn over_libzmq(project: &Project) -> Result<()> {
 
 fn demo(project: &Project) -> Result<()> {
     let sh = &project.sh;
-    build_programs(project)?;
+    project.build_programs()?;
     let ztl = project.target.join("debug/ztl");
     // It takes seconds; the limit keeps a hanging demo from stopping the run.
     Ok(cmd!(sh, "timeout 60 {ztl} demo --once --port 0").run()?)

@@ -7,10 +7,10 @@ use std::io::{Read as _, Write as _};
 use std::process::{Command, Stdio};
 
 use ztl_pickle::{DType, ElementKind, Kind, Pickle, Time, TimeDelta, TimeZone, Value};
-use ztl_tests::lab::{python, python27, seed};
+use ztl_tests::lab::{busy, python, python27, seed};
 
 /// Values per run; each has up to 19 pickles.
-const CASES: usize = 10_000;
+const CASES: usize = 4_000;
 const SCRIPT: &str = include_str!("original.py");
 
 /// Runs the script with this Python; returns its lines.
@@ -310,6 +310,7 @@ fn is_known_to_python2(case: &&Case) -> bool {
 
 #[test]
 fn values_of_python_3_are_read_printed_and_written_as_by_python() {
+    let _busy = busy();
     let seed = seed();
     let cases = read_all(&mut python3(), seed, CASES);
     write_all(&mut python3(), seed, cases.iter(), Place::Loaded);
@@ -327,6 +328,7 @@ fn values_of_python_3_are_read_printed_and_written_as_by_python() {
 
 #[test]
 fn values_of_python_2_are_read_and_written_for_both() {
+    let _busy = busy();
     let seed = seed();
     let (Some(mut maker), Some(mut python)) = (python2(), python2()) else {
         eprintln!("left out: Python 2.7, which this machine has not");
@@ -340,6 +342,7 @@ fn values_of_python_2_are_read_and_written_for_both() {
 
 #[test]
 fn large_values_of_python_take_no_more_memory_than_they_may() {
+    let _busy = busy();
     for (place, line) in run(&mut python3(), &["large"], "").iter().enumerate() {
         for (protocol, bytes) in line.split('\t').map(unhex).enumerate() {
             if let Err(error) = Pickle::read(&bytes) {

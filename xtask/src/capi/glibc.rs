@@ -8,7 +8,7 @@ use xshell::cmd;
 
 use super::join::{self, HEADER};
 use super::{linux, shared};
-use crate::project::{COMMAND, Project};
+use crate::project::Project;
 use crate::zig::{GLIBC, Target, Zig};
 use crate::{install, paths, rerun};
 
@@ -44,7 +44,7 @@ pub(super) fn check(project: &Project, zig: &Zig<'_>, target: Target, place: &Pa
     if target.is_here() {
         // The examples and tests in C, compiled with this machine's compiler.
         install::python(project)?;
-        project.cargo("build").args(COMMAND).run()?;
+        project.build_programs()?;
         let test = || {
             let test = project.cargo_test();
             let test = test.args(["--package", "ztl-c", "--test", "programs"]);

@@ -1,0 +1,134 @@
+//! Steps that run beside the others, in a process of their own at the lowest priority: they get the time for which tests
+//! wait, and delay none.
+
+use std::env;
+use std::fs::File;
+use std::io;
+use std::os::unix::process::CommandExt as _;
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, Command, Stdio};
+
+use anyhow::{Context as _, Result, ensure};
+
+use crate::project::Project;
+
+/// Runs its arguments, and ends with all that they have started when its input ends: also when this program is killed.
+const SCRIPT: &str =
+    "exec 3<&0 </dev/null; (cat <&3 >/dev/null; kill 0) & exec 3<&- nice -n 19 \"$@\"";
+
+/// The running process. Dropping it ends the process and all that it has started.
+pub(crate) struct Beside {
+    child: Child,
+    input: Option<ChildStdin>,
+    /// Its output, which is shown when it has ended.
+    log: PathBuf,
+}
+
+impl Beside {
+    /// Starts this program with these arguments.
+    pub(crate) fn start<'a>(
+        project: &Project,
+        arguments: impl IntoIterator<Item = &'a str>,
+    ) -> Result<Self> {
+        let log = project.target.join("beside.log");
+        Self::start_command(Command::new(env::current_exe()?).args(arguments), log)
+    }
+
+    fn start_command(command: &Command, log: PathBuf) -> Result<Self> {
+        let output = File::create(&log).with_context(|| log.display().to_string())?;
+        let mut child = Command::new("sh")
+            .args(["-c", SCRIPT, "sh"])
+            .arg(command.get_program())
+            .args(command.get_args())
+            .process_group(0)
+            .stdin(Stdio::piped())
+            .stderr(output.try_clone()?)
+            .stdout(output)
+            .spawn()?;
+        let input = child.stdin.take();
+        Ok(Self { child, input, log })
+    }
+
+    /// Reports a failure as soon as it is known.
+    ///
+    /// # Errors
+    /// When it has failed.
+    pub(crate) fn has_not_failed(&mut self) -> Result<()> {
+        let ended = self.child.try_wait()?;
+        match ended.is_none_or(|status| status.success()) {
+            true => Ok(()),
+            false => self.end(),
+        }
+    }
+
+    /// Waits until it has ended, and shows its output.
+    ///
+    /// # Errors
+    /// When it fails.
+    pub(crate) fn end(&mut self) -> Result<()> {
+        let status = self.child.wait()?;
+        io::copy(&mut File::open(&self.log)?, &mut io::stdout())?;
+        ensure!(status.success(), "a step beside the others failed");
+        Ok(())
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        drop(self.input.take());
+        let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::thread;
+    use std::time::Duration;
+
+    use super::*;
+
+    fn start(script: &str) -> Beside {
+        let name = format!("ztl-beside-{}-{script:.4}", std::process::id());
+        let log = env::temp_dir().join(name);
+        Beside::start_command(Command::new("sh").args(["-c", script]), log).unwrap()
+    }
+
+    #[test]
+    fn a_failure_is_reported_with_the_output() {
+        let mut fine = start("true");
+        fine.end().unwrap();
+        fine.has_not_failed().unwrap();
+        let mut failing = start("exit 3");
+        assert!(failing.end().is_err());
+        assert!(failing.has_not_failed().is_err());
+        for beside in [fine, failing] {
+            fs::remove_file(&beside.log).unwrap();
+        }
+    }
+
+    #[test]
+    fn dropping_it_ends_all_that_it_has_started() {
+        let beside = start("sleep 600 & echo $!; wait");
+        let log = beside.log.clone();
+        let started = loop {
+            if let Ok(number) = fs::read_to_string(&log).unwrap().trim().parse::<u32>() {
+                break number;
+            }
+            thread::sleep(Duration::from_millis(10));
+        };
+        // `sleep`, in parentheses, and its state; Z is left of an ended program until somebody asks for its result.
+        let runs = || {
+            let stat = fs::read_to_string(format!("/proc/{started}/stat"));
+            stat.is_ok_and(|stat| stat.contains("(sleep) S"))
+        };
+        while !runs() {
+            thread::sleep(Duration::from_millis(10));
+        }
+        drop(beside);
+        while runs() {
+            thread::sleep(Duration::from_millis(10));
+        }
+        fs::remove_file(log).unwrap();
+    }
+}
