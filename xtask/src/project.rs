@@ -2,7 +2,6 @@
 
 use std::env;
 use std::path::{Path, PathBuf};
-use std::thread;
 
 use anyhow::{Context as _, Result};
 use xshell::{Cmd, Shell};
@@ -57,12 +56,9 @@ impl Project {
         Ok(build.run()?)
     }
 
-    /// `cargo test` of all packages but the C library and the simulation. Most tests wait most of the time, so there are
-    /// more at once than processors.
-    pub(crate) fn test_together(&self) -> Result<Cmd<'_>> {
-        let threads = 2 * thread::available_parallelism()?.get();
-        let test = self.cargo_test().args(TOGETHER.split(' '));
-        Ok(test.env("RUST_TEST_THREADS", threads.to_string()))
+    /// `cargo test` of all packages but the C library and the simulation.
+    pub(crate) fn test_together(&self) -> Cmd<'_> {
+        self.cargo_test().args(TOGETHER.split(' '))
     }
 
     /// `cargo test` for tests, which start programs and stop them by signals. This program may ignore signals, as under
