@@ -1,4 +1,4 @@
-// Drives Chromium for one scenario of tests/web/page.rs: node driver.mjs SCENARIO URL DIRECTORY.
+// Drives Chromium for one scenario of tests/web/page.rs: node driver.mjs SCENARIO URL DIRECTORY [PAGES].
 // Prints `do: WHAT` when the test has to do something outside the browser, and waits for a line.
 
 import assert from 'node:assert/strict';
@@ -8,7 +8,7 @@ import { connect, createServer as createProxy } from 'node:net';
 import { createRequire } from 'node:module';
 import { createInterface } from 'node:readline';
 
-const [scenario, url, directory] = process.argv.slice(2);
+const [scenario, url, directory, pages] = process.argv.slice(2);
 const require = createRequire(`${process.env.ZTL_CLIENTS}/`);
 const { chromium } = require('playwright-core');
 const axe = readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8');
@@ -556,27 +556,41 @@ const scenarios = {
     await check(page, 'demo-desk');
   },
 
-  // When each change of a task was on the screen, and how long the first paint takes over a slow network: for figures.rs.
+  // When each change of a task was in a message, in the document and on the screen of the last of some pages, and how
+  // long the first paint takes over a slow network: for figures.rs.
   async figures() {
-    const page = await open();
-    await page.evaluate(() => {
-      window.seen = {};
-      let ran = new Set();
-      const note = () => {
-        const at = performance.timeOrigin + performance.now();
-        const names = [...document.querySelectorAll('#running .name')].map((name) => name.textContent.split(':').at(-1));
-        const runs = new Set(names);
-        for (const name of runs) window.seen[`${name} true`] ??= at;
-        for (const name of ran) if (!runs.has(name)) window.seen[`${name} false`] ??= at;
-        ran = runs;
+    await browser.addInitScript(() => {
+      window.times = { heard: {}, shown: {}, painted: {} };
+      const now = () => performance.timeOrigin + performance.now();
+      const note = (what, names) => { for (const name of names) window.times[what][name] ??= now(); };
+      const names = (tasks) => tasks.map((task) => `${task.task.split(':').at(-1)} ${task.runs}`);
+      window.WebSocket = class extends WebSocket {
+        constructor(...args) {
+          super(...args);
+          this.addEventListener('message', (event) => {
+            if (event.data.includes('"/ztl/tasks"')) note('heard', names(JSON.parse(event.data).msg?.tasks ?? []));
+          });
+        }
       };
-      // When the second frame begins, the first one has been painted.
-      const painted = () => requestAnimationFrame(() => requestAnimationFrame(note));
-      new MutationObserver(painted).observe(document.getElementById('now'), { childList: true, subtree: true, characterData: true });
+      let ran = new Set();
+      addEventListener('DOMContentLoaded', () => new MutationObserver(() => {
+        const runs = new Set([...document.querySelectorAll('#running .name')].map((name) => name.textContent.split(':').at(-1)));
+        const changed = [...[...runs].filter((name) => !ran.has(name)).map((name) => `${name} true`),
+          ...[...ran].filter((name) => !runs.has(name)).map((name) => `${name} false`)];
+        ran = runs;
+        note('shown', changed);
+        // A message that is sent at the begin of a frame comes when it has been painted.
+        const { port1, port2 } = new MessageChannel();
+        port1.onmessage = () => note('painted', changed);
+        requestAnimationFrame(() => port2.postMessage(''));
+      }).observe(document.getElementById('now'), { childList: true, subtree: true, characterData: true }));
     });
+    const opened = [];
+    while (opened.length < Number(pages)) opened.push(await open());
     await outside('measure');
-    console.log(`seen: ${JSON.stringify(await page.evaluate(() => window.seen))}`);
-    await page.close();
+    const times = await opened.at(-1).evaluate(() => window.times);
+    for (const [what, all] of Object.entries(times)) console.log(`${what}: ${JSON.stringify(all)}`);
+    for (const page of opened) await page.close();
     const paints = [];
     for (let round = 0; round < 5; round += 1) {
       const slow = await browser.newPage();

@@ -84,9 +84,18 @@ bridge.subscribe('/ztl/robots', (told) => {
   streams.offer(told.publishers);
   show();
 });
-bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); showNow(); });
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); showSoon(); });
 setInterval(show, 1000);
 setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
+
+let showsSoon = false;
+
+// Once for each picture that the browser paints, and not while nobody sees the page.
+function showSoon() {
+  if (showsSoon) return;
+  showsSoon = true;
+  requestAnimationFrame(() => { showsSoon = false; showNow(); });
+}
 
 // What tasks change, which they do many times a second.
 function showNow() {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt as _, StreamExt as _};
 use serde::Deserialize;
@@ -15,7 +15,7 @@ use tokio::time::{interval, timeout};
 use ztl_std::RemoteId;
 
 use crate::aborts::AbortRequest;
-use crate::board::{Board, Shared};
+use crate::board::Board;
 use crate::clients::Client;
 use crate::clock::now_ms;
 use crate::gate::Role;
@@ -25,6 +25,7 @@ use crate::operator;
 use crate::rosbridge::{self, GoalArgs, Incoming};
 use crate::show::Wish;
 use crate::streams::{Listener, Wanted};
+use crate::topics::Topic;
 
 /// Answers that wait to be written.
 const QUEUE: usize = 256;
@@ -50,37 +51,6 @@ pub(crate) enum Out {
     Subscribe(Topic, bool),
     /// A publisher's streams, or one of them.
     Listen(Wanted, bool),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Topic {
-    Robots,
-    Tasks,
-    Stop,
-    Show,
-}
-
-impl Topic {
-    fn of(name: &str) -> Result<Self, String> {
-        match name {
-            "/ztl/robots" => Ok(Self::Robots),
-            "/ztl/tasks" => Ok(Self::Tasks),
-            "/ztl/stop" => Ok(Self::Stop),
-            "/ztl/show" => Ok(Self::Show),
-            _ => Err(format!(
-                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop, /ztl/show, /ztl/streams/PUBLISHER and /ztl/streams/PUBLISHER/TOPIC"
-            )),
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Robots => "/ztl/robots",
-            Self::Tasks => "/ztl/tasks",
-            Self::Stop => "/ztl/stop",
-            Self::Show => "/ztl/show",
-        }
-    }
 }
 
 /// Serves a socket until it closes.
@@ -117,21 +87,18 @@ async fn written(
     mut queue: mpsc::Receiver<Out>,
     board: &Board,
 ) {
-    let mut robots = board.topics.robots.subscribe();
-    let mut tasks = board.topics.tasks.subscribe();
-    let mut stop = board.topics.stop.subscribe();
-    let mut show = board.topics.show.subscribe();
+    let mut robots = board.topics.subscribe(Topic::Robots);
+    let mut tasks = board.topics.subscribe(Topic::Tasks);
+    let mut stop = board.topics.subscribe(Topic::Stop);
+    let mut show = board.topics.subscribe(Topic::Show);
     let (mut on_robots, mut on_tasks, mut on_stop, mut on_show) = (false, false, false, false);
     let mut listener = Listener::new(&board.streams);
     let mut beat = interval(BEAT);
-    let told = |topic: Topic, value: &Shared| {
-        let text = rosbridge::publish(topic.name(), value);
-        vec![Message::from(text)]
-    };
+    let told = |message: &Utf8Bytes| vec![Message::Text(message.clone())];
     loop {
         let messages = tokio::select! {
             biased;
-            Ok(()) = stop.changed(), if on_stop => told(Topic::Stop, &stop.borrow_and_update()),
+            Ok(()) = stop.changed(), if on_stop => told(&stop.borrow_and_update()),
             out = queue.recv() => match out {
                 None => return,
                 Some(Out::Text(text)) => vec![Message::from(text)],
@@ -144,22 +111,22 @@ async fn written(
                         Topic::Show => (&mut on_show, &mut show),
                     };
                     *flag = on;
-                    let value = topic_of.borrow_and_update();
+                    let message = topic_of.borrow_and_update();
                     // Nobody has pressed Stop yet, or there is no show: there is nothing to tell.
-                    match on && **value != *"{}" {
-                        true => told(topic, &value),
+                    match on && !message.is_empty() {
+                        true => told(&message),
                         false => Vec::new(),
                     }
                 }
             },
-            Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
-            Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
-            Ok(()) = show.changed(), if on_show => told(Topic::Show, &show.borrow_and_update()),
+            Ok(()) = tasks.changed(), if on_tasks => told(&tasks.borrow_and_update()),
+            Ok(()) = robots.changed(), if on_robots => told(&robots.borrow_and_update()),
+            Ok(()) = show.changed(), if on_show => told(&show.borrow_and_update()),
             messages = listener.changed() => messages,
             _ = beat.tick() => {
                 let mut messages = vec![Message::Ping(Vec::new().into())];
                 if on_robots {
-                    messages.extend(told(Topic::Robots, &robots.borrow_and_update()));
+                    messages.extend(told(&robots.borrow_and_update()));
                 }
                 messages
             }
@@ -347,14 +314,7 @@ impl Reader {
 
     /// The value of a topic, and what this client may do.
     fn newest(&self, topic: Topic) -> Result<Value, String> {
-        let topic = match topic {
-            Topic::Robots => &self.board.topics.robots,
-            Topic::Tasks => &self.board.topics.tasks,
-            Topic::Stop => &self.board.topics.stop,
-            Topic::Show => &self.board.topics.show,
-        };
-        let value = topic.borrow().clone();
-        let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
+        let mut value = self.board.topics.newest(topic)?;
         if let Some(members) = value.as_object_mut() {
             let operates = self.who.role == Role::Operator;
             members.insert("may_operate".to_owned(), json!(operates));
