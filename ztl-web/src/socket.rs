@@ -70,6 +70,7 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
         aborts: Arc::new(Semaphore::new(ANSWERS)),
         wishes: Arc::new(Semaphore::new(ANSWERS)),
         aborts_when_gone: false,
+        tells_that_it_lives: false,
         messages: Rate::new(MESSAGES),
         goal_rate: Rate::new(GOAL_RATE),
     };
@@ -154,6 +155,8 @@ struct Reader {
     wishes: Arc<Semaphore>,
     /// Whether its goals are aborted when it is gone.
     aborts_when_gone: bool,
+    /// Whether it calls `/ztl/alive`. Then only its messages count: a browser also answers pings for a page that hangs.
+    tells_that_it_lives: bool,
     messages: Rate,
     goal_rate: Rate,
 }
@@ -161,7 +164,10 @@ struct Reader {
 impl Reader {
     async fn read(&mut self, mut from: SplitStream<WebSocket>) {
         while let Ok(Some(Ok(message))) = timeout(SILENCE, from.next()).await {
-            self.board.operator.hear(&self.who);
+            let is_pong = matches!(message, Message::Ping(_) | Message::Pong(_));
+            if !(is_pong && self.tells_that_it_lives) {
+                self.board.operator.hear(&self.who);
+            }
             let answer = match &message {
                 Message::Text(text) => self.on_message(text.as_str()),
                 // Some clients send their text as bytes.
@@ -285,6 +291,10 @@ impl Reader {
             "/ztl/show" => self.newest(Topic::Show),
             "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
             "/ztl/when_gone" => self.when_gone(&args),
+            "/ztl/alive" => {
+                self.tells_that_it_lives = true;
+                Ok(json!({}))
+            }
             "/ztl/describe" => self.board.describe(&args),
             "/ztl/past" => self.board.past.find(args),
             "/ztl/operate" => self.board.take_over(&self.who, &args),
@@ -302,7 +312,7 @@ impl Reader {
                 Err(why) => Err(why),
             },
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/describe, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/describe, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/alive, /ztl/when_gone and /ztl/resume"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
