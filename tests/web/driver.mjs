@@ -54,13 +54,17 @@ async function choose(page, text, robot = 'ours') {
   await page.locator('#component').selectOption(await option.getAttribute('value'));
 }
 
-// Starts a task of a component that is named as free text.
+// Starts a task of a component that is named by hand. A text that was written before goes into its form, if it has one.
 async function start(page, component, goal) {
   await choose(page, 'another of');
-  await page.locator('#other').fill(component);
+  await page.locator('#other').fill('');
   await page.locator('#goal').fill(goal);
+  await page.locator('#other').fill(component);
   await page.locator('#start').click();
 }
+
+// The field for the goal: of a form with one field, or the text.
+const goalOf = (page) => page.locator('#goal:visible, #fields input:not([type]):visible');
 
 // Waits until a press counts again.
 const ready = (page) => page.locator('#start[aria-disabled=false]').waitFor();
@@ -112,19 +116,27 @@ const scenarios = {
       await saying(page, '#goals', 'ABORTED').waitFor();
       await page.locator('#idle').waitFor();
       // By keys: a goal with Enter, and Stop with Escape while the text field has the focus.
-      await page.locator('#goal').fill('50');
+      await goalOf(page).fill('50');
       await ready(page);
-      await page.locator('#goal').press('Enter');
+      await goalOf(page).press('Enter');
       await saying(page, '#running', 'test:sleep:50').waitFor();
-      await page.locator('#goal').press('Escape');
+      await goalOf(page).press('Escape');
       await page.getByText('ours: confirmed: 1 task has ended').waitFor();
       await page.getByText('gone: NOT CONFIRMED').waitFor();
       await page.getByText('NOT every robot has confirmed').waitFor();
       await saying(page, '#goals', 'sleep 50').getByText('ABORTED').waitFor();
       await check(page, `${name}-stopped`);
+      // One press counts also while the list of components is open.
+      if (name === 'desk') {
+        await page.locator('#stopped-close').click();
+        await page.locator('#component').click();
+        await page.keyboard.press('Escape');
+        await page.getByText('ours: confirmed: nothing ran').waitFor();
+        await page.getByText('NOT every robot has confirmed').waitFor();
+      }
       // A second press hides nothing of what the first one has said.
       await page.keyboard.press('Escape');
-      await page.locator('#stopped-before', { hasText: 'ours: confirmed: 1 task has ended' }).waitFor();
+      await page.locator('#stopped-before', { hasText: `ours: confirmed: ${name === 'desk' ? 'nothing ran' : '1 task has ended'}` }).waitFor();
       await page.locator('#stopped-title', { hasText: 'NOT every robot has confirmed' }).waitFor();
       await page.locator('#stopped-close').click();
       await page.close();
@@ -218,6 +230,107 @@ const scenarios = {
     }
   },
 
+  // Skip, Pause, Go on, Replay and Retry.
+  async commands() {
+    const page = await open();
+    const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
+    const settle = () => page.waitForTimeout(700);
+    const press = async (name) => {
+      await settle();
+      await page.locator('#show-commands').getByRole('button', { name }).click();
+    };
+    const play = async () => {
+      await settle();
+      await page.locator('#show-play').click();
+    };
+    const step = (text) => page.locator('#show-steps li', { hasText: text }).first().waitFor();
+    const scene = (text) => page.locator('#show-scenes button', { hasText: text }).waitFor();
+    await state('Next: skipped');
+    await press('Skip');
+    await state('Next: played');
+    await scene('− 1 skipped');
+    await play();
+    await step('test:sleep:2 accepted');
+    await press('Pause after step');
+    await state('a pause follows this step');
+    await state('PAUSE: played');
+    await step('test:echo:said planned');
+    await check(page, 'show-pause');
+    await press('Go on after pause');
+    await state('Next: flaky');
+    await scene('✓ 2 played');
+    await press('Replay last');
+    await state('Plays: played');
+    // A pause that was ordered is taken back.
+    await press('Pause after step');
+    await state('a pause follows this step');
+    await press('Go on after pause');
+    await state('Next: flaky');
+    await play();
+    await state('DECIDE: a task failed');
+    await step('test:flaky:1 failed');
+    await press('Retry failed');
+    await state('The last scene is over.');
+    await scene('✓ 3 flaky');
+    await page.locator('#goals-box').waitFor({ state: 'hidden' });
+    assert.equal(await page.locator('#running .card').count(), 0);
+  },
+
+  // A scene is stopped and played again while its robot hangs.
+  async stuck() {
+    const page = await open();
+    const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
+    const settle = () => page.waitForTimeout(700);
+    await settle();
+    await page.locator('#show-scenes button', { hasText: 'second' }).click();
+    await page.locator('#show-play', { hasText: 'Play: second' }).waitFor();
+    await settle();
+    await page.locator('#show-play').click();
+    await saying(page, '#running', 'test:mark:two').waitFor();
+    await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+    await outside('suspend the robot');
+    await page.locator('#show-stop').click();
+    await state('Stopping: second');
+    assert.equal(await page.locator('#show-play').getAttribute('aria-disabled'), 'true');
+    await page.locator('#show-stopped li', { hasText: 'NOT CONFIRMED: test:mark:two' }).waitFor();
+    await state('Next: second');
+    await check(page, 'show-stuck');
+    await settle();
+    await page.locator('#show-play').click();
+    await state('Plays: second');
+    await outside('continue the robot');
+    // What was stopped ends, and what was played then runs.
+    await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+    await page.locator('#ended-box summary').click();
+    await saying(page, '#ended', 'test:mark:two').getByText('ABORTED').waitFor();
+    assert.equal(await saying(page, '#running', 'test:mark:two').count(), 1);
+    await page.locator('#show-stop').click();
+    await state('Next: second');
+    await page.locator('#idle').waitFor();
+  },
+
+  // The operator's page while its timers are slow, as those of a tab in the background, and then while its script hangs.
+  async hangs() {
+    const page = await browser.newPage();
+    await page.addInitScript(() => {
+      const [later, often] = [setTimeout, setInterval];
+      window.setTimeout = (act) => later(act, 60_000);
+      window.setInterval = (act) => often(act, 60_000);
+      window.hang = () => later(() => { for (;;); }, 0);
+    });
+    await page.goto(url);
+    await page.locator('#show-scenes button', { hasText: 'quick' }).waitFor();
+    await page.waitForTimeout(700);
+    await page.locator('#show-scenes button', { hasText: 'quick' }).click();
+    await page.locator('#show-play', { hasText: 'Play: quick' }).waitFor();
+    await page.waitForTimeout(700);
+    await page.locator('#show-play').click();
+    await page.locator('#show-steps li', { hasText: 'test:sleep:61 accepted' }).first().waitFor();
+    await outside('look: slow');
+    await page.evaluate(() => { window.hang(); });
+    await outside('look: hangs');
+  },
+
   // Text of robots and of goals is shown as it is.
   async hostile() {
     const page = await open();
@@ -268,10 +381,11 @@ const scenarios = {
     await one.getByText('You operate.').waitFor();
     await other.getByText('operator at 127.0.0.1 operates.').waitFor();
     await choose(other, 'another of');
-    await other.locator('#other').fill('test/sleep');
     await other.locator('#goal').fill('61');
+    await other.locator('#other').fill('test/sleep');
+    await other.locator('#sends', { hasText: 'sends: 61' }).waitFor();
     assert.ok(await isOff(other));
-    await other.locator('#goal').press('Enter');
+    await goalOf(other).press('Enter');
     await other.getByText('NOT SENT: operator at 127.0.0.1 operates').waitFor();
     await check(other, 'not-operating');
     await saying(other, '#running', 'test:sleep:60').getByText('Abort').click();
@@ -291,7 +405,7 @@ const scenarios = {
     assert.equal(await other.locator('#start').textContent(), 'Start on ours');
     for (const goal of ['62', '63']) {
       await ready(other);
-      await other.locator('#goal').fill(goal);
+      await goalOf(other).fill(goal);
       await other.locator('#start').click();
       await saying(one, '#running', `test:sleep:${goal}`).waitFor();
     }
@@ -492,6 +606,19 @@ const scenarios = {
       await page.emulateMedia({ colorScheme: name === 'tablet' ? 'dark' : 'light' });
       await check(page, `form-${name}`);
     }
+    // A component that is named by hand has its form, too; a text that was written before stays.
+    await choose(page, 'another of');
+    await goal.fill('15');
+    await page.locator('#other').fill('test/turn');
+    await sends('sends: 15');
+    assert.equal(await field('Goal (deg)').inputValue(), '15');
+    await completes('15');
+    await page.locator('#other').fill('test/count');
+    await sends('sends nothing yet');
+    await page.locator('#other').fill('test/free');
+    await goal.fill('x');
+    await ready(page);
+    assert.equal(await page.locator('#as-text').isVisible(), false);
     // A goal that was sent fills in the fields again.
     await choose(page, 'test free');
     await goal.waitFor();
