@@ -60,6 +60,7 @@ async function start(page, component, goal) {
   await page.locator('#other').fill('');
   await page.locator('#goal').fill(goal);
   await page.locator('#other').fill(component);
+  await ready(page);
   await page.locator('#start').click();
 }
 
