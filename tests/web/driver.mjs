@@ -1,4 +1,4 @@
-// Drives Chromium for one scenario of tests/web/page.rs: node driver.mjs SCENARIO URL DIRECTORY.
+// Drives Chromium for one scenario of tests/web/page.rs: node driver.mjs SCENARIO URL DIRECTORY [PAGES].
 // Prints `do: WHAT` when the test has to do something outside the browser, and waits for a line.
 
 import assert from 'node:assert/strict';
@@ -8,7 +8,7 @@ import { connect, createServer as createProxy } from 'node:net';
 import { createRequire } from 'node:module';
 import { createInterface } from 'node:readline';
 
-const [scenario, url, directory] = process.argv.slice(2);
+const [scenario, url, directory, pages] = process.argv.slice(2);
 const require = createRequire(`${process.env.ZTL_CLIENTS}/`);
 const { chromium } = require('playwright-core');
 const axe = readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8');
@@ -54,13 +54,18 @@ async function choose(page, text, robot = 'ours') {
   await page.locator('#component').selectOption(await option.getAttribute('value'));
 }
 
-// Starts a task of a component that is named as free text.
+// Starts a task of a component that is named by hand. A text that was written before goes into its form, if it has one.
 async function start(page, component, goal) {
   await choose(page, 'another of');
-  await page.locator('#other').fill(component);
+  await page.locator('#other').fill('');
   await page.locator('#goal').fill(goal);
+  await page.locator('#other').fill(component);
+  await ready(page);
   await page.locator('#start').click();
 }
+
+// The field for the goal: of a form with one field, or the text.
+const goalOf = (page) => page.locator('#goal:visible, #fields input:not([type]):visible');
 
 // Waits until a press counts again.
 const ready = (page) => page.locator('#start[aria-disabled=false]').waitFor();
@@ -112,19 +117,27 @@ const scenarios = {
       await saying(page, '#goals', 'ABORTED').waitFor();
       await page.locator('#idle').waitFor();
       // By keys: a goal with Enter, and Stop with Escape while the text field has the focus.
-      await page.locator('#goal').fill('50');
+      await goalOf(page).fill('50');
       await ready(page);
-      await page.locator('#goal').press('Enter');
+      await goalOf(page).press('Enter');
       await saying(page, '#running', 'test:sleep:50').waitFor();
-      await page.locator('#goal').press('Escape');
+      await goalOf(page).press('Escape');
       await page.getByText('ours: confirmed: 1 task has ended').waitFor();
       await page.getByText('gone: NOT CONFIRMED').waitFor();
       await page.getByText('NOT every robot has confirmed').waitFor();
       await saying(page, '#goals', 'sleep 50').getByText('ABORTED').waitFor();
       await check(page, `${name}-stopped`);
+      // One press counts also while the list of components is open.
+      if (name === 'desk') {
+        await page.locator('#stopped-close').click();
+        await page.locator('#component').click();
+        await page.keyboard.press('Escape');
+        await page.getByText('ours: confirmed: nothing ran').waitFor();
+        await page.getByText('NOT every robot has confirmed').waitFor();
+      }
       // A second press hides nothing of what the first one has said.
       await page.keyboard.press('Escape');
-      await page.locator('#stopped-before', { hasText: 'ours: confirmed: 1 task has ended' }).waitFor();
+      await page.locator('#stopped-before', { hasText: `ours: confirmed: ${name === 'desk' ? 'nothing ran' : '1 task has ended'}` }).waitFor();
       await page.locator('#stopped-title', { hasText: 'NOT every robot has confirmed' }).waitFor();
       await page.locator('#stopped-close').click();
       await page.close();
@@ -218,6 +231,107 @@ const scenarios = {
     }
   },
 
+  // Skip, Pause, Go on, Replay and Retry.
+  async commands() {
+    const page = await open();
+    const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
+    const settle = () => page.waitForTimeout(700);
+    const press = async (name) => {
+      await settle();
+      await page.locator('#show-commands').getByRole('button', { name }).click();
+    };
+    const play = async () => {
+      await settle();
+      await page.locator('#show-play').click();
+    };
+    const step = (text) => page.locator('#show-steps li', { hasText: text }).first().waitFor();
+    const scene = (text) => page.locator('#show-scenes button', { hasText: text }).waitFor();
+    await state('Next: skipped');
+    await press('Skip');
+    await state('Next: played');
+    await scene('− 1 skipped');
+    await play();
+    await step('test:sleep:2 accepted');
+    await press('Pause after step');
+    await state('a pause follows this step');
+    await state('PAUSE: played');
+    await step('test:echo:said planned');
+    await check(page, 'show-pause');
+    await press('Go on after pause');
+    await state('Next: flaky');
+    await scene('✓ 2 played');
+    await press('Replay last');
+    await state('Plays: played');
+    // A pause that was ordered is taken back.
+    await press('Pause after step');
+    await state('a pause follows this step');
+    await press('Go on after pause');
+    await state('Next: flaky');
+    await play();
+    await state('DECIDE: a task failed');
+    await step('test:flaky:1 failed');
+    await press('Retry failed');
+    await state('The last scene is over.');
+    await scene('✓ 3 flaky');
+    await page.locator('#goals-box').waitFor({ state: 'hidden' });
+    assert.equal(await page.locator('#running .card').count(), 0);
+  },
+
+  // A scene is stopped and played again while its robot hangs.
+  async stuck() {
+    const page = await open();
+    const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
+    const settle = () => page.waitForTimeout(700);
+    await settle();
+    await page.locator('#show-scenes button', { hasText: 'second' }).click();
+    await page.locator('#show-play', { hasText: 'Play: second' }).waitFor();
+    await settle();
+    await page.locator('#show-play').click();
+    await saying(page, '#running', 'test:mark:two').waitFor();
+    await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+    await outside('suspend the robot');
+    await page.locator('#show-stop').click();
+    await state('Stopping: second');
+    assert.equal(await page.locator('#show-play').getAttribute('aria-disabled'), 'true');
+    await page.locator('#show-stopped li', { hasText: 'NOT CONFIRMED: test:mark:two' }).waitFor();
+    await state('Next: second');
+    await check(page, 'show-stuck');
+    await settle();
+    await page.locator('#show-play').click();
+    await state('Plays: second');
+    await outside('continue the robot');
+    // What was stopped ends, and what was played then runs.
+    await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
+    await page.locator('#ended-box summary').click();
+    await saying(page, '#ended', 'test:mark:two').getByText('ABORTED').waitFor();
+    assert.equal(await saying(page, '#running', 'test:mark:two').count(), 1);
+    await page.locator('#show-stop').click();
+    await state('Next: second');
+    await page.locator('#idle').waitFor();
+  },
+
+  // The operator's page while its timers are slow, as those of a tab in the background, and then while its script hangs.
+  async hangs() {
+    const page = await browser.newPage();
+    await page.addInitScript(() => {
+      const [later, often] = [setTimeout, setInterval];
+      window.setTimeout = (act) => later(act, 60_000);
+      window.setInterval = (act) => often(act, 60_000);
+      window.hang = () => later(() => { for (;;); }, 0);
+    });
+    await page.goto(url);
+    await page.locator('#show-scenes button', { hasText: 'quick' }).waitFor();
+    await page.waitForTimeout(700);
+    await page.locator('#show-scenes button', { hasText: 'quick' }).click();
+    await page.locator('#show-play', { hasText: 'Play: quick' }).waitFor();
+    await page.waitForTimeout(700);
+    await page.locator('#show-play').click();
+    await page.locator('#show-steps li', { hasText: 'test:sleep:61 accepted' }).first().waitFor();
+    await outside('look: slow');
+    await page.evaluate(() => { window.hang(); });
+    await outside('look: hangs');
+  },
+
   // Text of robots and of goals is shown as it is.
   async hostile() {
     const page = await open();
@@ -268,10 +382,11 @@ const scenarios = {
     await one.getByText('You operate.').waitFor();
     await other.getByText('operator at 127.0.0.1 operates.').waitFor();
     await choose(other, 'another of');
-    await other.locator('#other').fill('test/sleep');
     await other.locator('#goal').fill('61');
+    await other.locator('#other').fill('test/sleep');
+    await other.locator('#sends', { hasText: 'sends: 61' }).waitFor();
     assert.ok(await isOff(other));
-    await other.locator('#goal').press('Enter');
+    await goalOf(other).press('Enter');
     await other.getByText('NOT SENT: operator at 127.0.0.1 operates').waitFor();
     await check(other, 'not-operating');
     await saying(other, '#running', 'test:sleep:60').getByText('Abort').click();
@@ -291,7 +406,7 @@ const scenarios = {
     assert.equal(await other.locator('#start').textContent(), 'Start on ours');
     for (const goal of ['62', '63']) {
       await ready(other);
-      await other.locator('#goal').fill(goal);
+      await goalOf(other).fill(goal);
       await other.locator('#start').click();
       await saying(one, '#running', `test:sleep:${goal}`).waitFor();
     }
@@ -492,6 +607,19 @@ const scenarios = {
       await page.emulateMedia({ colorScheme: name === 'tablet' ? 'dark' : 'light' });
       await check(page, `form-${name}`);
     }
+    // A component that is named by hand has its form, too; a text that was written before stays.
+    await choose(page, 'another of');
+    await goal.fill('15');
+    await page.locator('#other').fill('test/turn');
+    await sends('sends: 15');
+    assert.equal(await field('Goal (deg)').inputValue(), '15');
+    await completes('15');
+    await page.locator('#other').fill('test/count');
+    await sends('sends nothing yet');
+    await page.locator('#other').fill('test/free');
+    await goal.fill('x');
+    await ready(page);
+    assert.equal(await page.locator('#as-text').isVisible(), false);
     // A goal that was sent fills in the fields again.
     await choose(page, 'test free');
     await goal.waitFor();
@@ -560,27 +688,41 @@ const scenarios = {
     await check(page, 'demo-desk');
   },
 
-  // When each change of a task was on the screen, and how long the first paint takes over a slow network: for figures.rs.
+  // When each change of a task was in a message, in the document and on the screen of the last of some pages, and how
+  // long the first paint takes over a slow network: for figures.rs.
   async figures() {
-    const page = await open();
-    await page.evaluate(() => {
-      window.seen = {};
-      let ran = new Set();
-      const note = () => {
-        const at = performance.timeOrigin + performance.now();
-        const names = [...document.querySelectorAll('#running .name')].map((name) => name.textContent.split(':').at(-1));
-        const runs = new Set(names);
-        for (const name of runs) window.seen[`${name} true`] ??= at;
-        for (const name of ran) if (!runs.has(name)) window.seen[`${name} false`] ??= at;
-        ran = runs;
+    await browser.addInitScript(() => {
+      window.times = { heard: {}, shown: {}, painted: {} };
+      const now = () => performance.timeOrigin + performance.now();
+      const note = (what, names) => { for (const name of names) window.times[what][name] ??= now(); };
+      const names = (tasks) => tasks.map((task) => `${task.task.split(':').at(-1)} ${task.runs}`);
+      window.WebSocket = class extends WebSocket {
+        constructor(...args) {
+          super(...args);
+          this.addEventListener('message', (event) => {
+            if (event.data.includes('"/ztl/tasks"')) note('heard', names(JSON.parse(event.data).msg?.tasks ?? []));
+          });
+        }
       };
-      // When the second frame begins, the first one has been painted.
-      const painted = () => requestAnimationFrame(() => requestAnimationFrame(note));
-      new MutationObserver(painted).observe(document.getElementById('now'), { childList: true, subtree: true, characterData: true });
+      let ran = new Set();
+      addEventListener('DOMContentLoaded', () => new MutationObserver(() => {
+        const runs = new Set([...document.querySelectorAll('#running .name')].map((name) => name.textContent.split(':').at(-1)));
+        const changed = [...[...runs].filter((name) => !ran.has(name)).map((name) => `${name} true`),
+          ...[...ran].filter((name) => !runs.has(name)).map((name) => `${name} false`)];
+        ran = runs;
+        note('shown', changed);
+        // A message that is sent at the begin of a frame comes when it has been painted.
+        const { port1, port2 } = new MessageChannel();
+        port1.onmessage = () => note('painted', changed);
+        requestAnimationFrame(() => port2.postMessage(''));
+      }).observe(document.getElementById('now'), { childList: true, subtree: true, characterData: true }));
     });
+    const opened = [];
+    while (opened.length < Number(pages)) opened.push(await open());
     await outside('measure');
-    console.log(`seen: ${JSON.stringify(await page.evaluate(() => window.seen))}`);
-    await page.close();
+    const times = await opened.at(-1).evaluate(() => window.times);
+    for (const [what, all] of Object.entries(times)) console.log(`${what}: ${JSON.stringify(all)}`);
+    for (const page of opened) await page.close();
     const paints = [];
     for (let round = 0; round < 5; round += 1) {
       const slow = await browser.newPage();

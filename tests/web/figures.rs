@@ -77,6 +77,13 @@ fn watch(mut client: Client, changes: &Changes, over: &AtomicBool) -> Vec<Durati
 #[test]
 #[ignore = "measures: cargo xtask bench web"]
 fn figures_of_changes() {
+    // On machines of their own, browsers do not share its processors.
+    changes_with(1);
+    changes_with(BROWSERS);
+}
+
+/// Prints how long changes take until `BROWSERS` clients have them, of which so many are pages in Chromium.
+fn changes_with(pages: usize) {
     let changes = Changes::default();
     let servers: Vec<_> = (0..ROBOTS)
         .map(|_| serve(Short(Arc::clone(&changes))))
@@ -91,11 +98,13 @@ fn figures_of_changes() {
     let mut driver = Process::start(
         node("driver.mjs")
             .args(["figures", &url])
-            .arg(files.path("")),
+            .arg(files.path(""))
+            .arg(pages.to_string()),
     );
     driver.wait_for("do: measure");
     let over = AtomicBool::new(false);
     let next = AtomicU32::new(0);
+    let busy = ztl_tests::lab::processor_time(console.id());
     let delays = std::thread::scope(|scope| {
         for server in &servers {
             let (over, next) = (&over, &next);
@@ -110,14 +119,14 @@ fn figures_of_changes() {
                 }
             });
         }
-        // One client in four reads what it is told; the others only receive it.
-        let clients: Vec<_> = (1..BROWSERS)
+        // One client in four, and the last one, reads what it is told; the others only receive it.
+        let clients: Vec<_> = (pages..BROWSERS.max(pages + 1))
             .map(|number| {
                 let client = Client::open(port(&url));
                 let (changes, over) = (&changes, &over);
-                scope.spawn(move || match number % 4 {
-                    0 => watch(client, changes, over),
-                    _ => {
+                scope.spawn(move || match number % 4 == 0 || number >= BROWSERS {
+                    true => watch(client, changes, over),
+                    false => {
                         client.drain(over);
                         Vec::new()
                     }
@@ -131,6 +140,7 @@ fn figures_of_changes() {
             .flat_map(|client| client.join().expect("no panic"))
             .collect::<Vec<_>>()
     });
+    let busy = ztl_tests::lab::processor_time(console.id()) - busy;
     driver.write_line("done");
     let told = driver.end(PATIENCE * 3);
     let told = |what: &str| {
@@ -144,29 +154,35 @@ fn figures_of_changes() {
         let at = clocks.1 + changed.duration_since(clocks.0);
         Some(at.duration_since(UNIX_EPOCH).expect("a time").as_secs_f64() * 1e3)
     };
-    let seen = told("seen: ");
-    let painted = seen
-        .as_object()
-        .expect("times")
-        .iter()
-        .filter_map(|(change, at)| {
+    println!(
+        "{pages} pages beside {} clients without a page:",
+        BROWSERS - pages
+    );
+    let print = |what: &str, delays: Vec<Duration>| {
+        let count = delays.len();
+        let [half, most, all] = percentiles(delays);
+        println!(
+            "  change to {what}: {half:.0} ms, 99% {most:.0} ms, at most {all:.0} ms, of {count}"
+        );
+    };
+    print("message of a client without a page", delays);
+    for (name, what) in [
+        ("heard", "message in a page"),
+        ("shown", "document of the page"),
+        ("painted", "screen"),
+    ] {
+        let seen = told(&format!("{name}: "));
+        let seen = seen.as_object().expect("times").iter();
+        let delays = seen.filter_map(|(change, at)| {
             let (goal, runs) = change.split_once(' ')?;
             let changed = changed_ms(&(goal.to_owned(), runs == "true"))?;
-            Some(Duration::from_secs_f64(
-                (at.as_f64()? - changed).max(0.0) / 1e3,
-            ))
+            let delay = (at.as_f64()? - changed).max(0.0) / 1e3;
+            Some(Duration::from_secs_f64(delay))
         });
-    let painted: Vec<_> = painted.collect();
-    let count = painted.len();
-    let [half, most, all] = percentiles(painted);
-    println!("change to screen: {half:.0} ms, 99% {most:.0} ms, at most {all:.0} ms, of {count}");
-    println!("first paint over Fast 3G, in ms: {}", told("paints: "));
-    let cpu = ztl_tests::lab::processor_time(console.id());
-    let count = delays.len();
-    let [half, most, all] = percentiles(delays);
-    println!(
-        "change to message: {half:.0} ms, 99% {most:.0} ms, at most {all:.0} ms, of {count}; processor {cpu:?}"
-    );
+        print(what, delays.collect());
+    }
+    println!("  processor time of the console in {TIME:?}: {busy:?}");
+    println!("  first paint over Fast 3G, in ms: {}", told("paints: "));
 }
 
 #[test]

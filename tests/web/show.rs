@@ -35,7 +35,11 @@ struct Stage {
 
 impl Stage {
     fn new(script: &str, options: &[&str]) -> Self {
-        let console = Console::of_one();
+        Self::on(Console::of_one(), script, options)
+    }
+
+    /// On the robot of a console.
+    fn on(console: Console, script: &str, options: &[&str]) -> Self {
         let path = console.files.path("show.yaml");
         fs::write(&path, script).expect("a file");
         let path = path.display().to_string();
@@ -235,10 +239,38 @@ fn what_must_not_go_on_without_an_operator_is_stopped() {
     assert!(is(&tasks, "test:mark:cue", "ACCEPTED"), "{tasks}");
     assert!(gone.elapsed() >= Duration::from_secs(4), "{gone:?}");
     let scene = |show: &Value| {
-        let noted = show["notes"].to_string().contains("nobody operates for");
-        noted && show["question"]["about"] == "scene" && show["scenes"][2]["state"] == "stopped"
+        is_given_up(show)
+            && show["question"]["about"] == "scene"
+            && show["scenes"][2]["state"] == "stopped"
     };
     watcher.topic("/ztl/show", scene);
+}
+
+#[test]
+fn a_page_that_hangs_does_not_operate_and_one_with_slow_timers_does() {
+    let _busy = busy();
+    let stage = Stage::new(SCRIPT, &[]);
+    let directory = stage.console.files.path("");
+    let mut command = node("driver.mjs");
+    let mut driver = Process::start(command.args(["hangs", &stage.url]).arg(directory));
+    let mut watcher = stage.client();
+    driver.wait_for("do: look: slow");
+    // Longer than the scene may play without an operator.
+    std::thread::sleep(Duration::from_secs(8));
+    assert_eq!(watcher.call("/ztl/show", &json!({}))["plays"], true);
+    driver.write_line("done");
+    driver.wait_for("do: look: hangs");
+    watcher.topic("/ztl/show", |show| {
+        show["plays"] == false && is_given_up(show)
+    });
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+/// Whether a note says that nobody operates.
+fn is_given_up(show: &Value) -> bool {
+    show["notes"].to_string().contains("nobody operates for")
 }
 
 #[test]
@@ -308,6 +340,33 @@ fn what_a_hanging_robot_starts_later_is_aborted_and_nothing_starts_twice() {
     let is_new = |list: &Value| running(list).iter().any(|id| !late.contains(id));
     let tasks = client.topic("/ztl/tasks", is_new);
     assert_eq!(running(&tasks).len(), 1, "{tasks}");
+}
+
+#[test]
+fn a_cue_that_a_killed_console_started_is_not_started_again() {
+    let _busy = busy();
+    let mut stage = Stage::new(SCRIPT, &[]);
+    let mut client = stage.client();
+    let hold = json!({ "cue": 0 });
+    assert!(told(&mut client, "/ztl/show/cue", &hold).0);
+    runs(&mut client, "test:mark:cue");
+    stage.process.kill();
+    let Stage { console, .. } = stage;
+    let stage = Stage::on(console, SCRIPT, &[]);
+    let mut client = stage.client();
+    runs(&mut client, "test:mark:cue");
+    let (done, why) = told(&mut client, "/ztl/show/cue", &hold);
+    assert!(
+        !done && why.contains("test:mark:cue runs since before"),
+        "{why}"
+    );
+    client.call("/ztl/stop", &json!({}));
+    until("the cue to be free", PATIENCE, || {
+        std::thread::sleep(Duration::from_millis(700));
+        told(&mut client, "/ztl/show/cue", &hold).0.then_some(())
+    });
+    runs(&mut client, "test:mark:cue");
+    assert_eq!(stage.console.marks(), 2);
 }
 
 #[test]
@@ -406,4 +465,52 @@ fn the_page_plays_the_show_on_a_phone_a_tablet_and_a_desk() {
     let driver = Process::start(command.args(["show", &stage.url]).arg(directory));
     let ended = driver.end(PATIENCE * 3);
     assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+/// A robot whose `test:flaky` fails the first time.
+const FLAKY: &str = "\
+scopes:
+  /test:
+    test:
+      echo: echo
+      sleep: sleep
+      flaky: {shell: 'test -e tried || { touch tried; exit 1; }'}
+";
+
+#[test]
+fn each_command_of_the_show_works_by_a_tap() {
+    let _busy = busy();
+    let script = "\
+skipped:
+  never: {test(remote=ours): {echo: no}}
+played:
+  wait a little: {test(remote=ours): {sleep: 2}}
+  say: {test(remote=ours): {echo: said}}
+flaky:
+  try (on_failure=ask): {test(remote=ours): {flaky: 1}}
+";
+    let stage = Stage::on(Console::of(FLAKY), script, &[]);
+    let directory = stage.console.files.path("");
+    let mut command = node("driver.mjs");
+    let driver = Process::start(command.args(["commands", &stage.url]).arg(directory));
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+#[test]
+fn a_scene_that_is_stopped_and_played_again_on_a_robot_that_hangs_runs_once() {
+    let _busy = busy();
+    let stage = Stage::new(SCRIPT, &[]);
+    let directory = stage.console.files.path("");
+    let mut command = node("driver.mjs");
+    let mut driver = Process::start(command.args(["stuck", &stage.url]).arg(directory));
+    driver.wait_for("do: suspend the robot");
+    stage.console.robot.process.signal("STOP");
+    driver.write_line("done");
+    driver.wait_for("do: continue the robot");
+    stage.console.robot.process.signal("CONT");
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+    assert_eq!(stage.console.marks(), 2);
 }

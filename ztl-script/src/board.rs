@@ -392,6 +392,11 @@ impl Board {
         })
     }
 
+    /// Whether the script has cues.
+    pub fn has_cues(&self) -> bool {
+        !self.outline.cues.is_empty()
+    }
+
     /// Whether a task failed or a server is missing.
     pub fn has_details(&self) -> bool {
         let wrong = |task: &TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;

@@ -142,6 +142,15 @@ impl Scene {
     }
 }
 
+impl Cue {
+    pub(crate) fn outline(&self) -> StepOutline {
+        StepOutline {
+            key: self.key,
+            ..self.step.outline()
+        }
+    }
+}
+
 impl Step {
     pub(crate) fn outline(&self) -> StepOutline {
         let tasks = self.tasks.iter().filter_map(|task| {
@@ -162,6 +171,7 @@ impl Step {
             wait: self.wait,
             parallel: self.parallel,
             tasks: tasks.collect(),
+            key: None,
         }
     }
 

@@ -213,7 +213,7 @@ impl Script {
     pub fn outline(&self) -> Outline {
         Outline {
             scenes: self.scenes.iter().map(Scene::outline).collect(),
-            cues: self.cues.iter().map(|cue| cue.step.outline()).collect(),
+            cues: self.cues.iter().map(Cue::outline).collect(),
         }
     }
 

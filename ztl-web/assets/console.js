@@ -23,6 +23,8 @@ let closedStop = sessionStorage.getItem('closed-stop');
 // The console's wall clock, and this browser's monotonic clock when the console told it. The wall clock of this
 // browser may be wrong, or be set while the page is open.
 let clock = null;
+// Whether the page has heard that Esc was pressed, and not yet that it is up again.
+let escIsDown = false;
 
 const bridge = new Bridge(`${location.protocol.replace('http', 'ws')}//${location.host}/rosbridge`, onState);
 const operator = new Operator(bridge);
@@ -84,9 +86,18 @@ bridge.subscribe('/ztl/robots', (told) => {
   streams.offer(told.publishers);
   show();
 });
-bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); showNow(); });
+bridge.subscribe('/ztl/tasks', (told) => { tasks = told; past.look(); showSoon(); });
 setInterval(show, 1000);
 setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
+
+let showsSoon = false;
+
+// Once for each picture that the browser paints, and not while nobody sees the page.
+function showSoon() {
+  if (showsSoon) return;
+  showsSoon = true;
+  requestAnimationFrame(() => { showsSoon = false; showNow(); });
+}
 
 // What tasks change, which they do many times a second.
 function showNow() {
@@ -248,7 +259,15 @@ at('stopped-close').addEventListener('click', () => {
   at('stop').focus();
 });
 addEventListener('keydown', (event) => {
-  if (event.key !== 'Escape' || event.repeat) return;
+  if (event.key !== 'Escape') return;
+  escIsDown = true;
   event.preventDefault();
-  stop();
+  if (!event.repeat) stop();
 });
+// While the list of components is open, browsers close it with Esc, and tell the page only that the key is up again.
+addEventListener('keyup', (event) => {
+  if (event.key !== 'Escape') return;
+  if (!escIsDown && document.activeElement === at('component')) stop();
+  escIsDown = false;
+});
+addEventListener('blur', () => { escIsDown = false; });

@@ -23,9 +23,9 @@ export class Form {
   #pressed = -Infinity;
   #presses = new Presses();
   #answered = true;
-  // What the component says of itself: for which choice it was asked, the robot's number of it, what it said, whether
+  // What the component says of itself: for which choice and name it was asked, the robot's number of it, what it said, whether
   // that is known for this choice, whether an answer is awaited, and since when it is something else than before.
-  #described = { chosen: null, number: null, is: null, isKnown: false, waits: false, changed: -Infinity };
+  #described = { chosen: null, action: null, number: null, is: null, isKnown: false, waits: false, changed: -Infinity };
   // The field for its goals; without one, a goal is free text.
   #field = null;
   // A text that the field is to show when it is there.
@@ -88,27 +88,29 @@ export class Form {
   // Learns what the chosen component takes, and again when that changes.
   #describe() {
     const of = this.#described;
-    const chosen = this.#chosen;
-    const isNew = !same(of.chosen, chosen);
+    const [chosen, action] = [this.#chosen, this.#action()];
+    const isOther = !same(of.chosen, chosen);
+    const isNew = isOther || of.action !== action;
     const number = this.#robots.find((robot) => robot.name === chosen?.robot)?.described ?? null;
     // A robot that has not told anything yet, since the console was started again, takes what it took.
     if (!isNew && (number === null || number === of.number)) return;
-    Object.assign(of, { chosen, number, waits: false });
+    Object.assign(of, { chosen, action, number, waits: false });
     if (isNew) {
-      of.isKnown = chosen?.handler === undefined;
-      this.#take(null, true);
+      of.isKnown = action === null;
+      // What was written as text stays while a name is written.
+      this.#take(null, isOther || of.is !== null);
     }
     if (number === 0) this.#know(null);
-    if (!number || chosen?.handler === undefined) return;
+    if (!number || action === null) return;
     of.waits = true;
-    const action = `${chosen.action}/${chosen.handler}/${chosen.component}`;
+    const isOld = () => of.number !== number || of.action !== action || !same(of.chosen, chosen);
     this.#bridge.call('/ztl/describe', { action }).then(({ is }) => {
-      if (of.number !== number || !same(of.chosen, chosen)) return;
+      if (isOld()) return;
       of.waits = false;
       this.#know(is);
       this.show();
     }, () => {
-      if (of.number !== number || !same(of.chosen, chosen)) return;
+      if (isOld()) return;
       of.waits = false;
       // It is asked again over the next connection. What cannot be learnt is for the console to check.
       if (!this.#bridge.isOpen) of.number = null;
@@ -129,7 +131,7 @@ export class Form {
     this.#take(is, isCleared);
     if (!isOther) return;
     of.changed = performance.now();
-    setText(at('form-said'), `What ${label(of.chosen)} takes has changed${isCleared ? ': enter the goal again' : ''}.`);
+    setText(at('form-said'), `What ${this.#name().replace('/', ' ')} takes has changed${isCleared ? ': enter the goal again' : ''}.`);
     this.#showSoon();
   }
 
@@ -197,10 +199,10 @@ export class Form {
     if (!this.#choices().some((choice) => same(choice, this.#chosen))) {
       return `${label(this.#chosen)} of ${robot.name} is gone. Choose again, or wait until it is back.`;
     }
-    if (this.#chosen.handler === undefined && !at('other').value.trim()) return 'Name a handler and a component.';
+    if (this.#action() === null) return 'Name a handler and a component.';
     if (!this.#described.isKnown || this.#described.waits) return 'Asking what it takes.';
     if (this.#text() === undefined) return 'The goal is not complete.';
-    const action = `${this.#chosen.action}/${this.#name()}`;
+    const action = this.#action();
     const waits = (goal) => !goal.answered && goal.chosen.robot === robot.name && goal.action === action;
     if (this.#goals.some(waits)) return 'The goal before has no answer yet.';
     return '';
@@ -210,6 +212,12 @@ export class Form {
   #name() {
     const { handler, component } = this.#chosen;
     return handler === undefined ? at('other').value.trim() : `${handler}/${component}`;
+  }
+
+  // The action of the chosen component; nothing while it has no name.
+  #action() {
+    if (this.#chosen === null || !this.#name().includes('/')) return null;
+    return `${this.#chosen.action}/${this.#name()}`;
   }
 
   // One choice for each component that a robot tells, and one for any other of its scope.
@@ -265,8 +273,7 @@ export class Form {
       this.show();
       return;
     }
-    const [name, text] = [this.#name(), this.#text()];
-    const action = `${this.#chosen.action}/${name}`;
+    const [name, text, action] = [this.#name(), this.#text(), this.#action()];
     const goal = { chosen: this.#chosen, action, name, text, state: 'sent', progress: '', ended: false, answered: false };
     const answered = () => {
       goal.answered = true;

@@ -2,6 +2,9 @@
 
 import { at, setText } from './elements.js';
 
+// How often the operator's page tells that its script runs.
+const ALIVE = 1000;
+
 export class Operator {
   #bridge;
   // What the console says of this page: { client, may_operate }; nothing until it is connected.
@@ -12,6 +15,7 @@ export class Operator {
   #operates = null;
   // Whether another has taken over from this page.
   #replaced = false;
+  #toldAlive = -Infinity;
 
   constructor(bridge) {
     this.#bridge = bridge;
@@ -27,6 +31,7 @@ export class Operator {
     this.#now = told.operator ?? null;
     if (this.#operates !== null && told.may_operate) await this.#take({ from: this.#operates });
     this.#me = told;
+    this.#tellAlive();
     this.see(this.#now);
   }
 
@@ -42,7 +47,15 @@ export class Operator {
     const mine = this.#now?.client === this.#me.client;
     this.#replaced = !mine && this.#now !== null && (this.#replaced || this.#operates !== null);
     this.#operates = mine ? this.#me.client : null;
+    if (mine && performance.now() - this.#toldAlive >= ALIVE) this.#tellAlive();
     this.#show();
+  }
+
+  // The script of this page runs. Told when the console tells something, at least every 2 s, and not by a timer: browsers
+  // slow down those of a tab in the background.
+  #tellAlive() {
+    this.#toldAlive = performance.now();
+    this.#bridge.call('/ztl/alive', {}).catch(() => {});
   }
 
   // Why this page may start nothing; empty if it may.

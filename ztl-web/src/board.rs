@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use tokio::sync::watch;
 use ztl_std::describe::{CheckGoal as _, ScopeDescriptions, find};
 use ztl_std::{Offers, RemoteId, State};
 
@@ -20,6 +19,7 @@ use crate::robots::{self, ConfiguredScope, Server, Target};
 use crate::show::Desk;
 use crate::stop::Stops;
 use crate::streams::Streams;
+use crate::topics::{Topic, Topics};
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
@@ -28,17 +28,6 @@ const WAITING: usize = 1000;
 
 /// What the components of a server say of themselves, by scope.
 pub(crate) type Described = Arc<BTreeMap<String, ScopeDescriptions>>;
-
-/// A message that many sockets share: the value of a topic, as JSON.
-pub(crate) type Shared = Arc<str>;
-
-/// The topics, each with its newest value.
-pub(crate) struct Topics {
-    pub(crate) robots: watch::Sender<Shared>,
-    pub(crate) tasks: watch::Sender<Shared>,
-    pub(crate) stop: watch::Sender<Shared>,
-    pub(crate) show: watch::Sender<Shared>,
-}
 
 pub(crate) struct Board {
     pub(crate) servers: Vec<Server>,
@@ -128,19 +117,13 @@ impl Board {
             wake,
             aborts: Mutex::default(),
         };
-        let topic = || watch::Sender::new(Shared::from("{}"));
         let board = Self {
             seen: Mutex::new(vec![Seen::default(); servers.len()]),
             described: Mutex::new(vec![Described::default(); servers.len()]),
             stops: Stops::new(servers.iter().map(|server| server.name.clone())),
             posts: wakes.into_iter().map(post).collect(),
             servers,
-            topics: Topics {
-                robots: topic(),
-                tasks: topic(),
-                stop: topic(),
-                show: topic(),
-            },
+            topics: Topics::default(),
             operator: Operator::new(),
             past: Past::default(),
             streams: Arc::new(streams),
@@ -187,7 +170,7 @@ impl Board {
     }
 
     pub(crate) fn publish_show(&self, value: &Value) {
-        set(&self.topics.show, value);
+        self.topics.set(Topic::Show, value);
     }
 
     /// The server of a robot, and its scope there.
@@ -198,7 +181,7 @@ impl Board {
 
     pub(crate) fn publish_stop(&self) {
         let _publishing = locked(&self.publishing);
-        set(&self.topics.stop, &self.stops.shown());
+        self.topics.set(Topic::Stop, &self.stops.shown());
     }
 
     /// Aborts a task.
@@ -374,8 +357,8 @@ impl Board {
         let _publishing = locked(&self.publishing);
         let seen = locked(&self.seen).clone();
         let goals = self.goals();
-        set(&self.topics.robots, &self.robots(&seen));
-        set(&self.topics.tasks, &self.tasks(&seen, &goals));
+        self.topics.set(Topic::Robots, &self.robots(&seen));
+        self.topics.set(Topic::Tasks, &self.tasks(&seen, &goals));
     }
 
     fn robots(&self, seen: &[Seen]) -> Value {
@@ -463,18 +446,6 @@ impl Post {
         // Fails if it is woken already.
         let _ = self.wake.try_send(());
     }
-}
-
-/// Sets a topic if its value changes.
-pub(crate) fn set(topic: &watch::Sender<Shared>, value: &Value) {
-    let text = value.to_string();
-    topic.send_if_modified(|known| {
-        let changed = **known != *text;
-        if changed {
-            *known = text.into();
-        }
-        changed
-    });
 }
 
 pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -28,6 +28,7 @@ mod stop;
 mod streams;
 mod tls;
 mod tokens;
+mod topics;
 
 use std::collections::BTreeSet;
 use std::io;

@@ -20,8 +20,9 @@ use ztl_script::{
 };
 
 use crate::aborts::AbortRequest;
-use crate::board::Board;
+use crate::board::{Board, Task};
 use crate::clock::now_ms;
+use crate::cut;
 use crate::goals::LATEST_MS;
 use stage::Stage;
 
@@ -239,6 +240,7 @@ pub(crate) fn spawn(show: Show, board: &Arc<Board>) -> io::Result<()> {
         stage,
         record,
         ending: Some(ending),
+        began_ms: now_ms(),
         pressed_cues: BTreeMap::new(),
         given_up: HashSet::new(),
         scene_given_up: None,
@@ -261,6 +263,8 @@ struct ShowThread {
     record: Option<Box<dyn ShowRecord>>,
     /// `None` once the show ends.
     ending: Option<Receiver<()>>,
+    /// When the show began, by the console's clock.
+    began_ms: u64,
     /// When each cue was pressed last.
     pressed_cues: BTreeMap<usize, Instant>,
     /// Tasks of cues that were aborted because nobody operates.
@@ -349,10 +353,30 @@ impl ShowThread {
                 if last.is_some_and(|last| last.elapsed() < ONE_PRESS) {
                     return Err("pressed twice: counts as one press".to_owned());
                 }
+                if let Some(task) = self.runs_from_before(cue) {
+                    return Err(format!(
+                        "{task} runs since before this console was started: abort it, or wait for its end"
+                    ));
+                }
                 self.runner.cue(cue).map_err(str::to_owned)?;
                 Ok(json!({}))
             }
         }
+    }
+
+    /// A task of a cue that runs since before this show began: an earlier console may have started it.
+    fn runs_from_before(&self, cue: usize) -> Option<String> {
+        let tasks = &self.stage.cue(cue)?.tasks;
+        tasks.iter().find_map(|task| {
+            let (server, scope) = self.board.place_of(&task.remote)?;
+            let name = cut::text(&task.name(), cut::LINE);
+            let seen = self.board.seen(server).tasks;
+            let is_it = |seen: &Task| seen.runs && seen.scope == scope && seen.task == name;
+            let is_earlier = |seen: &Task| seen.started_ms.is_some_and(|at| at < self.began_ms);
+            seen.iter()
+                .any(|seen| is_it(seen) && is_earlier(seen))
+                .then_some(name)
+        })
     }
 
     /// Stops what must not go on without an operator.

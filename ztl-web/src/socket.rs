@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt as _, StreamExt as _};
 use serde::Deserialize;
@@ -15,7 +15,7 @@ use tokio::time::{interval, timeout};
 use ztl_std::RemoteId;
 
 use crate::aborts::AbortRequest;
-use crate::board::{Board, Shared};
+use crate::board::Board;
 use crate::clients::Client;
 use crate::clock::now_ms;
 use crate::gate::Role;
@@ -25,6 +25,7 @@ use crate::operator;
 use crate::rosbridge::{self, GoalArgs, Incoming};
 use crate::show::Wish;
 use crate::streams::{Listener, Wanted};
+use crate::topics::Topic;
 
 /// Answers that wait to be written.
 const QUEUE: usize = 256;
@@ -52,37 +53,6 @@ pub(crate) enum Out {
     Listen(Wanted, bool),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Topic {
-    Robots,
-    Tasks,
-    Stop,
-    Show,
-}
-
-impl Topic {
-    fn of(name: &str) -> Result<Self, String> {
-        match name {
-            "/ztl/robots" => Ok(Self::Robots),
-            "/ztl/tasks" => Ok(Self::Tasks),
-            "/ztl/stop" => Ok(Self::Stop),
-            "/ztl/show" => Ok(Self::Show),
-            _ => Err(format!(
-                "no topic '{name}': there are /ztl/robots, /ztl/tasks, /ztl/stop, /ztl/show, /ztl/streams/PUBLISHER and /ztl/streams/PUBLISHER/TOPIC"
-            )),
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Robots => "/ztl/robots",
-            Self::Tasks => "/ztl/tasks",
-            Self::Stop => "/ztl/stop",
-            Self::Show => "/ztl/show",
-        }
-    }
-}
-
 /// Serves a socket until it closes.
 pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr, role: Role) {
     let (write, read) = socket.split();
@@ -100,6 +70,7 @@ pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr,
         aborts: Arc::new(Semaphore::new(ANSWERS)),
         wishes: Arc::new(Semaphore::new(ANSWERS)),
         aborts_when_gone: false,
+        tells_that_it_lives: false,
         messages: Rate::new(MESSAGES),
         goal_rate: Rate::new(GOAL_RATE),
     };
@@ -117,21 +88,18 @@ async fn written(
     mut queue: mpsc::Receiver<Out>,
     board: &Board,
 ) {
-    let mut robots = board.topics.robots.subscribe();
-    let mut tasks = board.topics.tasks.subscribe();
-    let mut stop = board.topics.stop.subscribe();
-    let mut show = board.topics.show.subscribe();
+    let mut robots = board.topics.subscribe(Topic::Robots);
+    let mut tasks = board.topics.subscribe(Topic::Tasks);
+    let mut stop = board.topics.subscribe(Topic::Stop);
+    let mut show = board.topics.subscribe(Topic::Show);
     let (mut on_robots, mut on_tasks, mut on_stop, mut on_show) = (false, false, false, false);
     let mut listener = Listener::new(&board.streams);
     let mut beat = interval(BEAT);
-    let told = |topic: Topic, value: &Shared| {
-        let text = rosbridge::publish(topic.name(), value);
-        vec![Message::from(text)]
-    };
+    let told = |message: &Utf8Bytes| vec![Message::Text(message.clone())];
     loop {
         let messages = tokio::select! {
             biased;
-            Ok(()) = stop.changed(), if on_stop => told(Topic::Stop, &stop.borrow_and_update()),
+            Ok(()) = stop.changed(), if on_stop => told(&stop.borrow_and_update()),
             out = queue.recv() => match out {
                 None => return,
                 Some(Out::Text(text)) => vec![Message::from(text)],
@@ -144,22 +112,22 @@ async fn written(
                         Topic::Show => (&mut on_show, &mut show),
                     };
                     *flag = on;
-                    let value = topic_of.borrow_and_update();
+                    let message = topic_of.borrow_and_update();
                     // Nobody has pressed Stop yet, or there is no show: there is nothing to tell.
-                    match on && **value != *"{}" {
-                        true => told(topic, &value),
+                    match on && !message.is_empty() {
+                        true => told(&message),
                         false => Vec::new(),
                     }
                 }
             },
-            Ok(()) = tasks.changed(), if on_tasks => told(Topic::Tasks, &tasks.borrow_and_update()),
-            Ok(()) = robots.changed(), if on_robots => told(Topic::Robots, &robots.borrow_and_update()),
-            Ok(()) = show.changed(), if on_show => told(Topic::Show, &show.borrow_and_update()),
+            Ok(()) = tasks.changed(), if on_tasks => told(&tasks.borrow_and_update()),
+            Ok(()) = robots.changed(), if on_robots => told(&robots.borrow_and_update()),
+            Ok(()) = show.changed(), if on_show => told(&show.borrow_and_update()),
             messages = listener.changed() => messages,
             _ = beat.tick() => {
                 let mut messages = vec![Message::Ping(Vec::new().into())];
                 if on_robots {
-                    messages.extend(told(Topic::Robots, &robots.borrow_and_update()));
+                    messages.extend(told(&robots.borrow_and_update()));
                 }
                 messages
             }
@@ -187,6 +155,8 @@ struct Reader {
     wishes: Arc<Semaphore>,
     /// Whether its goals are aborted when it is gone.
     aborts_when_gone: bool,
+    /// Whether it calls `/ztl/alive`. Then only its messages count: a browser also answers pings for a page that hangs.
+    tells_that_it_lives: bool,
     messages: Rate,
     goal_rate: Rate,
 }
@@ -194,7 +164,10 @@ struct Reader {
 impl Reader {
     async fn read(&mut self, mut from: SplitStream<WebSocket>) {
         while let Ok(Some(Ok(message))) = timeout(SILENCE, from.next()).await {
-            self.board.operator.hear(&self.who);
+            let is_pong = matches!(message, Message::Ping(_) | Message::Pong(_));
+            if !(is_pong && self.tells_that_it_lives) {
+                self.board.operator.hear(&self.who);
+            }
             let answer = match &message {
                 Message::Text(text) => self.on_message(text.as_str()),
                 // Some clients send their text as bytes.
@@ -318,6 +291,10 @@ impl Reader {
             "/ztl/show" => self.newest(Topic::Show),
             "/ztl/time" => Ok(json!({ "now_ms": now_ms() })),
             "/ztl/when_gone" => self.when_gone(&args),
+            "/ztl/alive" => {
+                self.tells_that_it_lives = true;
+                Ok(json!({}))
+            }
             "/ztl/describe" => self.board.describe(&args),
             "/ztl/past" => self.board.past.find(args),
             "/ztl/operate" => self.board.take_over(&self.who, &args),
@@ -335,7 +312,7 @@ impl Reader {
                 Err(why) => Err(why),
             },
             _ => Err(format!(
-                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/describe, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/when_gone and /ztl/resume"
+                "no service '{service}': there are /ztl/robots, /ztl/tasks, /ztl/describe, /ztl/past, /ztl/show, /ztl/show/command, /ztl/show/cue, /ztl/show/note, /ztl/show/stop_scene, /ztl/time, /ztl/abort, /ztl/stop, /ztl/operate, /ztl/alive, /ztl/when_gone and /ztl/resume"
             )),
         };
         Some(Out::Text(rosbridge::service_response(
@@ -347,14 +324,7 @@ impl Reader {
 
     /// The value of a topic, and what this client may do.
     fn newest(&self, topic: Topic) -> Result<Value, String> {
-        let topic = match topic {
-            Topic::Robots => &self.board.topics.robots,
-            Topic::Tasks => &self.board.topics.tasks,
-            Topic::Stop => &self.board.topics.stop,
-            Topic::Show => &self.board.topics.show,
-        };
-        let value = topic.borrow().clone();
-        let mut value: Value = serde_json::from_str(&value).map_err(|error| error.to_string())?;
+        let mut value = self.board.topics.newest(topic)?;
         if let Some(members) = value.as_object_mut() {
             let operates = self.who.role == Role::Operator;
             members.insert("may_operate".to_owned(), json!(operates));

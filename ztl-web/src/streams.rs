@@ -14,7 +14,7 @@ use ztl_pickle::Kind;
 use ztl_std::Subscriber;
 use ztl_std::publish::{Content, Heard};
 
-use crate::board::{Shared, locked};
+use crate::board::locked;
 use crate::picture;
 use crate::rosbridge;
 
@@ -57,6 +57,9 @@ pub(crate) enum Wanted {
     /// The values of a publisher's topic.
     Topic(usize, String),
 }
+
+/// A list of a publisher's streams, as JSON.
+type Shared = Arc<str>;
 
 /// The streams of all publishers.
 pub(crate) struct Streams {

@@ -16,6 +16,8 @@ pub(crate) struct KeyPress {
     pub(crate) key: String,
     /// What it means for what the operator saw; `None` if nothing.
     pub(crate) command: Option<RunCommand>,
+    /// The cue that it starts.
+    pub(crate) cue: Option<usize>,
     /// The question that the operator saw.
     pub(crate) question: Option<Question>,
 }

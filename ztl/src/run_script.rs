@@ -216,11 +216,19 @@ impl RunScript {
                 let KeyPress {
                     key,
                     command,
+                    cue,
                     question,
                 } = pressed;
                 show.tell(RunEvent::Key { key, command });
                 if let Some(command) = command {
                     show.decide(command, question);
+                }
+                if let Some(cue) = cue
+                    && let Err(why) = show.cue(cue)
+                {
+                    let name = script.cues.get(cue).map_or("", |cue| cue.step.name.trim());
+                    let text = format!("cue '{name}' was not started: {why}");
+                    show.tell(RunEvent::Note { text });
                 }
             }
             for text in record.iter().flat_map(RunRecord::warnings) {

@@ -2,6 +2,7 @@
 //! run.
 
 mod choose;
+mod cues;
 mod keys;
 mod preflight;
 mod robot;

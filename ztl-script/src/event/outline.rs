@@ -74,6 +74,9 @@ pub struct StepOutline {
     pub parallel: bool,
     /// In the order of the file.
     pub tasks: Vec<TaskOutline>,
+    /// Of a cue: the key that starts it, a small letter or a digit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<char>,
 }
 
 /// A planned task.

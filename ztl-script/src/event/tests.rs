@@ -41,6 +41,7 @@ fn an_event_survives_a_round_trip() {
                     wait: false,
                     limit: Some(Duration::from_secs(3)),
                 }],
+                key: None,
             }],
         }],
         cues: Vec::new(),

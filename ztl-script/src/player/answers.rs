@@ -38,6 +38,12 @@ impl Player {
             return;
         }
         self.note_server(&sent, &answer);
+        let is_heard = !matches!(
+            answer,
+            ServerAnswer::Nothing { .. }
+                | ServerAnswer::NotStarted { .. }
+                | ServerAnswer::Withdrawn
+        );
         match (sent.body, sent.task) {
             (ServerRequest::Init { .. }, Some(task)) => self.on_init(now, task, answer),
             (ServerRequest::Status { hold, .. }, Some(task)) => {
@@ -48,6 +54,9 @@ impl Player {
             (ServerRequest::Probe, _) => self.on_probe(now, &sent.remote),
             (ServerRequest::Tasks, _) => self.on_tasks(now, &sent.remote, answer),
             _ => {}
+        }
+        if is_heard {
+            self.repeat_lost_aborts(now, &sent.remote);
         }
         self.watch(now);
         self.advance(now);

@@ -210,6 +210,8 @@ pub(super) struct RunTask {
     pub(super) aborts: u32,
     /// An ABORT is under way.
     pub(super) aborting: bool,
+    /// The last ABORT was not answered.
+    pub(super) abort_lost: bool,
     /// It was not started because its server is not there.
     pub(super) absent: bool,
     /// The operator was shown the result of stopping it.
@@ -259,6 +261,7 @@ impl RunTask {
             aborts: 0,
             aborting: false,
             absent: false,
+            abort_lost: false,
             stop_told: false,
         }
     }

@@ -103,6 +103,7 @@ impl Player {
             return;
         };
         task.aborting = false;
+        task.abort_lost = matches!(answer, ServerAnswer::Nothing { .. });
         task.next = now + POLL;
         let gives_up = task.aborts >= TRIES;
         let stopping = self.is_stopping(number);
@@ -148,6 +149,20 @@ impl Player {
                     self.obey(now, RunCommand::Stop, DecidedBy::Script);
                 }
             }
+        }
+    }
+
+    /// Repeats the ABORTs that a server did not answer: it answers again, and their tasks may still run.
+    pub(super) fn repeat_lost_aborts(&mut self, now: Instant, remote: &str) {
+        let is_lost = |number: &TaskNumber| {
+            let task = self.tasks.get(number);
+            let is_lost =
+                |task: &RunTask| task.abort_lost && task.remote == remote && task.can_be_asked();
+            task.is_some_and(is_lost) && !self.is_stopping(*number)
+        };
+        let lost: Vec<TaskNumber> = self.live.iter().copied().filter(is_lost).collect();
+        for number in lost {
+            self.abort(now, number);
         }
     }
 

@@ -93,6 +93,11 @@ impl Stage {
         self.run.question.map(|_| number)
     }
 
+    /// What a cue plans.
+    pub(super) fn cue(&self, cue: usize) -> Option<&StepOutline> {
+        self.run.outline.cues.get(cue)
+    }
+
     /// The scene and take that play.
     pub(super) fn playing(&self) -> Option<(usize, u32)> {
         let played = self.run.played.as_ref();
@@ -150,7 +155,7 @@ impl Stage {
             let tasks: Vec<Value> = runs.take(TASKS).map(task).collect();
             json!({
                 "name": cut::text(&outline.name, cut::LINE),
-                "key": cue.key,
+                "key": outline.key,
                 "does": outline.tasks.iter().map(|task| cut::text(&task.name(), cut::LINE)).collect::<Vec<_>>(),
                 "gone": gone(cue.operator_gone),
                 "tasks": tasks,

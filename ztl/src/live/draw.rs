@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use ztl_script::event::{ServerState, TaskState};
+use ztl_script::event::{ServerState, StepOutline, TaskOutline, TaskState};
 
 use super::choose::Chooser;
 use super::keys;
 use super::message::{self, message};
-use super::rows::{Seen, body, page, scene_line, scene_list, task_line, window};
+use super::rows::{Seen, body, page, scene_line, scene_list, task_line, task_sign, window};
 use super::text::{Line, Paragraph, Style, clip, clock};
 use ztl_script::board::{Board, SceneRun, ServerView, TaskRun};
 
@@ -20,6 +20,8 @@ pub(super) enum Pane {
     #[default]
     Show,
     Choose(Chooser),
+    /// All cues, with their keys.
+    Cues,
     /// All keys.
     Keys,
     /// All that went wrong.
@@ -76,21 +78,24 @@ pub(super) fn draw(
     let servers = take(servers(board, now, width), 4);
     let most = if height < 16 { 2 } else { height / 4 };
     let background = take(background(board, now, width, most), 4);
+    let cues = take(cues(board, width), 6);
     let rule = take(vec![rule(width)], 6);
     let body = match &view.pane {
         Pane::Show => body(board, view.top.is_some()),
         Pane::Choose(chooser) => scene_list(board, chooser),
         Pane::Keys => page(&all_keys(), width),
         Pane::Details => page(&details(board, now), width),
+        Pane::Cues => page(&cue_page(board), width),
     };
     let (body, seen) = window(board, &body, view.top, now, (left, width));
     let mut lines = title;
     lines.extend(servers);
     lines.extend(body);
-    let fixed = background.len() + rule.len() + message.len() + keys.len();
+    let fixed = background.len() + cues.len() + rule.len() + message.len() + keys.len();
     lines.resize(height.saturating_sub(fixed), Line::new(width));
     lines.extend(background);
     lines.extend(rule);
+    lines.extend(cues);
     lines.extend(message);
     lines.extend(keys);
     // A window may have no height at all.
@@ -103,6 +108,24 @@ pub(super) fn draw(
 fn all_keys() -> Vec<Paragraph> {
     let words = |(key, does): &(&str, &str)| (Style::Plain, format!("{key:<18}{does}"));
     keys::ALL.iter().map(words).collect()
+}
+
+/// The page of cues.
+fn cue_page(board: &Board) -> Vec<Paragraph> {
+    let cue = |cue: &StepOutline| {
+        let key = match cue.key {
+            None => "no key".to_owned(),
+            // Whatever else it means on the screen, on this page it starts the cue.
+            Some(key) => match keys::of_cue(key) {
+                Some(_) => key.to_string(),
+                None => format!("{key} stops here"),
+            },
+        };
+        let tasks: Vec<String> = cue.tasks.iter().map(TaskOutline::name).collect();
+        let text = format!("{key:<8}{}: {}", cue.name, tasks.join(", "));
+        (Style::Plain, text)
+    };
+    board.outline.cues.iter().map(cue).collect()
 }
 
 /// The page of failures.
@@ -148,6 +171,38 @@ fn title(board: &Board, now: Duration, width: usize) -> Line {
     let mut line = Line::new(width).and(Style::Bar, &clip(&words, room));
     line.put_right(Style::Bar, &time);
     line
+}
+
+/// The cues with their keys, and what became of them, wrapped.
+fn cues(board: &Board, width: usize) -> Vec<Line> {
+    if !board.has_cues() {
+        return Vec::new();
+    }
+    let mut lines = Vec::new();
+    let mut line = Line::new(width).and(Style::Soft, " cues");
+    for (index, cue) in board.outline.cues.iter().enumerate() {
+        let key = cue.key.and_then(keys::of_cue).unwrap_or_default();
+        let of_it = board.tasks.values().filter(|task| task.cue == Some(index));
+        // First what runs, then what went wrong.
+        let worst = of_it.max_by_key(|task| {
+            let state = task.state;
+            (!state.is_over(), state != TaskState::Completed)
+        });
+        let (style, sign) = worst.map_or((Style::Soft, "·"), |task| task_sign(task.state));
+        let length = key.chars().count() + cue.name.chars().count() + 7;
+        if line.width() + length > width && line.width() > 5 {
+            let next = Line::new(width).and(Style::Soft, "     ");
+            lines.push(std::mem::replace(&mut line, next));
+        }
+        line.put(Style::Plain, "  ");
+        if !key.is_empty() {
+            line.put(Style::Bar, &format!(" {key} "));
+        }
+        line.put(Style::Plain, &format!(" {} ", cue.name));
+        line.put(style, sign);
+    }
+    lines.push(line);
+    lines
 }
 
 /// The servers, wrapped.
@@ -225,6 +280,12 @@ fn key_lines(board: &Board, view: &View, width: usize, most: usize) -> Vec<Line>
         } => keys::choosing(),
         _ => keys::help(board),
     };
+    if view.pane == Pane::Cues {
+        keys = keys::cueing()
+            .into_iter()
+            .chain(keys.into_iter().filter(|(key, _)| keys::stops(key)))
+            .collect();
+    }
     if matches!(view.pane, Pane::Keys | Pane::Details) || view.top.is_some() {
         keys.splice(0..0, keys::looking());
     }

@@ -1,6 +1,6 @@
 //! The meaning of keys.
 
-use ztl_script::event::{Question, RunCommand};
+use ztl_script::event::{Question, RunCommand, StepOutline};
 
 use ztl_script::board::Board;
 
@@ -12,6 +12,29 @@ pub(super) fn stops(key: &str) -> bool {
 /// Whether a key moves the visible part.
 pub(super) fn scrolls(key: &str) -> bool {
     matches!(key, "Up" | "Down" | "PageUp" | "PageDown" | "Home" | "End")
+}
+
+/// The letters that mean something else; a cue with one of them is started from the page of cues.
+const OWN: &str = "adgjkpqrst";
+
+/// How the key of a cue is pressed here; nothing if it stops tasks, which goes before.
+pub(super) fn of_cue(key: char) -> Option<String> {
+    match key {
+        key if stops(&key.to_string()) => None,
+        key if OWN.contains(key) => Some(format!("k {key}")),
+        key => Some(key.to_string()),
+    }
+}
+
+/// The cue that a key starts. `on_page`: the page of cues is open.
+pub(super) fn cue(key: &str, cues: &[StepOutline], on_page: bool) -> Option<usize> {
+    let key = key.to_lowercase();
+    let is_it = |cue: &StepOutline| {
+        let own = cue.key.filter(|own| own.to_string() == key);
+        let pressed = own.and_then(of_cue);
+        pressed.is_some_and(|pressed| on_page || pressed == key)
+    };
+    cues.iter().position(is_it)
 }
 
 /// The command of a key, if it is among the choices.
@@ -105,6 +128,9 @@ pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
             keys.push(("x", "stop everything".to_owned()));
         }
     }
+    if board.has_cues() && board.ended.is_none() {
+        keys.push(("k", "cues".to_owned()));
+    }
     if board.has_details() {
         keys.push(("d", "details".to_owned()));
     }
@@ -132,8 +158,14 @@ pub(super) fn looking() -> Vec<(&'static str, String)> {
     vec![("Esc", "back".to_owned())]
 }
 
+/// The keys of the page of cues.
+pub(super) fn cueing() -> Vec<(&'static str, String)> {
+    let keys = [("a-z 0-9", "start the cue"), ("Esc", "back")];
+    keys.map(|(key, words)| (key, words.to_owned())).to_vec()
+}
+
 /// All keys, for the page of `?`.
-pub(super) const ALL: [(&str, &str); 19] = [
+pub(super) const ALL: [(&str, &str); 20] = [
     ("Enter", "start the scene that is shown"),
     ("s", "skip it; while a step waits: the rest of its scene"),
     ("r", "play the last scene again"),
@@ -156,6 +188,7 @@ pub(super) const ALL: [(&str, &str); 19] = [
         "stop all that this run started, and leave; again: at once",
     ),
     ("q", "between scenes: leave; background tasks continue"),
+    ("k", "show the cues and their keys, and start one"),
     ("PageUp, PageDown", "scroll, as do Up, Down, Home and End"),
     ("d", "show failures in full"),
     ("?", "these keys"),

@@ -250,7 +250,7 @@ fn step_line(step: &StepOutline, shown: Option<&StepRun>, now: Duration, width: 
     line
 }
 
-fn task_sign(state: TaskState) -> (Style, &'static str) {
+pub(super) fn task_sign(state: TaskState) -> (Style, &'static str) {
     match state {
         TaskState::Asked | TaskState::Initiated | TaskState::Accepted => (Style::Active, "▶"),
         TaskState::Completed => (Style::Good, "✓"),

@@ -180,7 +180,7 @@ impl Screen {
         if self.is_held(&key, together) {
             return self.send(key, None, None);
         }
-        if self.choose(&key) {
+        if self.choose(&key) || self.cue(&key) {
             return;
         }
         let (command, number, question) = {
@@ -218,12 +218,17 @@ impl Screen {
     }
 
     fn send(&self, key: String, command: Option<RunCommand>, question: Option<Question>) {
-        // Fails only when the run is over.
-        let _ = self.pressed.send(KeyPress {
+        self.pass(KeyPress {
             key,
             command,
+            cue: None,
             question,
         });
+    }
+
+    fn pass(&self, press: KeyPress) {
+        // Fails only when the run is over.
+        let _ = self.pressed.send(press);
         (self.wake)();
     }
 
@@ -242,6 +247,9 @@ impl Screen {
         self.view = match key {
             "?" => toggled(&self.view.pane, Pane::Keys),
             "d" | "D" => toggled(&self.view.pane, Pane::Details),
+            "k" | "K" if lock(&self.shared).board.has_cues() => {
+                toggled(&self.view.pane, Pane::Cues)
+            }
             "j" | "J" if can_jump => View::of(Pane::Choose(Chooser::at(scene.unwrap_or(0)))),
             "Esc" if self.view != View::default() => View::default(),
             key if keys::scrolls(key) => {
@@ -296,6 +304,33 @@ impl Screen {
             self.answered = Some((number, Instant::now()));
         }
         self.send(format!("j{typed} {key}"), command, question);
+        true
+    }
+
+    /// Passes the key of a cue on. On the page of cues, other letters mean nothing, except for those that stop.
+    fn cue(&mut self, key: &str) -> bool {
+        let on_page = self.view.pane == Pane::Cues;
+        let cue = keys::cue(key, &lock(&self.shared).board.outline.cues, on_page);
+        let is_letter = key.chars().count() == 1 && key.chars().all(char::is_alphanumeric);
+        let means_nothing = on_page && is_letter && !keys::stops(key) && !matches!(key, "k" | "K");
+        if cue.is_none() && !means_nothing {
+            return false;
+        }
+        if cue.is_some() {
+            self.view = View::default();
+            self.last_drawn = None;
+        }
+        let key = if on_page {
+            format!("k {key}")
+        } else {
+            key.to_owned()
+        };
+        self.pass(KeyPress {
+            key,
+            command: None,
+            cue,
+            question: None,
+        });
         true
     }
 

@@ -79,6 +79,7 @@ impl<'s> View<'s> {
                 let key = keyboard.as_ref()?.next()?;
                 Some(KeyPress {
                     command: plain.meaning(&key),
+                    cue: None,
                     question: plain.question(),
                     // An incomplete sequence is a lone ESC.
                     key: first_key(&key.bytes).map_or("Esc".to_owned(), |(name, _)| name),

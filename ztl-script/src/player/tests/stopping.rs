@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::world::{World, count, unattended};
 use crate::event::DecidedBy;
-use crate::event::{Ending, Question, RunCommand, RunEvent, RunOutcome, ServerState};
+use crate::event::{Ending, Question, RunCommand, RunEvent, RunOutcome, ServerState, TaskState};
 use crate::player::PlayOptions;
 
 const SHOW: &str = "
@@ -63,6 +63,22 @@ fn stopping_a_scene_stops_its_tasks_and_shows_it_again() {
     assert_eq!(world.until_asked(), Some(Question::Scene { scene: 2 }));
     assert_eq!(world.timeline().len(), 6, "{:?}", world.timeline());
     assert_eq!(world.outcome(), None);
+}
+
+#[test]
+fn an_abort_that_a_silent_server_missed_is_repeated_when_it_answers_again() {
+    let mut world = in_the_second();
+    let from = world.now.as_millis();
+    world.pause("lamp", from, from + 15_000);
+    world.command(RunCommand::StopScene);
+    assert_eq!(world.until_asked(), Some(Question::Scene { scene: 1 }));
+    assert_eq!(confirmed(&world), [(2, true), (3, false)]);
+    // The scene plays again, and what was stopped before does not run beside it.
+    world.command(RunCommand::Start);
+    world.pass(Duration::from_secs(16));
+    let aborted = TaskState::Aborted;
+    let count = count!(world, RunEvent::TaskState { state, .. } if *state == aborted);
+    assert_eq!(count, 2);
 }
 
 #[test]

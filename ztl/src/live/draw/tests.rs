@@ -330,6 +330,7 @@ fn a_terminal_of_any_size_is_filled_exactly() {
                 Pane::Choose(Chooser::at(3)),
                 Pane::Keys,
                 Pane::Details,
+                Pane::Cues,
             ];
             for (pane, top) in panes
                 .into_iter()
@@ -341,6 +342,33 @@ fn a_terminal_of_any_size_is_filled_exactly() {
             }
         }
     }
+}
+
+#[test]
+fn cues_are_shown_with_the_keys_that_start_them() {
+    let (mut board, at) = board(|event| matches!(event, RunEvent::StepStarted { .. }));
+    let one = board.outline.scenes[0].steps[0].clone();
+    let cue = |name: &str, key| StepOutline {
+        name: name.to_owned(),
+        key,
+        ..one.clone()
+    };
+    board.outline.cues = vec![
+        cue("wave", Some('w')),
+        cue("say", Some('s')),
+        cue("halt", Some('x')),
+        cue("bow", None),
+    ];
+    let shown = screen(&board, at, (80, 24));
+    assert!(
+        shown.contains(" cues   w  wave ·   k s  say ·   halt ·   bow ·"),
+        "{shown}"
+    );
+    let cues = &board.outline.cues;
+    let pressed = |key, on_page| keys::cue(key, cues, on_page);
+    assert_eq!([pressed("W", false), pressed("w", true)], [Some(0); 2]);
+    assert_eq!([pressed("s", false), pressed("s", true)], [None, Some(1)]);
+    assert_eq!([pressed("x", false), pressed("x", true)], [None; 2]);
 }
 
 #[test]
