@@ -1,7 +1,6 @@
 //! Each type that is installed on this machine, against genpy: md5 sum, full text, and random messages.
 #![expect(
     clippy::expect_used,
-    clippy::panic,
     clippy::indexing_slicing,
     reason = "helpers of tests may panic"
 )]
