@@ -208,7 +208,10 @@ impl Net {
         }
         let events = mem::replace(&mut self.system_events, Events::with_capacity(0));
         for event in &events {
-            match LISTENERS.iter().position(|(token, _)| *token == event.token()) {
+            match LISTENERS
+                .iter()
+                .position(|(token, _)| *token == event.token())
+            {
                 Some(index) => self.accept(index),
                 None => {
                     let id = ConnectionId(event.token().0);
@@ -243,10 +246,12 @@ impl Net {
         let valid = Duration::from_secs(if address.is_some() { 30 } else { 1 });
         let known = Host::Known(address, now + valid);
         self.hosts.insert(host.to_owned(), known);
-        let waits = |connection: &Connection| {
-            connection.stream.is_none() && connection.peer.host == host
-        };
-        let waiting = self.connections.iter().filter(|(_, connection)| waits(connection));
+        let waits =
+            |connection: &Connection| connection.stream.is_none() && connection.peer.host == host;
+        let waiting = self
+            .connections
+            .iter()
+            .filter(|(_, connection)| waits(connection));
         let waiting: Vec<ConnectionId> = waiting.map(|(id, _)| *id).collect();
         waiting.into_iter().for_each(|id| self.connect(now, id));
     }
@@ -358,7 +363,9 @@ impl Net {
     /// The address of the other end, for messages.
     pub(crate) fn peer(&self, id: ConnectionId) -> String {
         let connection = self.connections.get(&id);
-        connection.map(|connection| connection.peer.to_string()).unwrap_or_default()
+        connection
+            .map(|connection| connection.peer.to_string())
+            .unwrap_or_default()
     }
 
     fn insert(
@@ -455,7 +462,10 @@ impl Net {
                 port: address.port(),
             };
             let id = self.insert(peer, Some(stream), None);
-            let stream = self.connections.get_mut(&id).and_then(|c| c.stream.as_mut());
+            let stream = self
+                .connections
+                .get_mut(&id)
+                .and_then(|c| c.stream.as_mut());
             let both = Interest::READABLE | Interest::WRITABLE;
             let registry = self.poll.registry();
             let registered = stream.map(|stream| {
@@ -474,12 +484,17 @@ impl Net {
     fn make_room(&mut self) {
         let accepted = |connection: &Connection| connection.accepted;
         let connections = self.connections.iter();
-        let mut accepted: Vec<_> = connections.filter(|(_, connection)| accepted(connection)).collect();
+        let mut accepted: Vec<_> = connections
+            .filter(|(_, connection)| accepted(connection))
+            .collect();
         let Some(surplus) = accepted.len().checked_sub(MOST_ACCEPTED) else {
             return;
         };
-        accepted.sort_by_key(|(id, connection)| (connection.deadline.is_none(), connection.deadline, id.0));
-        let surplus: Vec<ConnectionId> = accepted.iter().take(surplus).map(|(id, _)| **id).collect();
+        accepted.sort_by_key(|(id, connection)| {
+            (connection.deadline.is_none(), connection.deadline, id.0)
+        });
+        let surplus: Vec<ConnectionId> =
+            accepted.iter().take(surplus).map(|(id, _)| **id).collect();
         for id in surplus {
             let peer = self.peer(id);
             self.fail(id, NetError::Closed { peer });
