@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
 
 use ztl_std::scope;
 use ztl_std::server::bytes;
@@ -144,18 +143,6 @@ impl<'d> ConfigReader<'d> {
         self.yaml.parsed(node, what, |text| {
             let size = bytes(text).filter(|size| (1..=MOST).contains(size));
             size.ok_or_else(|| format!("'{text}' is not {what}"))
-        })
-    }
-
-    /// The shortest time between two frames.
-    fn rate(&mut self, node: &'d Node) -> Option<Duration> {
-        let what = "a rate from 0.001 Hz to 1000 Hz, as 10 Hz";
-        self.yaml.parsed(node, what, |text| {
-            let number = text.strip_suffix("Hz").map(str::trim_end);
-            let rate = number.and_then(|number| number.parse::<f64>().ok());
-            let rate = rate.filter(|rate| (0.001..=1000.0).contains(rate));
-            let interval = rate.map(|rate| Duration::from_secs_f64(1.0 / rate));
-            interval.ok_or_else(|| format!("'{text}' is not {what}"))
         })
     }
 }
