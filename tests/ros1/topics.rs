@@ -32,9 +32,8 @@ fn messages_go_both_ways() {
     let subscription = node.subscribe(&topic, string(), move |from, content| {
         let _ = told.send((from.to_owned(), content.to_vec()));
     });
-    robot.write_line("one");
-    robot.write_line("two words");
     for expected in ["one", "two words"] {
+        robot.write_line(expected);
         let (from, content) = heard.recv_timeout(PATIENCE).expect("a message");
         assert_eq!((from, content), (format!("/{name}"), text(expected)));
     }
