@@ -11,6 +11,7 @@
 //! | `publish` | `ros1-publish` |
 //! | `service` | `ros1-service` |
 //! | `parameter` | `ros1-parameter` |
+//! | `topic` | `ros1-topic`, a stream |
 
 pub(crate) mod action;
 pub(crate) mod connection;
@@ -21,7 +22,7 @@ pub(crate) mod parameter;
 pub(crate) mod publish;
 pub(crate) mod service;
 mod shown;
-
+pub(crate) mod topic;
 pub(crate) mod trajectory;
 mod types;
 

@@ -440,6 +440,50 @@ fn a_description_has_the_rule_of_the_message() {
 }
 
 #[test]
+fn topics_are_streams_with_their_messages_as_frames() {
+    let of = |stream: &str| parse(&format!("publish: 1\nstreams: {{/r: {{s: {stream}}}}}"));
+    for (stream, framing) in [
+        (
+            "{ros1-topic: /joint_states, type: sensor_msgs/JointState}",
+            "Json",
+        ),
+        (
+            "{ros1-topic: /battery, type: sensor_msgs/BatteryState, field: percentage, latest: true}",
+            "Json",
+        ),
+        (
+            "{ros1-topic: /camera, type: sensor_msgs/CompressedImage, field: data, rate: 5 Hz, when-watched: 2 s}",
+            "Length",
+        ),
+    ] {
+        let config = of(stream).expect(stream);
+        let stream = config.streams.first().expect("a stream");
+        assert_eq!(format!("{:?}", stream.framing), framing);
+    }
+    for (stream, expected) in [
+        (
+            "{ros1-topic: /battery, type: sensor_msgs/BatteryState, field: percent}",
+            "sensor_msgs/BatteryState has no field 'percent'; did you mean 'present'?",
+        ),
+        (
+            "{ros1-topic: /battery, type: sensor_msgs/BatteryState, frame: json}",
+            "each message of a topic is a frame; leave this out",
+        ),
+        (
+            "{ros1-topic: /battery}",
+            "'type' is missing; write type: sensor_msgs/JointState",
+        ),
+        (
+            "{ros1-topic: /battery, type: std_msgs/Int32, run: [x]}",
+            "unknown key 'run'",
+        ),
+    ] {
+        let mistakes = of(stream).expect_err(stream);
+        assert!(mistakes.contains(expected), "{stream}: {mistakes}");
+    }
+}
+
+#[test]
 fn any_yaml_for_a_message_is_read_or_is_a_mistake() {
     let mut random = ztl_tests::lab::Random::new(ztl_tests::lab::seed());
     let values = [
