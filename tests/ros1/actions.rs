@@ -5,7 +5,7 @@ use std::time::Duration;
 use ztl_ros1::{EndState, GoalEvent};
 use ztl_tests::lab::PATIENCE;
 
-use crate::rig::{Master, Running, test_action, unique, within};
+use crate::rig::{Master, Running, test_action, unique, wait, within};
 
 /// An answer is due within this time, for a machine that is not busy.
 const SOON: Duration = Duration::from_secs(2);
@@ -241,6 +241,12 @@ fn two_nodes_share_an_action() {
     let actions = nodes
         .each_ref()
         .map(|node| node.action(&name, test_action()).unwrap());
+    // Both are connected: rospy drops connections that are made at the same time.
+    for action in &actions {
+        wait("it is connected", || {
+            Running::send(action, 1).end().state == EndState::Succeeded
+        });
+    }
     let [one, other] = actions.each_ref().map(|action| Running::send(action, 4));
     one.accepted();
     other.accepted();

@@ -3,7 +3,7 @@
 use std::fmt;
 
 /// The longest header, in bytes. It holds the text of a message's definition.
-pub(crate) const LONGEST_HEADER: usize = 1024 * 1024;
+pub(crate) const LONGEST_HEADER: usize = 256 * 1024;
 
 /// The fields of a header.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

@@ -14,6 +14,10 @@ use super::{EndState, GoalEnd, GoalEvent};
 /// How long a goal waits for its action server.
 const CONNECT: Duration = Duration::from_millis(1500);
 
+/// How long the connections for goals must stay the same before the first goal is sent. When several nodes appear at once,
+/// rospy opens a second connection and drops the first with what it holds.
+const SETTLE: Duration = Duration::from_millis(250);
+
 /// How long a server may take to show a goal in its status, and to send a result after the final status.
 const ANSWER: Duration = Duration::from_secs(5);
 
@@ -131,6 +135,8 @@ pub(crate) struct Machine {
     sent: HashMap<String, GoalKey>,
     orphans: HashMap<String, Orphan>,
     links: Links,
+    /// Until then the connections for goals are too new.
+    settling: Option<Instant>,
     next: u32,
 }
 
@@ -143,6 +149,7 @@ impl Machine {
             sent: HashMap::new(),
             orphans: HashMap::new(),
             links: Links::default(),
+            settling: None,
             next: 0,
         }
     }
@@ -195,6 +202,9 @@ impl Machine {
     pub(crate) fn handle_links(&mut self, now: Instant, links: Links, effects: &mut Vec<Effect>) {
         for goal in self.goals.values_mut() {
             goal.was_closed |= !links.status.contains(&goal.server);
+        }
+        if (&links.goal, &links.cancel) != (&self.links.goal, &self.links.cancel) {
+            self.settling = Some(now + SETTLE);
         }
         self.links = links;
         self.send_waiting(now, effects);
@@ -314,6 +324,7 @@ impl Machine {
     /// Call this at [`poll_timeout`](Self::poll_timeout), or more often.
     pub(crate) fn handle_timeout(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         self.orphans.retain(|_, orphan| orphan.until > now);
+        self.settling = self.settling.filter(|until| *until > now);
         self.send_waiting(now, effects);
         let keys: Vec<GoalKey> = self.goals.keys().copied().collect();
         for key in keys {
@@ -368,7 +379,7 @@ impl Machine {
             let cancel = goal.cancel_at.filter(|_| goal.may_repeat_cancel());
             phase.into_iter().chain(cancel).min()
         });
-        of_goals.min()
+        of_goals.chain(self.settling).min()
     }
 
     /// The connections at the last [`handle_links`](Self::handle_links).
@@ -391,8 +402,9 @@ impl Machine {
             let (Some(goal), Some(server)) = (self.goals.get_mut(&key), self.links.server()) else {
                 continue;
             };
+            let settled = !self.links.unsettled && self.settling.is_none_or(|until| until <= now);
             if let Phase::Waiting { until, content } = &mut goal.phase
-                && (!self.links.unsettled || *until <= now)
+                && (settled || *until <= now)
             {
                 let content = std::mem::take(content);
                 goal.phase = Phase::Sent {

@@ -26,7 +26,7 @@ const JOBS: usize = 256;
 pub(crate) const IDLE: Duration = Duration::from_secs(30);
 
 /// The longest call of another node, in bytes.
-const LONGEST_CALL: usize = 1024 * 1024;
+const LONGEST_CALL: usize = 256 * 1024;
 
 /// What a connection is for.
 pub(crate) enum Role {
@@ -129,6 +129,9 @@ impl Engine {
             self.net.handle_timeout(now);
             self.retry_sources(now);
             self.time_actions(now);
+        }
+        if let Some(limit) = self.stopping {
+            self.net.wake_by(limit);
         }
         self.turn_registrar(now);
         self.relink(now);

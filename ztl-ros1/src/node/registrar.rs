@@ -128,9 +128,7 @@ impl Engine {
 
     /// Begins to stop.
     pub(crate) fn stop(&mut self, now: Instant) {
-        let limit = now + STOP;
-        self.stopping = Some(limit);
-        self.net.wake_by(limit);
+        self.stopping = Some(now + STOP);
         self.registrar.not_before = None;
         for topic in self.publications.keys().cloned().collect::<Vec<_>>() {
             self.unregister("unregisterPublisher", &topic);

@@ -69,6 +69,7 @@ impl Lab {
     fn sent() -> Self {
         let mut lab = Self::new();
         lab.links(all("/arm"));
+        lab.pass(SETTLE);
         lab.send();
         lab.expect(&[goal_sent()]);
         lab
@@ -186,8 +187,27 @@ fn a_goal_waits_for_all_five_topics() {
         lab.send();
         lab.expect(&[]);
         lab.links(full.clone());
+        lab.expect(&[]);
+        lab.pass(SETTLE);
         lab.expect(&[goal_sent()]);
     }
+}
+
+#[test]
+fn a_goal_waits_until_no_connection_is_replaced_any_more() {
+    let mut lab = Lab::new();
+    lab.links(all("/arm"));
+    lab.send();
+    let mut twice = all("/arm");
+    twice.goal.push("/arm".into());
+    lab.pass(SETTLE / 2);
+    lab.links(twice);
+    lab.pass(SETTLE / 2);
+    lab.links(all("/arm"));
+    lab.pass(SETTLE - Duration::from_millis(1));
+    lab.expect(&[]);
+    lab.pass(Duration::from_millis(1));
+    lab.expect(&[goal_sent()]);
 }
 
 #[test]
