@@ -4,4 +4,5 @@ mod actions;
 mod master;
 mod names;
 mod rig;
+mod serve;
 mod topics;
