@@ -1,8 +1,8 @@
 //! `ztl serve` with a robot of ROS 1: its kinds of components, and what becomes of a robot that moves.
 
-use ztl_std::State::{Aborted, Completed, Failed};
+use ztl_std::State::{Aborted, Completed, Failed, Rejected};
 use ztl_std::{RemoteTask, RunError, State, Subscriber, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect, reserve_port, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect, reserve_port, until, ztl};
 
 use crate::rig::{Master, unique, wait};
 
@@ -49,10 +49,29 @@ impl Robot {
         connect(&self.server.endpoint()).with_timeout(PATIENCE)
     }
 
-    /// Runs a task and returns its outcome, or the reason of its rejection.
+    /// Runs a task and returns its outcome, or the reason of its rejection, once it is connected: on a busy machine that
+    /// may take longer than a task waits.
     #[track_caller]
     fn run(&self, component: &str, goal: &str) -> Result<(State, String), String> {
+        const NOT_CONNECTED: [&str; 5] = [
+            "no node subscribes",
+            "no controller receives",
+            "no joint state",
+            "is not connected",
+            "no action server",
+        ];
+        until("it is connected", PATIENCE, || {
+            let ended = self.run_once(component, goal);
+            let is_early = |reason: &String| NOT_CONNECTED.iter().any(|part| reason.contains(part));
+            (!ended.as_ref().is_err_and(is_early)).then_some(ended)
+        })
+    }
+
+    /// The same at once.
+    #[track_caller]
+    fn run_once(&self, component: &str, goal: &str) -> Result<(State, String), String> {
         match self.remote().run("p", component, goal, Some(PATIENCE)) {
+            Ok(status) if status.state == Rejected => Err(status.text),
             Ok(status) => Ok((status.state, status.text)),
             Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => Err(reason),
             Err(error) => panic!("{component}:{goal}: {error}"),
@@ -122,7 +141,7 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
 #[test]
 fn what_nobody_receives_and_a_wrong_goal_are_rejected() {
     let robot = Robot::new(DRIVE);
-    let reason = robot.run("nowhere", "").expect_err("no subscriber");
+    let reason = robot.run_once("nowhere", "").expect_err("no subscriber");
     assert!(
         reason.starts_with("no node subscribes to /robot"),
         "{reason}"
@@ -233,7 +252,7 @@ fn an_action_runs_with_progress_and_ends_in_the_states_of_its_server() {
         (end.state, end.text),
         (Aborted, "stopped; {'result': -1}".to_owned())
     );
-    let reason = robot.run("lost", "1").expect_err("no such action");
+    let reason = robot.run_once("lost", "1").expect_err("no such action");
     assert!(reason.contains(&name), "it says what exists: {reason}");
 }
 

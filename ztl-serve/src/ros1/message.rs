@@ -36,14 +36,18 @@ enum Part {
 }
 
 impl MessageTemplate {
-    /// The goal as the message.
+    /// The goal as the message; nothing of it, if the message has no fields.
     pub(crate) fn of_goal(message: &Arc<MessageType>) -> Self {
-        Self {
-            message: Arc::clone(message),
-            root: Part::Goal {
+        let root = match message.fields() {
+            [] => Part::Fixed(message.zero()),
+            _ => Part::Goal {
                 path: Vec::new(),
                 field: one(message),
             },
+        };
+        Self {
+            message: Arc::clone(message),
+            root,
         }
     }
 

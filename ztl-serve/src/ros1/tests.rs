@@ -406,6 +406,16 @@ fn the_short_forms_make_the_whole_goals() {
 }
 
 #[test]
+fn a_message_without_fields_needs_no_goal() {
+    let dock = component("{ros1-service: /dock, type: std_srvs/Trigger}");
+    for goal in ["", "None"] {
+        let call = call(&dock, goal).expect("nothing");
+        assert_eq!(dock.kind.check(&call), Ok(()));
+    }
+    call(&dock, "now").expect_err("a goal is not used");
+}
+
+#[test]
 fn a_description_has_the_rule_of_the_message() {
     for (text, expected) in [
         (
