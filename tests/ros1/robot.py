@@ -76,11 +76,11 @@ class Action:
 
 
 class Topics:
-    """Publishes what it is told under /NAME/out, prints what it receives under /NAME/in."""
+    """Publishes what it is told under /NAME/out, prints the first words of what it receives under /NAME/in."""
 
     def __init__(self, name):
         self.out = rospy.Publisher(f"/{name}/out", String, queue_size=100, latch=True)
-        rospy.Subscriber(f"/{name}/in", String, lambda message: say("heard", message.data))
+        rospy.Subscriber(f"/{name}/in", String, lambda message: say("heard", message.data.split()[0]))
         rospy.Subscriber(f"/{name}/number", Int32, lambda message: say("number", message.data))
         rospy.Service(f"/{name}/trigger", Trigger, lambda _: TriggerResponse(True, "pulled"))
         rospy.Service(f"/{name}/broken", Trigger, self.broken)

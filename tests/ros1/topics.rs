@@ -161,16 +161,13 @@ fn a_slow_subscriber_delays_nobody_and_takes_bounded_memory() {
         publisher.publish(text(&format!("{number} {long}")));
         if number % 20 == 19 {
             // In step with the quick subscriber, whose queue is as short.
-            robot.wait_for(&format!("heard {number} "));
+            robot.wait_for(&format!("heard {number}\n"));
         }
     }
-    robot.wait_for("heard 999 ");
+    robot.wait_for("heard 999\n");
     let after = process_status(std::process::id(), "VmRSS:");
-    // Queue, and buffers of the allocator; the output of the robot is kept by this test.
-    assert!(
-        after < before + 250 * 1024,
-        "{before} KiB, then {after} KiB"
-    );
+    // Two queues of 64 messages, and what other tests take meanwhile.
+    assert!(after < before + 60 * 1024, "{before} KiB, then {after} KiB");
     // What it gets are whole messages, the newest among them.
     slow.set_read_timeout(Some(PATIENCE)).unwrap();
     let mut last = 0;

@@ -131,13 +131,10 @@ pub(crate) struct Machine {
     /// Begins the ids of goals; unique among all clients.
     prefix: String,
     goals: BTreeMap<GoalKey, Goal>,
-    /// Goals that were sent.
-    sent: HashMap<String, GoalKey>,
     orphans: HashMap<String, Orphan>,
     links: Links,
     /// Until then the connections for goals are too new.
     settling: Option<Instant>,
-    next: u32,
 }
 
 impl Machine {
@@ -146,11 +143,9 @@ impl Machine {
         Self {
             prefix,
             goals: BTreeMap::new(),
-            sent: HashMap::new(),
             orphans: HashMap::new(),
             links: Links::default(),
             settling: None,
-            next: 0,
         }
     }
 
@@ -162,9 +157,8 @@ impl Machine {
         content: Vec<u8>,
         effects: &mut Vec<Effect>,
     ) {
-        self.next = self.next.wrapping_add(1);
         let goal = Goal {
-            id: format!("{}-{}", self.prefix, self.next),
+            id: format!("{}-{}", self.prefix, key.0),
             phase: Phase::Waiting {
                 until: now + CONNECT,
                 content,
@@ -225,7 +219,7 @@ impl Machine {
         }
         let mut shown = Vec::new();
         for status in statuses {
-            if let Some(key) = self.sent.get(&*status.id).copied() {
+            if let Some(key) = self.find(&status.id) {
                 shown.push(key);
                 self.on_status(now, from, key, status, effects);
             } else if let Some(orphan) = self.orphans.get_mut(&*status.id) {
@@ -256,20 +250,22 @@ impl Machine {
     /// A message of the topic `feedback` has arrived from this node.
     pub(crate) fn handle_feedback(
         &mut self,
+        now: Instant,
         from: &str,
         status: &GoalStatus<'_>,
         content: &[u8],
         effects: &mut Vec<Effect>,
     ) {
-        let key = self.sent.get(&*status.id).copied();
+        let key = self.find(&status.id);
         let Some((key, goal)) = key.and_then(|key| Some((key, self.goals.get_mut(&key)?))) else {
             return;
         };
         if *goal.server != *from || matches!(goal.phase, Phase::Final { .. }) {
             return;
         }
-        if matches!(goal.phase, Phase::Sent { .. }) {
-            goal.phase = Phase::Known(Status::Active);
+        // A status from before the goal may arrive after this.
+        if let Phase::Sent { until } = &mut goal.phase {
+            *until = now + ANSWER;
         }
         goal.accept(key, effects);
         effects.push(Effect::Event(key, GoalEvent::Feedback(content.to_vec())));
@@ -284,7 +280,7 @@ impl Machine {
         content: &[u8],
         effects: &mut Vec<Effect>,
     ) {
-        let key = self.sent.get(&*status.id).copied();
+        let key = self.find(&status.id);
         let Some((key, goal)) = key.and_then(|key| Some((key, self.goals.get_mut(&key)?))) else {
             return;
         };
@@ -387,6 +383,16 @@ impl Machine {
         &self.links
     }
 
+    /// The goal with this id. A status may show thousands that are over.
+    fn find(&self, id: &str) -> Option<GoalKey> {
+        let number = id.strip_prefix(&*self.prefix)?.strip_prefix('-')?;
+        let key = GoalKey(number.parse().ok()?);
+        self.goals
+            .get(&key)
+            .filter(|goal| goal.id == id)
+            .map(|_| key)
+    }
+
     fn send_waiting(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         let waits = |goal: &Goal| matches!(goal.phase, Phase::Waiting { .. });
         let waiting = self.goals.iter().filter(|(_, goal)| waits(goal));
@@ -413,7 +419,6 @@ impl Machine {
                 goal.server = Arc::clone(server);
                 goal.heard = now;
                 goal.was_closed = false;
-                self.sent.insert(goal.id.clone(), key);
                 let id = goal.id.clone();
                 effects.push(Effect::SendGoal { id, content });
             }
@@ -482,8 +487,7 @@ impl Machine {
         result: Option<Vec<u8>>,
         effects: &mut Vec<Effect>,
     ) {
-        if let Some(goal) = self.goals.remove(&key) {
-            self.sent.remove(&goal.id);
+        if self.goals.remove(&key).is_some() {
             let end = GoalEnd {
                 state,
                 text,

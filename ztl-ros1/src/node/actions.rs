@@ -138,7 +138,7 @@ impl Engine {
                 Part::Status => wire::parse_status(content)
                     .map(|statuses| machine.handle_status(now, caller, &statuses, effects)),
                 Part::Feedback => wire::parse_update(content).map(|(status, content)| {
-                    machine.handle_feedback(caller, &status, content, effects);
+                    machine.handle_feedback(now, caller, &status, content, effects);
                 }),
                 Part::Result => wire::parse_update(content).map(|(status, content)| {
                     machine.handle_result(now, caller, &status, content, effects);
