@@ -279,3 +279,18 @@ fn topics_are_published_as_streams() {
     assert_eq!(next("/test/camera"), r"b'\xff\xd8 not quite \xff\xd9'");
     assert_eq!(next("/test/joints"), "[0.0]");
 }
+
+#[test]
+fn the_examples_are_valid_without_the_robots_files() {
+    let directory = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/serve/ros1");
+    let mut names: Vec<_> = std::fs::read_dir(directory).expect("examples").flatten().collect();
+    names.sort_by_key(std::fs::DirEntry::path);
+    assert_eq!(names.len(), 3);
+    for file in names {
+        let mut command = ztl();
+        command.arg("serve").arg(file.path()).arg("--check");
+        let ended = Process::run(command.args(["-p", "0", "--publish", "0"]));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert_eq!(ended.stderr, "", "{ended:?}");
+    }
+}
