@@ -37,6 +37,11 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["util-linux", "setsid --version"],
     // `systemd-analyze` checks the units in examples.
     ["systemd", "systemd-analyze --version"],
+    // A robot of ROS 1: a master, nodes and action servers. Another Python on the PATH does not find them.
+    [
+        "python3-rosmaster python3-rospy python3-actionlib python3-rosgraph-msgs python3-std-srvs",
+        "/usr/bin/python3 -c 'import actionlib, rosgraph_msgs, rosmaster, rospy, std_srvs; print(\"rospy\", rospy.__file__)'",
+    ],
     // Make the Debian package, and a root to install it in.
     ["xz-utils", "xz --version"],
     ["debootstrap", "debootstrap --version"],

@@ -19,6 +19,7 @@ use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
 use crate::program::processes::ProcessRegistry;
 use crate::reader::{ComponentContext, ConfigReader};
+use crate::ros1::connection::Ros1;
 use crate::stream::read::cannot_have_streams;
 use crate::stream::{StreamConfig, Streams};
 
@@ -95,6 +96,7 @@ impl Config {
             base,
             yaml: document.reading(),
             warnings: Vec::new(),
+            ros1: Ros1::default(),
         };
         let config = reader.config(document.root());
         let mut config = reader.yaml.finish(config)?;
@@ -184,6 +186,9 @@ impl<'d> ConfigReader<'d> {
         let listen = Listen::read(&mut self.yaml, &mut fields, self.base);
         let at_once = fields.optional("at-once");
         let at_once = at_once.and_then(|node| self.count(node, MOST));
+        if let Some(node) = fields.optional("ros1") {
+            self.ros1(node);
+        }
         let mut scopes = Vec::new();
         let example = "scopes: {/robot: {tts: {say: [espeak-ng, '{goal}']}}}";
         let streams_node = fields.optional("streams");

@@ -135,6 +135,9 @@ impl ScopeHandler {
         processes: ProcessRegistry,
     ) -> io::Result<Self> {
         let components = Arc::new(Components::new(configs));
+        for component in &components.all {
+            component.kind.prepare();
+        }
         let stop_times = components
             .all
             .iter()

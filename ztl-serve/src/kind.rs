@@ -17,6 +17,7 @@ use ztl_std::server::TaskReporter;
 use crate::call::Call;
 use crate::mailbox::Mailbox;
 use crate::program::processes::{Process, ProcessRegistry};
+use crate::ros1;
 
 /// How long an abort may take on a thread or in another server once this server stops.
 pub(crate) const STOP_TIME: Duration = Duration::from_millis(1500);
@@ -52,6 +53,9 @@ pub(crate) trait Kind: Any + fmt::Debug + Send + Sync {
     fn check(&self, _call: &Call) -> Result<(), String> {
         Ok(())
     }
+
+    /// Connects to what tasks need. Called once, before the first task; must not block for long.
+    fn prepare(&self) {}
 
     /// Starts a task. Must not block.
     fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, services: &Services) -> Start;
@@ -164,6 +168,8 @@ pub(crate) enum JobEvent {
     Started(Result<Process, String>),
     /// The program that aborts the job's could not be started.
     AbortNotStarted(String),
+    /// The node of ROS 1 reports this.
+    Ros1(ros1::Event),
 }
 
 /// Messages to the supervisor, or to the thread of all streams, which gets neither `Start` nor `Abort`.

@@ -6,7 +6,7 @@ use ztl_yaml::{Fields, Node};
 
 use crate::kind::Kind;
 use crate::reader::{ComponentContext, ConfigReader};
-use crate::{built_in, forward, program};
+use crate::{built_in, forward, program, ros1};
 
 /// Reads a kind's settings: the value of its key, and more keys of the same mapping. In a short form there is no
 /// mapping.
@@ -18,11 +18,16 @@ pub(crate) type ReadKind = for<'d> fn(
 ) -> Option<Arc<dyn Kind>>;
 
 /// Each kind by its key in the file.
-pub(crate) const KINDS: [(&str, ReadKind); 4] = [
+pub(crate) const KINDS: [(&str, ReadKind); 9] = [
     ("run", program::read::read),
     ("shell", program::read::read_shell),
     ("built-in", built_in::read),
     ("forward", forward::read),
+    ("ros1-action", ros1::action::read),
+    ("ros1-trajectory", ros1::trajectory::read),
+    ("ros1-publish", ros1::publish::read),
+    ("ros1-service", ros1::service::read),
+    ("ros1-parameter", ros1::parameter::read),
 ];
 
 /// A component that is a list: `run`.

@@ -25,6 +25,7 @@
 //! | `program` | `run`, `shell`: a program in a process group of its own, watched by `program/watchdog` |
 //! | `built_in` | `built-in`: `echo` and others |
 //! | `forward` | `forward`: another ZTL server |
+//! | `ros1` | `ros1-action` and others: a robot with ROS 1 |
 //!
 //! `stream` has the programs whose output is published: `worker` runs them as jobs, like those of tasks.
 
@@ -46,6 +47,7 @@ mod log;
 mod mailbox;
 mod program;
 mod reader;
+mod ros1;
 mod stream;
 mod supervisor;
 mod thread_job;

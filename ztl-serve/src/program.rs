@@ -9,7 +9,7 @@ pub(crate) mod processes;
 pub(crate) mod read;
 mod run;
 pub(crate) mod settings;
-mod template;
+pub(crate) mod template;
 pub(crate) mod watchdog;
 
 use std::io::{self, Read};
@@ -139,6 +139,7 @@ impl Job for ProgramJob {
             JobEvent::Started(Ok(process)) => self.on_started(now, process, effects),
             JobEvent::Started(Err(reason)) => effects.push(Effect::End(Outcome::Rejected(reason))),
             JobEvent::AbortNotStarted(reason) => self.on_abort_not_started(&reason),
+            JobEvent::Ros1(_) => {}
         }
     }
 

@@ -7,6 +7,8 @@ use ztl_yaml::{Diagnostic, Document, Node, Reading};
 
 use ztl_std::describe::GoalRule;
 
+use crate::ros1::connection::Ros1;
+
 /// A file that is being read.
 pub(crate) struct ConfigReader<'d> {
     pub(crate) document: &'d Document,
@@ -14,6 +16,7 @@ pub(crate) struct ConfigReader<'d> {
     pub(crate) base: &'d Path,
     pub(crate) yaml: Reading<'d>,
     pub(crate) warnings: Vec<Diagnostic>,
+    pub(crate) ros1: Ros1,
 }
 
 /// What is known of a component when its kind is read.
@@ -84,6 +87,18 @@ impl<'d> ConfigReader<'d> {
             return None;
         }
         Some(time)
+    }
+
+    /// The time between two of something that has a rate.
+    pub(crate) fn rate(&mut self, node: &'d Node) -> Option<Duration> {
+        let what = "a rate from 0.001 Hz to 1000 Hz, as 10 Hz";
+        self.yaml.parsed(node, what, |text| {
+            let number = text.strip_suffix("Hz").map(str::trim_end);
+            let rate = number.and_then(|number| number.parse::<f64>().ok());
+            let rate = rate.filter(|rate| (0.001..=1000.0).contains(rate));
+            let interval = rate.map(|rate| Duration::from_secs_f64(1.0 / rate));
+            interval.ok_or_else(|| format!("'{text}' is not {what}"))
+        })
     }
 
     /// Adds a warning: the file can be served, but perhaps not as intended.

@@ -1,4 +1,4 @@
-//! Streams: programs whose output is published, frame by frame.
+//! Streams: programs whose output is published, frame by frame, and topics of ROS 1.
 
 mod outlet;
 pub(crate) mod read;
@@ -12,6 +12,7 @@ use std::time::Duration;
 pub use worker::Streams;
 
 use crate::program::settings::Program;
+use crate::ros1::topic::Topic;
 use splitter::Framing;
 
 /// A stream as the file describes it.
@@ -20,7 +21,7 @@ pub(crate) struct StreamConfig {
     pub(crate) scope: String,
     /// What follows the scope in the topic, as `/microphone`.
     pub(crate) path: String,
-    pub(crate) program: Arc<Program>,
+    pub(crate) origin: Origin,
     pub(crate) framing: Framing,
     /// Most bytes of a frame.
     pub(crate) longest: usize,
@@ -30,6 +31,14 @@ pub(crate) struct StreamConfig {
     pub(crate) interval: Option<Duration>,
     /// The program runs only while anyone subscribes, and for this time after that.
     pub(crate) when_watched: Option<Duration>,
+}
+
+/// What writes a stream.
+#[derive(Debug, Clone)]
+pub(crate) enum Origin {
+    Program(Arc<Program>),
+    /// A topic of ROS 1.
+    Topic(Arc<Topic>),
 }
 
 impl StreamConfig {

@@ -10,6 +10,7 @@ use super::*;
 use crate::built_in::BuiltIn;
 use crate::forward::Forward;
 use crate::program::settings::{Abort, AbortBy, Program, ResultKind};
+use crate::stream::Origin;
 use crate::stream::splitter::Framing;
 
 fn parse(text: &str) -> Result<Config, Diagnostics> {
@@ -32,6 +33,14 @@ fn kind_of<K: Clone + 'static>(component: &ComponentConfig) -> K {
     let kind: &dyn Any = &*component.kind;
     let kind = kind.downcast_ref::<K>();
     kind.unwrap_or_else(|| panic!("{component:?}")).clone()
+}
+
+#[track_caller]
+fn stream_program(stream: &StreamConfig) -> &Program {
+    match &stream.origin {
+        Origin::Program(program) => program,
+        Origin::Topic(_) => panic!("{stream:?}"),
+    }
 }
 
 #[track_caller]
@@ -232,7 +241,7 @@ scopes:
         "robot.yaml:7:47: unknown key 'at_once'; did you mean 'at-once'?",
         "robot.yaml:8:21: no client may choose the program; use an argument",
         "robot.yaml:9:21: a shell would execute what '{goal}' stands for; write \"$ZTL_GOAL\", or use run",
-        "robot.yaml:10:32: give only one of: run, shell, built-in, forward",
+        "robot.yaml:10:32: give only one of: run, shell, built-in, forward, ros1-action, ros1-trajectory, ros1-publish, ros1-service, ros1-parameter",
         "robot.yaml:10:51: 'IMT' is not known here; did you mean 'INT'?",
         "robot.yaml:11:23: no goal has 'y': it is {x: a number}",
         "robot.yaml:12:32: least 2 is greater than most 1",
@@ -280,21 +289,21 @@ streams:
     assert_eq!(microphone.framing, Framing::Fixed(3200));
     assert_eq!(microphone.when_watched, Some(Duration::from_secs(5)));
     assert_eq!((microphone.latest, microphone.interval), (false, None));
-    assert_eq!(microphone.program.result, ResultKind::Stream);
+    assert_eq!(stream_program(microphone).result, ResultKind::Stream);
     assert_eq!((battery.framing, battery.latest), (Framing::Line, true));
     assert_eq!((battery.longest, battery.when_watched), (64 * 1024, None));
-    let run = &battery.program.run;
+    let run = &stream_program(battery).run;
     assert_eq!(run.directory.to_str(), Some("/tmp"));
     assert_eq!(run.environment, [("A".to_owned(), "b".to_owned())]);
     assert!(run.user.is_some());
     assert!(matches!(
-        battery.program.abort.by,
+        stream_program(battery).abort.by,
         AbortBy::Signal("INT", _)
     ));
     assert_eq!((arm.framing, arm.longest), (Framing::Jpeg, 4 << 20));
     assert_eq!(arm.topic(), "/robot/arm/left");
     assert_eq!(arm.interval, Some(Duration::from_millis(400)));
-    assert!(matches!(arm.program.abort.by, AbortBy::Program(_)));
+    assert!(matches!(stream_program(arm).abort.by, AbortBy::Program(_)));
     assert_eq!(
         (pose.framing, raw.framing),
         (Framing::Json, Framing::Length)
@@ -361,7 +370,7 @@ streams:
         "robot.yaml:14:55: '17 MiB' is not a size from 1 byte to 16 MiB, as 3200 bytes",
         "robot.yaml:14:69: '0 Hz' is not a rate from 0.001 Hz to 1000 Hz, as 10 Hz",
         "robot.yaml:15:42: no client can abort a stream; leave this out",
-        "robot.yaml:15:46: unknown key 'dashes'; there are: frame, longest, latest, rate, when-watched, run, shell, directory, environment, user, abort",
+        "robot.yaml:15:46: unknown key 'dashes'; there are: ros1-topic, frame, longest, latest, rate, when-watched, run, shell, directory, environment, user, abort",
         "robot.yaml:16:54: 'IMT' is not known here; did you mean 'INT'?",
         "robot.yaml:16:66: there is no user 'nobody-is-called-so' on this machine",
         "robot.yaml:17:13: found a list; expected a mapping: run: [PROGRAM, ARGUMENT], frame: line",

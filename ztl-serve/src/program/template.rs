@@ -72,6 +72,22 @@ impl Template {
         matches!(self.0.as_slice(), [Part::Text(_)])
     }
 
+    /// The path of the goal, if it is that placeholder alone: empty for `{goal}`.
+    pub(crate) fn goal_alone(&self) -> Option<&[String]> {
+        match self.0.as_slice() {
+            [Part::Goal(path)] => Some(path),
+            _ => None,
+        }
+    }
+
+    /// The parts of the goal that it uses.
+    pub(crate) fn goal_paths(&self) -> impl Iterator<Item = &[String]> {
+        self.0.iter().filter_map(|part| match part {
+            Part::Goal(path) => Some(path.as_slice()),
+            _ => None,
+        })
+    }
+
     /// Whether it uses parts of the goal.
     pub(crate) fn has_fields(&self) -> bool {
         let mut parts = self.0.iter();

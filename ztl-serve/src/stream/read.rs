@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
 
 use ztl_std::scope;
 use ztl_std::server::bytes;
 use ztl_yaml::Node;
 
-use super::StreamConfig;
 use super::splitter::Framing;
+use super::{Origin, StreamConfig};
 use crate::program;
 use crate::reader::ConfigReader;
 
@@ -101,8 +100,16 @@ impl<'d> ConfigReader<'d> {
         let mut fields = self
             .yaml
             .fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
-        let framing = fields.required("frame", "frame: line");
-        let framing = framing.and_then(|node| self.framing(node));
+        let topic_node = fields.optional("ros1-topic");
+        let frame = match topic_node {
+            Some(_) => fields.optional("frame"),
+            None => fields.required("frame", "frame: line"),
+        };
+        let framing = frame.and_then(|node| self.framing(node));
+        if let (Some(_), Some(node)) = (topic_node, frame) {
+            let message = "each message of a topic is a frame; leave this out";
+            self.yaml.wrong(node, message);
+        }
         let longest_node = fields.optional("longest");
         let longest = longest_node.and_then(|node| self.frame_size(node));
         if let (Some(node), Some(Framing::Fixed(_))) = (longest_node, framing) {
@@ -116,12 +123,25 @@ impl<'d> ConfigReader<'d> {
         let when_watched = fields.optional("when-watched");
         let why = "subscribers that come and go would start the program too often";
         let when_watched = when_watched.and_then(|node| self.at_least_a_second(node, why));
-        let program = program::read::read_stream(self, node, &mut fields);
+        let origin = match topic_node {
+            Some(node) => self
+                .ros1_topic(node, &mut fields)
+                .map(Arc::new)
+                .map(Origin::Topic),
+            None => {
+                let program = program::read::read_stream(self, node, &mut fields);
+                program.map(Arc::new).map(Origin::Program)
+            }
+        };
+        let framing = match &origin {
+            Some(Origin::Topic(topic)) => Some(topic.framing()),
+            _ => framing,
+        };
         fields.finish(&mut self.yaml);
         Some(StreamConfig {
             scope: scope?.to_owned(),
             path: path?,
-            program: Arc::new(program?),
+            origin: origin?,
             framing: framing?,
             longest: longest.unwrap_or(LONGEST),
             latest: latest.unwrap_or_default(),
@@ -144,18 +164,6 @@ impl<'d> ConfigReader<'d> {
         self.yaml.parsed(node, what, |text| {
             let size = bytes(text).filter(|size| (1..=MOST).contains(size));
             size.ok_or_else(|| format!("'{text}' is not {what}"))
-        })
-    }
-
-    /// The shortest time between two frames.
-    fn rate(&mut self, node: &'d Node) -> Option<Duration> {
-        let what = "a rate from 0.001 Hz to 1000 Hz, as 10 Hz";
-        self.yaml.parsed(node, what, |text| {
-            let number = text.strip_suffix("Hz").map(str::trim_end);
-            let rate = number.and_then(|number| number.parse::<f64>().ok());
-            let rate = rate.filter(|rate| (0.001..=1000.0).contains(rate));
-            let interval = rate.map(|rate| Duration::from_secs_f64(1.0 / rate));
-            interval.ok_or_else(|| format!("'{text}' is not {what}"))
         })
     }
 }

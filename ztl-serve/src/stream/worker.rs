@@ -13,14 +13,15 @@ use signal_hook::low_level::{pipe, unregister};
 use ztl_core::TaskId;
 use ztl_std::Publisher;
 
-use super::StreamConfig;
 use super::source::Source;
+use super::{Origin, StreamConfig};
 use crate::jobs;
 use crate::kind::{Effect, Job, JobContext, Message, StopReason};
 use crate::mailbox::{Inbox, Mailbox};
 use crate::program::ProgramJob;
 use crate::program::assignment::Assignment;
 use crate::program::processes::ProcessRegistry;
+use crate::ros1::topic::TopicJob;
 
 /// How long no program is read while the publisher has too much to send. Programs wait, and values of others have room.
 const BEHIND: Duration = Duration::from_millis(1);
@@ -146,15 +147,26 @@ impl Worker {
                 continue;
             };
             let config = Arc::clone(&source.config);
-            let program = Arc::clone(&config.program);
-            let mark = format!("stream-{:016x}-{id}", self.mark);
-            let assignment = Assignment::of_stream(&program, &config.scope, &config.topic(), mark);
             let context = JobContext {
                 id,
                 mailbox: self.mailbox.clone(),
             };
-            let job = ProgramJob::new(program, assignment, context, &self.processes);
-            source.started(now, id, Box::new(job));
+            let job: Box<dyn Job> = match &config.origin {
+                Origin::Program(program) => {
+                    let mark = format!("stream-{:016x}-{id}", self.mark);
+                    let (scope, topic) = (&config.scope, config.topic());
+                    let assignment = Assignment::of_stream(program, scope, &topic, mark);
+                    let program = Arc::clone(program);
+                    Box::new(ProgramJob::new(
+                        program,
+                        assignment,
+                        context,
+                        &self.processes,
+                    ))
+                }
+                Origin::Topic(topic) => Box::new(TopicJob::new(topic, context)),
+            };
+            source.started(now, id, job);
         }
     }
 

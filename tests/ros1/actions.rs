@@ -1,0 +1,259 @@
+//! Actions of a real action server end in their true state.
+
+use std::time::Duration;
+
+use ztl_ros1::{EndState, GoalEvent};
+use ztl_tests::lab::PATIENCE;
+
+use crate::rig::{Master, Running, test_action, unique, wait, within};
+
+/// An answer is due within this time, for a machine that is not busy.
+const SOON: Duration = Duration::from_secs(2);
+
+#[test]
+fn each_final_state_of_the_server_arrives_with_its_text_and_result() {
+    let master = Master::shared();
+    let name = unique("states");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+
+    let done = Running::send(&action, 1);
+    done.accepted();
+    assert_eq!(done.next(), GoalEvent::Feedback(vec![5, 0, 0, 0]));
+    done.ends(EndState::Succeeded, "done", Some(10));
+
+    let broken = Running::send(&action, 2);
+    broken.accepted();
+    broken.ends(EndState::Aborted, "broken", Some(20));
+
+    Running::send(&action, 3).ends(EndState::Rejected, "no", Some(30));
+}
+
+#[test]
+fn a_cancel_preempts_or_recalls() {
+    let master = Master::shared();
+    let name = unique("cancels");
+    let robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+
+    let running = Running::send(&action, 4);
+    running.accepted();
+    running.goal.cancel();
+    running.ends(EndState::Preempted, "stopped", Some(-1));
+
+    let waiting = Running::send(&action, 5);
+    robot.wait_for("goal 5");
+    waiting.goal.cancel();
+    waiting.ends(EndState::Recalled, "stopped", Some(-1));
+
+    // The cancel follows at once, and the topics have connections of their own: it may overtake the goal.
+    for _ in 0..20 {
+        let quick = Running::send(&action, 4);
+        quick.goal.cancel();
+        let state = quick.end().state;
+        assert!(
+            [EndState::Preempted, EndState::Recalled].contains(&state),
+            "{state:?}"
+        );
+    }
+}
+
+#[test]
+fn a_goal_that_another_client_preempts_is_told_as_preempted() {
+    let master = Master::shared();
+    let name = unique("preempted");
+    let mut robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let running = Running::send(&action, 4);
+    running.accepted();
+    robot.write_line("preempt");
+    running.ends(EndState::Preempted, "by another", Some(8));
+}
+
+#[test]
+fn a_lost_result_leaves_the_true_state() {
+    let master = Master::shared();
+    let name = unique("lossy");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    Running::send(&action, 6).ends(EndState::Succeeded, "done", None);
+}
+
+#[test]
+fn a_goal_that_the_server_never_shows_has_an_unknown_outcome() {
+    let master = Master::shared();
+    let name = unique("deaf");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let end = Running::send(&action, 7).end();
+    assert_eq!(end.state, EndState::Unknown);
+    assert!(
+        end.text.contains("did not acknowledge the goal"),
+        "{}",
+        end.text
+    );
+}
+
+#[test]
+fn a_wrong_name_is_answered_within_two_seconds_with_those_that_exist() {
+    let master = Master::shared();
+    let name = unique("right");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action("/wrong", test_action()).unwrap();
+    let end = ztl_tests::lab::in_time(SOON, || Running::send(&action, 1).end());
+    assert_eq!(end.state, EndState::NotSent);
+    let there = format!("/{name} (actionlib/TestAction)");
+    assert!(
+        end.text
+            .starts_with("no action server has the name /wrong; there are: "),
+        "{}",
+        end.text
+    );
+    assert!(end.text.contains(&there), "{}", end.text);
+}
+
+#[test]
+fn another_definition_of_the_goal_is_named() {
+    let master = Master::shared();
+    let name = unique("old");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let mut types = test_action();
+    types.result.md5 = "0123456789abcdef0123456789abcdef".to_owned();
+    let action = node.action(&name, types).unwrap();
+    let end = Running::send(&action, 1).end();
+    assert_eq!(end.state, EndState::NotSent);
+    let told = format!("the action server /{name} of /{name} is not connected to result: ");
+    assert!(end.text.starts_with(&told), "{}", end.text);
+    assert!(
+        end.text.contains("3d669e3a63aa986c667ea7b0f46ce85e"),
+        "{}",
+        end.text
+    );
+}
+
+#[test]
+fn two_servers_under_one_name_get_no_goal() {
+    let master = Master::shared();
+    let topic = unique("twice");
+    let [one, other] = [unique("one"), unique("other")];
+    let first = master.action(&one, &topic);
+    let second = master.action(&other, &topic);
+    let node = master.node();
+    let action = node.action(&topic, test_action()).unwrap();
+    let end = Running::send(&action, 1).end();
+    assert_eq!(end.state, EndState::NotSent);
+    for part in ["more than one server", &one, &other] {
+        assert!(end.text.contains(part), "{}", end.text);
+    }
+    for robot in [&first, &second] {
+        assert!(!robot.stdout().contains("goal"));
+    }
+}
+
+#[test]
+fn a_killed_server_is_gone_and_a_restarted_one_does_not_know_the_goal() {
+    let master = Master::shared();
+    let name = unique("killed");
+    let mut robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let running = Running::send(&action, 4);
+    running.accepted();
+    robot.kill();
+    running.ends(
+        EndState::Unknown,
+        &format!("the action server /{name} is gone"),
+        None,
+    );
+
+    let mut robot = master.action(&name, &name);
+    let again = Running::send(&action, 4);
+    again.accepted();
+    robot.kill();
+    let robot = master.action(&name, &name);
+    let end = again.end();
+    assert_eq!(end.state, EndState::Unknown);
+    let expected = [
+        format!("the action server /{name} was restarted and does not know the goal"),
+        // Starting it may take longer than a silence may.
+        format!("the action server /{name} is gone"),
+    ];
+    assert!(expected.contains(&end.text), "{}", end.text);
+    Running::send(&action, 1).ends(EndState::Succeeded, "done", Some(10));
+    assert!(!robot.stdout().contains("goal 4"));
+}
+
+#[test]
+fn a_server_that_was_stopped_for_a_while_loses_no_goal() {
+    let master = Master::shared();
+    let name = unique("stopped");
+    let mut robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let running = Running::send(&action, 4);
+    running.accepted();
+    robot.signal("STOP");
+    std::thread::sleep(Duration::from_secs(6));
+    robot.signal("CONT");
+    robot.write_line("finish");
+    running.ends(EndState::Succeeded, "told", Some(7));
+}
+
+#[test]
+fn fifty_actions_at_once_and_a_thousand_feedbacks_a_second() {
+    let master = Master::shared();
+    let name = unique("busy");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let goals: Vec<_> = (0..50).map(|_| Running::send(&action, 1)).collect();
+    for goal in goals {
+        goal.ends(EndState::Succeeded, "done", Some(10));
+    }
+    let fed = Running::send(&action, 1000);
+    let mut count = 0;
+    let end = loop {
+        match fed.next() {
+            GoalEvent::Feedback(_) => count += 1,
+            GoalEvent::Accepted => {}
+            GoalEvent::Ended(end) => break end,
+        }
+    };
+    assert_eq!((end.state, &end.text[..]), (EndState::Succeeded, "fed"));
+    // The result may overtake the last feedback, and a slow publisher drops some itself.
+    assert!(count > 500, "{count}");
+}
+
+#[test]
+fn two_nodes_share_an_action() {
+    let master = Master::shared();
+    let name = unique("shared");
+    let _robot = master.action(&name, &name);
+    let nodes = [master.node(), master.node()];
+    assert_ne!(nodes[0].name(), nodes[1].name());
+    let actions = nodes
+        .each_ref()
+        .map(|node| node.action(&name, test_action()).unwrap());
+    // Both are connected: rospy drops connections that are made at the same time.
+    for action in &actions {
+        wait("it is connected", || {
+            Running::send(action, 1).end().state == EndState::Succeeded
+        });
+    }
+    let [one, other] = actions.each_ref().map(|action| Running::send(action, 4));
+    one.accepted();
+    other.accepted();
+    one.goal.cancel();
+    one.ends(EndState::Preempted, "stopped", Some(-1));
+    within(PATIENCE, || {
+        other.goal.cancel();
+        other.ends(EndState::Preempted, "stopped", Some(-1));
+    });
+}

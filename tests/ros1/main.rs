@@ -1,0 +1,8 @@
+//! Robots of ROS 1: a real master, rospy and actionlib against our node.
+
+mod actions;
+mod master;
+mod names;
+mod rig;
+mod serve;
+mod topics;

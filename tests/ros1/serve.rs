@@ -1,0 +1,296 @@
+//! `ztl serve` with a robot of ROS 1: its kinds of components, and what becomes of a robot that moves.
+
+use ztl_std::State::{Aborted, Completed, Failed, Rejected};
+use ztl_std::{RemoteTask, RunError, State, Subscriber, TaskId, TriggerError};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect, reserve_port, until, ztl};
+
+use crate::rig::{Master, unique, wait};
+
+/// A stand-in for a robot, and `ztl serve` for it.
+struct Robot {
+    node: Process,
+    server: Server,
+    publish: u16,
+    _scratch: Scratch,
+}
+
+impl Robot {
+    /// Serves this file, in which `NAME` is the robot's.
+    #[track_caller]
+    fn new(text: &str) -> Self {
+        let master = Master::shared();
+        let name = unique("robot");
+        let mut python = master.debian_python();
+        python.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/ros1/stand_in.py"));
+        let node = Process::start(python.arg(&name));
+        node.wait_for("ready");
+        let scratch = Scratch::new();
+        let path = scratch.path("robot.yaml");
+        let publish = reserve_port();
+        let ros1 = format!(
+            "{{master: 'http://127.0.0.1:{}', host: 127.0.0.1}}",
+            master.port
+        );
+        let text = text.replace("NAME", &name);
+        let text = format!("publish: {publish}\nros1: {ros1}\n{text}");
+        std::fs::write(&path, text).expect("to write");
+        let mut command = ztl();
+        command.arg("serve").arg(&path).args(["-p", "0"]);
+        Self {
+            node,
+            server: Server::start(&mut command),
+            publish,
+            _scratch: scratch,
+        }
+    }
+
+    #[track_caller]
+    fn remote(&self) -> RemoteTask {
+        connect(&self.server.endpoint()).with_timeout(PATIENCE)
+    }
+
+    /// Runs a task and returns its outcome, or the reason of its rejection, once it is connected: on a busy machine that
+    /// may take longer than a task waits.
+    #[track_caller]
+    fn run(&self, component: &str, goal: &str) -> Result<(State, String), String> {
+        const NOT_CONNECTED: [&str; 5] = [
+            "no node subscribes",
+            "no controller receives",
+            "no joint state",
+            "is not connected",
+            "no action server",
+        ];
+        until("it is connected", PATIENCE, || {
+            let ended = self.run_once(component, goal);
+            let is_early = |reason: &String| NOT_CONNECTED.iter().any(|part| reason.contains(part));
+            (!ended.as_ref().is_err_and(is_early)).then_some(ended)
+        })
+    }
+
+    /// The same at once.
+    #[track_caller]
+    fn run_once(&self, component: &str, goal: &str) -> Result<(State, String), String> {
+        match self.remote().run("p", component, goal, Some(PATIENCE)) {
+            Ok(status) if status.state == Rejected => Err(status.text),
+            Ok(status) => Ok((status.state, status.text)),
+            Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => Err(reason),
+            Err(error) => panic!("{component}:{goal}: {error}"),
+        }
+    }
+
+    fn twists(&self) -> Vec<String> {
+        let lines = self.node.stdout();
+        let lines = lines.lines().filter(|line| line.starts_with("twist"));
+        lines.map(str::to_owned).collect()
+    }
+}
+
+#[track_caller]
+fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
+    let task = remote.trigger("p", component, goal);
+    let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
+    task.id.number().expect("a task id")
+}
+
+const DRIVE: &str = "scopes: {/test: {p: {
+    drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, for: '{goal.seconds}',
+            message: {linear: {x: '{goal.speed}'}}, stop: {}},
+    nowhere: {ros1-publish: /NAME/nowhere, type: geometry_msgs/Twist, message: {}}}}}";
+
+const GO: &str = "twist 0.5 0.0";
+const STOP: &str = "twist 0.0 0.0";
+
+#[test]
+fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
+    let robot = Robot::new(DRIVE);
+    assert_eq!(
+        robot.run("drive", "{speed: 0.5, seconds: 0.3}"),
+        Ok((Completed, "True".to_owned()))
+    );
+    wait("the last stop message", || {
+        robot.twists().ends_with(&[STOP; 5].map(str::to_owned))
+    });
+    let twists = robot.twists();
+    let count = twists.iter().filter(|line| *line == GO).count();
+    assert!(count >= 2 && twists.len() == count + 5, "{twists:?}");
+
+    let mut remote = robot.remote();
+    let task = trigger(&mut remote, "drive", "{speed: 0.5, seconds: 60}");
+    wait("it drives", || {
+        robot.twists().last().is_some_and(|line| line == GO)
+    });
+    remote.abort(task).expect("an answer");
+    let end = remote.wait(task, Some(PATIENCE)).expect("an end");
+    assert_eq!((end.state, end.text), (Aborted, "aborted".to_owned()));
+    wait("the last stop message", || {
+        robot.twists().ends_with(&[STOP; 5].map(str::to_owned))
+    });
+
+    trigger(&mut remote, "drive", "{speed: 0.5, seconds: 60}");
+    wait("it drives", || {
+        robot.twists().last().is_some_and(|line| line == GO)
+    });
+    let Robot { node, server, .. } = robot;
+    server.process.signal("TERM");
+    assert_eq!(server.process.end(PATIENCE).code, Some(143));
+    wait("the stop messages of the server", || {
+        node.stdout().ends_with(&format!("{STOP}\n").repeat(5))
+    });
+}
+
+#[test]
+fn what_nobody_receives_and_a_wrong_goal_are_rejected() {
+    let robot = Robot::new(DRIVE);
+    let reason = robot.run_once("nowhere", "").expect_err("no subscriber");
+    assert!(
+        reason.starts_with("no node subscribes to /robot"),
+        "{reason}"
+    );
+    let reason = robot
+        .run("drive", "{speed: fast, seconds: 1}")
+        .expect_err("a word");
+    assert!(
+        reason.contains("'fast' for speed is not a number"),
+        "{reason}"
+    );
+    assert!(robot.twists().is_empty());
+}
+
+const ARM: &str = "scopes: {/test: {p: {
+    pose: {ros1-trajectory: /NAME/command, joint-states: /NAME/joint_states, joints: [shoulder, elbow], time: 1 s,
+           poses: {home: [0, 0], up: [0.5, -0.25], far: [200, 0]}}}}}";
+
+#[test]
+fn an_arm_moves_to_its_poses_and_an_abort_stops_it() {
+    let robot = Robot::new(ARM);
+    let (state, text) = robot.run("pose", "up").expect("no rejection");
+    assert_eq!(state, Completed, "{text}");
+    assert!(text.starts_with("[0.") && text.contains(", -0.2"), "{text}");
+    assert!(
+        robot
+            .node
+            .stdout()
+            .contains("trajectory shoulder elbow 0.5 -0.25 1.0\n")
+    );
+    assert_eq!(
+        robot.run("pose", "down"),
+        Err("p:pose: the goal 'down' is not home, up or far".to_owned())
+    );
+
+    let mut remote = robot.remote();
+    let task = trigger(&mut remote, "pose", "far");
+    wait("it moves", || robot.node.stdout().contains("elbow 200"));
+    remote.abort(task).expect("an answer");
+    let end = remote.wait(task, Some(PATIENCE)).expect("an end");
+    assert_eq!((end.state, end.text), (Aborted, "aborted".to_owned()));
+    wait("three empty trajectories", || {
+        robot.node.stdout().matches("stop\n").count() == 3
+    });
+
+    // In 6 s it moves 12 rad at most.
+    let (state, text) = robot.run("pose", "far").expect("no rejection");
+    assert_eq!(state, Failed, "{text}");
+    assert!(
+        text.starts_with("shoulder is 1") && text.ends_with(" from its position after 6 s"),
+        "{text}"
+    );
+}
+
+const ASK: &str = "scopes: {/test: {p: {
+    light: {ros1-service: /NAME/light, type: std_srvs/SetBool, result: 'the light is {response.message}'},
+    nothing: {ros1-service: /NAME/nothing, type: std_srvs/Trigger},
+    limits: {ros1-parameter: /NAME/limits},
+    unset: {ros1-parameter: /NAME/unset}}}}";
+
+#[test]
+fn services_and_parameters_answer() {
+    let robot = Robot::new(ASK);
+    assert_eq!(
+        robot.run("light", "True"),
+        Ok((Completed, "the light is on".to_owned()))
+    );
+    assert_eq!(
+        robot.run("light", "False"),
+        Ok((Failed, "the lamp is broken".to_owned()))
+    );
+    let (state, text) = robot.run("nothing", "").expect("no rejection");
+    assert_eq!(state, Failed);
+    assert!(!text.starts_with("unknown:"), "nothing was sent: {text}");
+    let (state, text) = robot.run("limits", "").expect("no rejection");
+    assert_eq!(state, Completed);
+    assert!(
+        text.contains("'speed': 0.5") && text.contains("'joints': ['shoulder', 'elbow']"),
+        "{text}"
+    );
+    assert_eq!(robot.run("unset", "").expect("no rejection").0, Failed);
+}
+
+#[test]
+fn an_action_runs_with_progress_and_ends_in_the_states_of_its_server() {
+    let name = unique("served");
+    let _action = Master::shared().action(&name, &name);
+    let text = "scopes: {/test: {p: {count: {ros1-action: /ACTION, type: actionlib/TestAction, progress: 'at {feedback.feedback}'},
+        lost: {ros1-action: /lots, type: actionlib/TestAction}}}}";
+    let robot = Robot::new(&text.replace("ACTION", &name));
+    assert_eq!(
+        robot.run("count", "1"),
+        Ok((Completed, "{'result': 10}".to_owned()))
+    );
+    assert_eq!(
+        robot.run("count", "2"),
+        Ok((Failed, "broken; {'result': 20}".to_owned()))
+    );
+    assert_eq!(
+        robot.run("count", "3"),
+        Err("no; {'result': 30}".to_owned())
+    );
+    let mut remote = robot.remote();
+    let task = trigger(&mut remote, "count", "4");
+    remote.abort(task).expect("an answer");
+    let end = remote.wait(task, Some(PATIENCE)).expect("an end");
+    assert_eq!(
+        (end.state, end.text),
+        (Aborted, "stopped; {'result': -1}".to_owned())
+    );
+    let reason = robot.run_once("lost", "1").expect_err("no such action");
+    assert!(reason.contains(&name), "it says what exists: {reason}");
+}
+
+#[test]
+fn topics_are_published_as_streams() {
+    let robot = Robot::new(
+        "streams: {/test: {
+            battery: {ros1-topic: /NAME/battery, type: sensor_msgs/BatteryState, latest: true},
+            camera: {ros1-topic: /NAME/camera, type: sensor_msgs/CompressedImage, field: data, latest: true},
+            joints: {ros1-topic: /NAME/joint_states, type: sensor_msgs/JointState, field: position, when-watched: 1 s}}}",
+    );
+    let endpoint = format!("tcp://127.0.0.1:{}", robot.publish);
+    let next = |topic: &str| {
+        let mut subscriber = Subscriber::connect(&endpoint, topic).expect("a file");
+        let heard = subscriber.next_within(PATIENCE).expect("it can wait");
+        let value = heard.expect("a message").value().expect("plain data");
+        value.value().repr().to_string()
+    };
+    let battery = next("/test/battery");
+    assert!(
+        battery.contains("'percentage': 0.5") && battery.contains("'voltage': None"),
+        "{battery}"
+    );
+    assert_eq!(next("/test/camera"), r"b'\xff\xd8 not quite \xff\xd9'");
+    assert_eq!(next("/test/joints"), "[0.0]");
+}
+
+#[test]
+fn the_examples_are_valid_without_the_robots_files() {
+    let directory = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/serve/ros1");
+    let mut names: Vec<_> = std::fs::read_dir(directory).expect("examples").flatten().collect();
+    names.sort_by_key(std::fs::DirEntry::path);
+    assert_eq!(names.len(), 3);
+    for file in names {
+        let mut command = ztl();
+        command.arg("serve").arg(file.path()).arg("--check");
+        let ended = Process::run(command.args(["-p", "0", "--publish", "0"]));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert_eq!(ended.stderr, "", "{ended:?}");
+    }
+}

@@ -1,0 +1,46 @@
+//! The client of actionlib's actions: a state machine without I/O, and the messages that it sends and reads.
+
+pub(crate) mod machine;
+pub(crate) mod wire;
+
+/// What a goal does.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum GoalEvent {
+    /// The action server has accepted the goal and pursues it. At most once.
+    Accepted,
+    /// Encoded feedback, of the type in `XFeedback`.
+    Feedback(Vec<u8>),
+    /// The goal is over. This is the last event.
+    Ended(GoalEnd),
+}
+
+/// How a goal has ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GoalEnd {
+    /// The final state.
+    pub state: EndState,
+    /// The text of the action server, or for [`NotSent`](EndState::NotSent) and [`Unknown`](EndState::Unknown), why.
+    pub text: String,
+    /// The encoded result, of the type in `XResult`. It is missing if nothing was pursued, if the outcome is unknown,
+    /// or if the result was lost while the final state is known.
+    pub result: Option<Vec<u8>>,
+}
+
+/// The final state of a goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EndState {
+    /// The action server says SUCCEEDED.
+    Succeeded,
+    /// The action server says ABORTED: it could not do it.
+    Aborted,
+    /// The action server says PREEMPTED: it was cancelled, or replaced by another goal, after it had begun.
+    Preempted,
+    /// The action server says RECALLED: it was cancelled before it began.
+    Recalled,
+    /// The action server says REJECTED.
+    Rejected,
+    /// The goal was never sent.
+    NotSent,
+    /// The goal was sent, and nobody can tell what became of it.
+    Unknown,
+}

@@ -1,0 +1,570 @@
+//! The connections of a node: one thread, sockets that never block, queues with an end.
+
+use std::collections::{HashMap, VecDeque};
+use std::io::{self, Read as _, Write as _};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use std::{fmt, mem};
+
+use mio::net::{TcpListener, TcpStream};
+use mio::{Events, Interest, Poll, Token, Waker};
+
+use crate::uri::Address;
+
+/// Bytes that are read from a connection in one turn, so that a node that floods keeps no other waiting.
+pub(crate) const PIECE: usize = 64 * 1024;
+
+/// Connections that others may hold open; the one that would time out first makes room for another.
+const MOST_ACCEPTED: usize = 512;
+
+/// The pause after the system had no room for another connection.
+const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
+
+const WAKER: Token = Token(0);
+const LISTENERS: [(Token, Listener); 2] = [(Token(1), Listener::Api), (Token(2), Listener::Tcpros)];
+
+/// Longer than any wait.
+const FAR: Duration = Duration::from_secs(3600);
+
+/// What a listening socket is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Listener {
+    /// The node's own API, XML-RPC.
+    Api,
+    /// Subscribers of the node's topics.
+    Tcpros,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct ConnectionId(usize);
+
+/// What happened to a connection.
+#[derive(Debug)]
+pub(crate) enum NetEvent {
+    Accepted(Listener, ConnectionId),
+    /// [`Net::read`] may return something.
+    Readable(ConnectionId),
+    /// It is closed.
+    Failed(ConnectionId, NetError),
+}
+
+/// Why a connection is closed, or was never open.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum NetError {
+    /// This machine cannot resolve the name of the host.
+    UnknownHost {
+        /// The name.
+        host: String,
+    },
+    /// The other end has closed it.
+    Closed {
+        /// The other end.
+        peer: String,
+    },
+    /// It could not be made, or the system has closed it.
+    Failed {
+        /// The other end.
+        peer: String,
+        /// The error of the system.
+        error: String,
+    },
+    /// There was no answer in time.
+    TimedOut {
+        /// The other end.
+        peer: String,
+    },
+}
+
+impl fmt::Display for NetError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownHost { host } => write!(
+                f,
+                "this machine cannot resolve the host name '{host}': start the node there with ROS_HOSTNAME or \
+                 ROS_IP set to what others can reach, or add the name to /etc/hosts here"
+            ),
+            Self::Closed { peer } => write!(f, "{peer} has closed the connection"),
+            Self::Failed { peer, error } => write!(f, "no connection to {peer}: {error}"),
+            Self::TimedOut { peer } => write!(f, "no answer from {peer} in time"),
+        }
+    }
+}
+
+impl std::error::Error for NetError {}
+
+/// What [`Net::read`] found.
+pub(crate) enum Read {
+    Bytes(usize),
+    /// Nothing for now.
+    Later,
+    Ended(NetError),
+}
+
+struct Connection {
+    peer: Address,
+    /// Missing while the host's name is looked up.
+    stream: Option<TcpStream>,
+    queue: VecDeque<Arc<[u8]>>,
+    /// Bytes of the first message in the queue that were sent.
+    sent: usize,
+    /// Close it once the queue is empty.
+    closing: bool,
+    accepted: bool,
+    deadline: Option<Instant>,
+    /// It is in the list of those that may be readable.
+    listed: bool,
+}
+
+/// The way to the thread of a node.
+#[derive(Debug)]
+pub(crate) struct Wake(Waker);
+
+impl Wake {
+    pub(crate) fn wake(&self) {
+        let _ = self.0.wake();
+    }
+}
+
+/// All connections of a node.
+pub(crate) struct Net {
+    poll: Poll,
+    system_events: Events,
+    listeners: [TcpListener; 2],
+    connections: HashMap<ConnectionId, Connection>,
+    next_id: usize,
+    readable: VecDeque<ConnectionId>,
+    events: VecDeque<NetEvent>,
+    /// Hosts that are looked up or were, with the time when the answer is too old.
+    hosts: HashMap<String, Host>,
+    /// Host names to look up.
+    to_look_up: Vec<String>,
+    /// When something is to be done next.
+    next: Instant,
+}
+
+enum Host {
+    Asked,
+    Known(Option<IpAddr>, Instant),
+}
+
+impl Net {
+    /// Listens at two ports of this address that the system chooses.
+    pub(crate) fn bind(address: Ipv4Addr) -> io::Result<(Self, Wake)> {
+        let poll = Poll::new()?;
+        let registry = poll.registry();
+        let wake = Wake(Waker::new(registry, WAKER)?);
+        let listen = || TcpListener::bind((address, 0).into());
+        let mut listeners = [listen()?, listen()?];
+        for (listener, (token, _)) in listeners.iter_mut().zip(LISTENERS) {
+            registry.register(listener, token, Interest::READABLE)?;
+        }
+        let net = Self {
+            poll,
+            system_events: Events::with_capacity(256),
+            listeners,
+            connections: HashMap::new(),
+            next_id: LISTENERS.len() + 1,
+            readable: VecDeque::new(),
+            events: VecDeque::new(),
+            hosts: HashMap::new(),
+            to_look_up: Vec::new(),
+            next: Instant::now(),
+        };
+        Ok((net, wake))
+    }
+
+    /// The ports of the API and of TCPROS.
+    pub(crate) fn ports(&self) -> io::Result<[u16; 2]> {
+        let [api, tcpros] = &self.listeners;
+        Ok([api.local_addr()?.port(), tcpros.local_addr()?.port()])
+    }
+
+    /// Has [`is_due`](Self::is_due) return true at this time.
+    pub(crate) fn wake_by(&mut self, at: Instant) {
+        self.next = self.next.min(at);
+    }
+
+    /// Whether it is time for everything that waits for a time; each thing then says again when its next time is.
+    pub(crate) fn is_due(&mut self, now: Instant) -> bool {
+        let due = now >= self.next;
+        if due {
+            self.next = now + FAR;
+        }
+        due
+    }
+
+    /// Waits for something to happen.
+    pub(crate) fn poll(&mut self) -> io::Result<()> {
+        let idle = self.readable.is_empty() && self.events.is_empty();
+        let limit = match idle {
+            true => self.next.saturating_duration_since(Instant::now()),
+            false => Duration::ZERO,
+        };
+        match self.poll.poll(&mut self.system_events, Some(limit)) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => return Ok(()),
+            done => done?,
+        }
+        let events = mem::replace(&mut self.system_events, Events::with_capacity(0));
+        for event in &events {
+            match LISTENERS
+                .iter()
+                .position(|(token, _)| *token == event.token())
+            {
+                Some(index) => self.accept(index),
+                None => {
+                    let id = ConnectionId(event.token().0);
+                    self.flush(id);
+                    self.list(id);
+                }
+            }
+        }
+        self.system_events = events;
+        for id in mem::take(&mut self.readable) {
+            if let Some(connection) = self.connections.get_mut(&id) {
+                connection.listed = false;
+                self.events.push_back(NetEvent::Readable(id));
+            }
+        }
+        Ok(())
+    }
+
+    /// What has happened.
+    pub(crate) fn next_event(&mut self) -> Option<NetEvent> {
+        self.events.pop_front()
+    }
+
+    /// Host names for [`handle_host`](Self::handle_host).
+    pub(crate) fn take_lookups(&mut self) -> Vec<String> {
+        mem::take(&mut self.to_look_up)
+    }
+
+    /// A host name was looked up.
+    pub(crate) fn handle_host(&mut self, now: Instant, host: &str, address: Option<IpAddr>) {
+        // A name that is unknown is asked for again soon: somebody may be mending it.
+        let valid = Duration::from_secs(if address.is_some() { 30 } else { 1 });
+        let known = Host::Known(address, now + valid);
+        self.hosts.insert(host.to_owned(), known);
+        let waits =
+            |connection: &Connection| connection.stream.is_none() && connection.peer.host == host;
+        let waiting = self
+            .connections
+            .iter()
+            .filter(|(_, connection)| waits(connection));
+        let waiting: Vec<ConnectionId> = waiting.map(|(id, _)| *id).collect();
+        waiting.into_iter().for_each(|id| self.connect(now, id));
+    }
+
+    /// Closes what has passed its deadline.
+    pub(crate) fn handle_timeout(&mut self, now: Instant) {
+        let mut late = Vec::new();
+        for (id, connection) in &self.connections {
+            match connection.deadline {
+                Some(deadline) if deadline <= now => late.push(*id),
+                Some(deadline) => self.next = self.next.min(deadline),
+                None => {}
+            }
+        }
+        for id in late {
+            let peer = self.peer(id);
+            self.fail(id, NetError::TimedOut { peer });
+        }
+        self.hosts.retain(|_, host| match host {
+            Host::Asked => true,
+            Host::Known(_, until) => *until > now,
+        });
+        for index in 0..LISTENERS.len() {
+            self.accept(index);
+        }
+    }
+
+    /// Begins to connect. What fails is told by an event.
+    pub(crate) fn open(&mut self, now: Instant, peer: Address, deadline: Instant) -> ConnectionId {
+        let id = self.insert(peer, None, Some(deadline));
+        self.connect(now, id);
+        id
+    }
+
+    /// Sends a message. If `most` messages wait already, the oldest is dropped; returns whether that was so.
+    pub(crate) fn send(&mut self, id: ConnectionId, message: Arc<[u8]>, most: usize) -> bool {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return false;
+        };
+        let waiting = connection.queue.len();
+        // A message whose sending has begun must be completed.
+        let begun = usize::from(connection.sent > 0);
+        let full = waiting >= most.max(1) + begun;
+        if full {
+            connection.queue.remove(begun);
+        }
+        connection.queue.push_back(message);
+        if waiting == 0 {
+            self.flush(id);
+        }
+        full
+    }
+
+    /// Reads at most [`PIECE`] bytes.
+    pub(crate) fn read(&mut self, id: ConnectionId, piece: &mut [u8]) -> Read {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return Read::Later;
+        };
+        let Some(stream) = &mut connection.stream else {
+            return Read::Later;
+        };
+        match stream.read(piece) {
+            Ok(0) => Read::Ended(NetError::Closed {
+                peer: connection.peer.to_string(),
+            }),
+            Ok(count) => {
+                if count == piece.len() {
+                    self.list(id);
+                }
+                Read::Bytes(count)
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {
+                self.list(id);
+                Read::Later
+            }
+            Err(error) if is_later(&error) => Read::Later,
+            Err(error) => Read::Ended(NetError::Failed {
+                peer: connection.peer.to_string(),
+                error: plain(&error),
+            }),
+        }
+    }
+
+    pub(crate) fn close(&mut self, id: ConnectionId) {
+        if let Some(mut connection) = self.connections.remove(&id)
+            && let Some(stream) = &mut connection.stream
+        {
+            let _ = self.poll.registry().deregister(stream);
+        }
+    }
+
+    /// Closes the connection once everything is sent, or after a second.
+    pub(crate) fn close_when_sent(&mut self, now: Instant, id: ConnectionId) {
+        if let Some(connection) = self.connections.get_mut(&id) {
+            connection.closing = true;
+        }
+        self.set_deadline(id, Some(now + Duration::from_secs(1)));
+        self.flush(id);
+    }
+
+    /// When the connection fails as timed out.
+    pub(crate) fn set_deadline(&mut self, id: ConnectionId, deadline: Option<Instant>) {
+        if let Some(connection) = self.connections.get_mut(&id) {
+            connection.deadline = deadline;
+            self.next = deadline.map_or(self.next, |deadline| self.next.min(deadline));
+        }
+    }
+
+    /// The address of the other end, for messages.
+    pub(crate) fn peer(&self, id: ConnectionId) -> String {
+        let connection = self.connections.get(&id);
+        connection
+            .map(|connection| connection.peer.to_string())
+            .unwrap_or_default()
+    }
+
+    fn insert(
+        &mut self,
+        peer: Address,
+        stream: Option<TcpStream>,
+        deadline: Option<Instant>,
+    ) -> ConnectionId {
+        let id = ConnectionId(self.next_id);
+        self.next_id = self.next_id.wrapping_add(1).max(LISTENERS.len() + 1);
+        let accepted = stream.is_some();
+        self.connections.insert(
+            id,
+            Connection {
+                peer,
+                stream,
+                queue: VecDeque::new(),
+                sent: 0,
+                closing: false,
+                accepted,
+                deadline: None,
+                listed: false,
+            },
+        );
+        self.set_deadline(id, deadline);
+        id
+    }
+
+    /// Connects, or asks for the address.
+    fn connect(&mut self, now: Instant, id: ConnectionId) {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return;
+        };
+        let host = &connection.peer.host;
+        let address = match host.as_str() {
+            // RFC 6761: this name is this machine.
+            "localhost" => Ok(Ipv4Addr::LOCALHOST.into()),
+            host => host.parse::<IpAddr>(),
+        };
+        let address = match (address, self.hosts.get(host)) {
+            (Ok(address), _) => Some(address),
+            (Err(_), Some(Host::Known(address, until))) if *until > now => *address,
+            (Err(_), Some(Host::Asked)) => return,
+            (Err(_), _) => {
+                self.hosts.insert(host.clone(), Host::Asked);
+                self.to_look_up.push(host.clone());
+                return;
+            }
+        };
+        let Some(address) = address else {
+            let host = host.clone();
+            return self.fail(id, NetError::UnknownHost { host });
+        };
+        let port = connection.peer.port;
+        let registry = self.poll.registry();
+        let stream = TcpStream::connect(SocketAddr::new(address, port)).and_then(|mut stream| {
+            let both = Interest::READABLE | Interest::WRITABLE;
+            registry.register(&mut stream, Token(id.0), both)?;
+            Ok(stream)
+        });
+        match stream {
+            Ok(stream) => {
+                prepare(&stream);
+                connection.stream = Some(stream);
+            }
+            Err(error) => {
+                let (peer, error) = (connection.peer.to_string(), plain(&error));
+                self.fail(id, NetError::Failed { peer, error });
+            }
+        }
+    }
+
+    fn accept(&mut self, index: usize) {
+        let (Some(listener), Some((_, kind))) = (self.listeners.get(index), LISTENERS.get(index))
+        else {
+            return;
+        };
+        let mut arrived = Vec::new();
+        loop {
+            match listener.accept() {
+                Ok(accepted) => arrived.push(accepted),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                Err(error) => {
+                    tracing::debug!(%error, "cannot accept a connection");
+                    let again = Instant::now() + ACCEPT_AGAIN;
+                    self.next = self.next.min(again);
+                    break;
+                }
+            }
+        }
+        for (stream, address) in arrived {
+            let peer = Address {
+                host: address.ip().to_canonical().to_string(),
+                port: address.port(),
+            };
+            let id = self.insert(peer, Some(stream), None);
+            let stream = self
+                .connections
+                .get_mut(&id)
+                .and_then(|c| c.stream.as_mut());
+            let both = Interest::READABLE | Interest::WRITABLE;
+            let registry = self.poll.registry();
+            let registered = stream.map(|stream| {
+                prepare(stream);
+                registry.register(stream, Token(id.0), both)
+            });
+            match registered {
+                Some(Ok(())) => self.events.push_back(NetEvent::Accepted(*kind, id)),
+                _ => self.close(id),
+            }
+        }
+        self.make_room();
+    }
+
+    /// Closes accepted connections of which there are too many, such as those that never said what they want.
+    fn make_room(&mut self) {
+        let accepted = |connection: &Connection| connection.accepted;
+        let connections = self.connections.iter();
+        let mut accepted: Vec<_> = connections
+            .filter(|(_, connection)| accepted(connection))
+            .collect();
+        let Some(surplus) = accepted.len().checked_sub(MOST_ACCEPTED) else {
+            return;
+        };
+        accepted.sort_by_key(|(id, connection)| {
+            (connection.deadline.is_none(), connection.deadline, id.0)
+        });
+        let surplus: Vec<ConnectionId> =
+            accepted.iter().take(surplus).map(|(id, _)| **id).collect();
+        for id in surplus {
+            let peer = self.peer(id);
+            self.fail(id, NetError::Closed { peer });
+        }
+    }
+
+    fn flush(&mut self, id: ConnectionId) {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return;
+        };
+        let Some(stream) = &mut connection.stream else {
+            return;
+        };
+        while let Some(message) = connection.queue.front() {
+            let rest = message.get(connection.sent..).unwrap_or_default();
+            match stream.write(rest) {
+                Ok(count) if count == rest.len() => {
+                    connection.queue.pop_front();
+                    connection.sent = 0;
+                }
+                Ok(count) => connection.sent += count,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if is_later(&error) => return,
+                Err(error) => {
+                    let (peer, error) = (connection.peer.to_string(), plain(&error));
+                    return self.fail(id, NetError::Failed { peer, error });
+                }
+            }
+        }
+        if connection.closing {
+            let peer = connection.peer.to_string();
+            self.fail(id, NetError::Closed { peer });
+        }
+    }
+
+    fn list(&mut self, id: ConnectionId) {
+        if let Some(connection) = self.connections.get_mut(&id)
+            && !mem::replace(&mut connection.listed, true)
+        {
+            self.readable.push_back(id);
+        }
+    }
+
+    fn fail(&mut self, id: ConnectionId, error: NetError) {
+        self.close(id);
+        self.events.push_back(NetEvent::Failed(id, error));
+    }
+}
+
+/// Small messages are not held back, and the system notices a peer that vanished. It works without, so errors are
+/// ignored.
+fn prepare(stream: &TcpStream) {
+    let _ = stream.set_nodelay(true);
+    let _ = rustix::net::sockopt::set_socket_keepalive(stream, true);
+    #[cfg(target_os = "linux")]
+    {
+        let _ = rustix::net::sockopt::set_tcp_keepidle(stream, Duration::from_secs(20));
+        let _ = rustix::net::sockopt::set_tcp_keepintvl(stream, Duration::from_secs(5));
+    }
+}
+
+/// Whether a call would have to wait: also while the connection is being made.
+fn is_later(error: &io::Error) -> bool {
+    use io::ErrorKind::{NotConnected, WouldBlock};
+    matches!(error.kind(), WouldBlock | NotConnected)
+}
+
+/// The text of an error without its number.
+fn plain(error: &io::Error) -> String {
+    let text = error.to_string();
+    let end = text.find(" (os error").unwrap_or(text.len());
+    text.get(..end).unwrap_or_default().to_lowercase()
+}

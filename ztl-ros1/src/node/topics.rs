@@ -1,0 +1,593 @@
+//! What the node publishes, and what it subscribes to.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::actions::Part;
+use super::engine::{Engine, Role};
+use super::net::ConnectionId;
+use super::rpc::CallError;
+use crate::MessageType;
+use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
+use crate::uri::Address;
+use crate::xmlrpc::Value;
+
+/// Messages that wait for a slow subscriber; then the oldest is dropped.
+const QUEUE: usize = 64;
+
+/// The longest message that is received, in bytes.
+const LONGEST: usize = 64 * 1024 * 1024;
+
+/// How long a publisher may take to say where it publishes, and then to accept the connection.
+const CONNECT: Duration = Duration::from_secs(5);
+
+/// The pause before a publisher is tried again, at first and at most.
+const SHORTEST: Duration = Duration::from_millis(100);
+const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+/// Called with the name of the publishing node and the encoded message.
+pub(crate) type OnMessage = Box<dyn FnMut(&str, &[u8]) + Send>;
+
+/// A topic that the node publishes.
+pub(crate) struct Publication {
+    pub(crate) ty: MessageType,
+    pub(crate) registered: bool,
+    /// Nodes that receive it.
+    pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
+    /// Whether new subscribers get the last message.
+    latching: bool,
+    last: Option<Arc<[u8]>>,
+    /// How many owners it has.
+    owners: usize,
+    action: Option<Arc<str>>,
+}
+
+/// A topic that the node subscribes to.
+pub(crate) struct Subscription {
+    pub(crate) ty: MessageType,
+    pub(crate) registered: bool,
+    consumers: Vec<(u32, Consumer)>,
+    /// Publishers by the addresses of their APIs.
+    publishers: BTreeMap<String, Publisher>,
+    action: Option<Arc<str>>,
+}
+
+/// Who gets the messages of a topic.
+pub(crate) enum Consumer {
+    Owner(OnMessage),
+    Action(Arc<str>, Part),
+    Clock,
+}
+
+/// A publisher of a topic, as the subscriber sees it.
+struct Publisher {
+    /// Whether the master names it. One that it does not name any more is used until its connection closes: a master
+    /// that was restarted knows no publisher.
+    listed: bool,
+    state: State,
+    pause: Duration,
+    /// Why the last attempt failed.
+    obstacle: Option<String>,
+}
+
+enum State {
+    Waiting(Instant),
+    Asking,
+    Connecting(ConnectionId),
+    Open(ConnectionId, Arc<str>),
+}
+
+/// The connection to a publisher.
+pub(crate) struct Source {
+    topic: Arc<str>,
+    uri: String,
+    frames: Frames,
+    /// The name of the node, once its header has arrived.
+    caller: Option<Arc<str>>,
+}
+
+/// Another part of this process uses the topic with another type.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TypeConflict {
+    /// The topic.
+    pub topic: String,
+    /// The type in use.
+    pub used: String,
+    /// The type that was asked for.
+    pub wanted: String,
+}
+
+impl fmt::Display for TypeConflict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            topic,
+            used,
+            wanted,
+        } = self;
+        write!(
+            f,
+            "{topic} is used as {used} already, and cannot be {wanted}"
+        )
+    }
+}
+
+impl std::error::Error for TypeConflict {}
+
+impl Subscription {
+    pub(crate) fn connected_uris(&self) -> impl Iterator<Item = &str> {
+        let open = self
+            .publishers
+            .iter()
+            .filter(|(_, publisher)| publisher.caller().is_some());
+        open.map(|(uri, _)| uri.as_str())
+    }
+
+    /// The nodes that are connected.
+    pub(crate) fn callers(&self) -> Vec<Arc<str>> {
+        self.publishers
+            .values()
+            .filter_map(|of| of.caller().cloned())
+            .collect()
+    }
+
+    /// Whether a publisher was neither reached nor found unreachable yet.
+    pub(crate) fn is_unsettled(&self) -> bool {
+        self.publishers
+            .values()
+            .any(|of| of.caller().is_none() && of.obstacle.is_none())
+    }
+
+    /// Why publishers cannot be received from.
+    pub(crate) fn obstacles(&self) -> impl Iterator<Item = &str> {
+        self.publishers
+            .values()
+            .filter_map(|of| of.obstacle.as_deref())
+    }
+}
+
+impl Publisher {
+    fn caller(&self) -> Option<&Arc<str>> {
+        match &self.state {
+            State::Open(_, caller) => Some(caller),
+            _ => None,
+        }
+    }
+}
+
+/// Whether messages of these types are the same; `*` is every type.
+pub(crate) fn fits(ours: &str, theirs: &str) -> bool {
+    ours == theirs || ours == "*" || theirs == "*"
+}
+
+fn conflict(topic: &str, used: &MessageType, wanted: &MessageType) -> Result<(), TypeConflict> {
+    match used.name == wanted.name && used.md5 == wanted.md5 {
+        true => Ok(()),
+        false => Err(TypeConflict {
+            topic: topic.to_owned(),
+            used: format!("{} ({})", used.name, used.md5),
+            wanted: format!("{} ({})", wanted.name, wanted.md5),
+        }),
+    }
+}
+
+impl Engine {
+    /// Publishes a topic, for one more owner.
+    pub(crate) fn advertise(
+        &mut self,
+        topic: &Arc<str>,
+        ty: MessageType,
+        latching: bool,
+        action: Option<Arc<str>>,
+    ) -> Result<(), TypeConflict> {
+        if let Some(publication) = self.publications.get_mut(topic) {
+            conflict(topic, &publication.ty, &ty)?;
+            publication.owners += 1;
+            return Ok(());
+        }
+        let publication = Publication {
+            ty,
+            registered: false,
+            subscribers: BTreeMap::new(),
+            latching,
+            last: None,
+            owners: 1,
+            action,
+        };
+        self.publications.insert(Arc::clone(topic), publication);
+        Ok(())
+    }
+
+    /// An owner needs the topic no more. What was published is sent first.
+    pub(crate) fn unadvertise(&mut self, now: Instant, topic: &str) {
+        let Some(publication) = self.publications.get_mut(topic) else {
+            return;
+        };
+        publication.owners -= 1;
+        if publication.owners == 0 {
+            let subscribers = std::mem::take(&mut publication.subscribers);
+            self.publications.remove(topic);
+            for id in subscribers.into_keys() {
+                self.roles.remove(&id);
+                self.net.close_when_sent(now, id);
+            }
+            self.unregister("unregisterPublisher", topic);
+        }
+    }
+
+    /// Sends a message to all subscribers.
+    pub(crate) fn publish(&mut self, topic: &str, content: &[u8]) {
+        let Some(publication) = self.publications.get_mut(topic) else {
+            return;
+        };
+        let message: Arc<[u8]> = Arc::from(frame(content));
+        for id in publication.subscribers.keys() {
+            self.net.send(*id, Arc::clone(&message), QUEUE);
+        }
+        if publication.latching {
+            publication.last = Some(message);
+        }
+    }
+
+    /// Subscribes to a topic, for one more consumer.
+    pub(crate) fn subscribe(
+        &mut self,
+        topic: &Arc<str>,
+        ty: MessageType,
+        id: u32,
+        consumer: Consumer,
+    ) -> Result<(), TypeConflict> {
+        if let Some(subscription) = self.subscriptions.get_mut(topic) {
+            conflict(topic, &subscription.ty, &ty)?;
+            subscription.consumers.push((id, consumer));
+            return Ok(());
+        }
+        let action = match &consumer {
+            Consumer::Action(action, _) => Some(Arc::clone(action)),
+            _ => None,
+        };
+        let subscription = Subscription {
+            ty,
+            registered: false,
+            consumers: vec![(id, consumer)],
+            publishers: BTreeMap::new(),
+            action,
+        };
+        self.subscriptions.insert(Arc::clone(topic), subscription);
+        Ok(())
+    }
+
+    /// A consumer needs the topic no more.
+    pub(crate) fn unsubscribe(&mut self, topic: &str, id: u32) {
+        let Some(subscription) = self.subscriptions.get_mut(topic) else {
+            return;
+        };
+        subscription
+            .consumers
+            .retain(|(consumer, _)| *consumer != id);
+        if !subscription.consumers.is_empty() {
+            return;
+        }
+        let publishers = std::mem::take(&mut subscription.publishers);
+        self.subscriptions.remove(topic);
+        for publisher in publishers.into_values() {
+            if let State::Connecting(id) | State::Open(id, _) = publisher.state {
+                self.roles.remove(&id);
+                self.net.close(id);
+            }
+        }
+        self.unregister("unregisterSubscriber", topic);
+    }
+
+    /// The master names the publishers of a topic.
+    pub(crate) fn on_publishers(&mut self, now: Instant, topic: &str, uris: &[String]) {
+        let Some(subscription) = self.subscriptions.get_mut(topic) else {
+            return;
+        };
+        for publisher in subscription.publishers.values_mut() {
+            publisher.listed = false;
+        }
+        for uri in uris {
+            let publisher = subscription.publishers.entry(uri.clone());
+            let publisher = publisher.or_insert_with(|| Publisher {
+                listed: true,
+                state: State::Waiting(now),
+                pause: SHORTEST,
+                obstacle: None,
+            });
+            publisher.listed = true;
+        }
+        let connected = |publisher: &Publisher| publisher.caller().is_some();
+        subscription
+            .publishers
+            .retain(|_, of| of.listed || connected(of));
+        self.relinked.extend(subscription.action.clone());
+        self.retry_sources(now);
+    }
+
+    /// Asks publishers for connections, each after its pause.
+    pub(crate) fn retry_sources(&mut self, now: Instant) {
+        let mut due = Vec::new();
+        for (topic, subscription) in &mut self.subscriptions {
+            for (uri, publisher) in &mut subscription.publishers {
+                match publisher.state {
+                    State::Waiting(at) if at <= now => {
+                        publisher.state = State::Asking;
+                        due.push((Arc::clone(topic), uri.clone()));
+                    }
+                    State::Waiting(at) => self.net.wake_by(at),
+                    _ => {}
+                }
+            }
+        }
+        for (topic, uri) in due {
+            let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
+            let params = [self.name[..].into(), topic[..].into(), protocols];
+            let address = uri.clone();
+            let then = move |engine: &mut Self, now: Instant, answer| {
+                engine.on_topic_offer(now, &topic, &uri, answer);
+            };
+            self.rpc(
+                now,
+                &address,
+                "requestTopic",
+                &params,
+                CONNECT,
+                Box::new(then),
+            );
+        }
+    }
+
+    /// A publisher has said where to connect.
+    fn on_topic_offer(
+        &mut self,
+        now: Instant,
+        topic: &Arc<str>,
+        uri: &str,
+        answer: Result<Value, CallError>,
+    ) {
+        let Some(subscription) = self.subscriptions.get_mut(topic) else {
+            return;
+        };
+        let publisher = subscription.publishers.get_mut(uri);
+        let Some(publisher) = publisher.filter(|of| matches!(of.state, State::Asking)) else {
+            return;
+        };
+        let offer = answer.map_err(|error| error.to_string()).and_then(|value| {
+            let malformed = || format!("{uri} offers no TCPROS for {topic}");
+            read_offer(&value).ok_or_else(malformed)
+        });
+        match offer {
+            Ok(address) => {
+                let ty = &subscription.ty;
+                let header = Header::new([
+                    ("callerid", &self.name[..]),
+                    ("topic", topic),
+                    ("type", &ty.name),
+                    ("md5sum", &ty.md5),
+                    ("message_definition", &ty.definition),
+                    ("tcp_nodelay", "1"),
+                ]);
+                let id = self.net.open(now, address, now + CONNECT);
+                publisher.state = State::Connecting(id);
+                self.net.send(id, Arc::from(header.encode()), QUEUE);
+                let source = Source {
+                    topic: Arc::clone(topic),
+                    uri: uri.to_owned(),
+                    frames: Frames::default(),
+                    caller: None,
+                };
+                self.roles.insert(id, Role::Source(source));
+            }
+            Err(error) => self.on_no_source(now, topic, uri, error),
+        }
+    }
+
+    pub(crate) fn on_source_bytes(
+        &mut self,
+        now: Instant,
+        id: ConnectionId,
+        mut source: Source,
+        bytes: &[u8],
+    ) -> Option<Role> {
+        source.frames.handle_bytes(bytes);
+        loop {
+            let most = match source.caller {
+                Some(_) => LONGEST,
+                None => LONGEST_HEADER,
+            };
+            let error = match (source.frames.poll_frame(most), &source.caller) {
+                (Ok(None), _) => return Some(Role::Source(source)),
+                (Ok(Some(content)), Some(caller)) => {
+                    self.deliver(now, &source.topic, caller, content);
+                    continue;
+                }
+                (Ok(Some(content)), None) => {
+                    let header = Header::parse(content).map_err(|error| error.to_string());
+                    match header.and_then(|header| self.on_source_header(id, &source, &header)) {
+                        Ok(caller) => {
+                            source.caller = Some(caller);
+                            continue;
+                        }
+                        Err(error) => error,
+                    }
+                }
+                (Err(error), _) => error.to_string(),
+            };
+            self.net.close(id);
+            self.on_source_closed(now, &source, error);
+            return None;
+        }
+    }
+
+    /// A publisher has accepted or refused the connection. Returns the name of its node.
+    fn on_source_header(
+        &mut self,
+        id: ConnectionId,
+        source: &Source,
+        header: &Header,
+    ) -> Result<Arc<str>, String> {
+        let caller = header.get("callerid");
+        let caller = if caller.is_empty() {
+            &source.uri
+        } else {
+            caller
+        };
+        match header.get("error") {
+            "" => {}
+            error => return Err(format!("{caller} refuses {}: {error}", source.topic)),
+        }
+        let subscription = self.subscriptions.get_mut(&source.topic);
+        let subscription = subscription.ok_or_else(|| "not subscribed any more".to_owned())?;
+        let (ours, theirs) = (&subscription.ty, header.get("md5sum"));
+        if !fits(&ours.md5, theirs) {
+            return Err(format!(
+                "{caller} publishes {} as {} with MD5 sum {theirs}, and not as {} with {}: \
+                 the definitions differ",
+                source.topic,
+                header.get("type"),
+                ours.name,
+                ours.md5
+            ));
+        }
+        let publisher = subscription.publishers.get_mut(&source.uri);
+        let publisher = publisher.ok_or_else(|| "not named any more".to_owned())?;
+        let caller: Arc<str> = Arc::from(caller);
+        publisher.state = State::Open(id, Arc::clone(&caller));
+        publisher.pause = SHORTEST;
+        publisher.obstacle = None;
+        self.net.set_deadline(id, None);
+        self.relinked.extend(subscription.action.clone());
+        Ok(caller)
+    }
+
+    pub(crate) fn on_source_closed(&mut self, now: Instant, source: &Source, error: String) {
+        self.on_no_source(now, &source.topic, &source.uri, error);
+    }
+
+    /// There is no connection to this publisher.
+    fn on_no_source(&mut self, now: Instant, topic: &str, uri: &str, error: String) {
+        let Some(subscription) = self.subscriptions.get_mut(topic) else {
+            return;
+        };
+        self.relinked.extend(subscription.action.clone());
+        let Some(publisher) = subscription.publishers.get_mut(uri) else {
+            return;
+        };
+        if publisher.obstacle.as_ref() != Some(&error) {
+            tracing::debug!(topic, uri, error, "not connected to a publisher");
+        }
+        let again = now + publisher.pause;
+        publisher.pause = (publisher.pause * 2).min(LONGEST_PAUSE);
+        publisher.state = State::Waiting(again);
+        publisher.obstacle = Some(error);
+        self.net.wake_by(again);
+        if !publisher.listed {
+            subscription.publishers.remove(uri);
+        }
+    }
+
+    fn deliver(&mut self, now: Instant, topic: &str, caller: &str, content: &[u8]) {
+        let Some(subscription) = self.subscriptions.get_mut(topic) else {
+            return;
+        };
+        // Taken out meanwhile, so that a consumer can use everything else.
+        let mut consumers = std::mem::take(&mut subscription.consumers);
+        for (_, consumer) in &mut consumers {
+            match consumer {
+                Consumer::Owner(on_message) => on_message(caller, content),
+                Consumer::Action(action, part) => {
+                    self.on_action_message(now, action, *part, caller, content);
+                }
+                Consumer::Clock => self.on_clock(content),
+            }
+        }
+        if let Some(subscription) = self.subscriptions.get_mut(topic) {
+            subscription.consumers = consumers;
+        }
+    }
+
+    pub(crate) fn on_subscriber_bytes(
+        &mut self,
+        now: Instant,
+        id: ConnectionId,
+        mut frames: Frames,
+        bytes: &[u8],
+    ) -> Option<Role> {
+        frames.handle_bytes(bytes);
+        let header = match frames.poll_frame(LONGEST_HEADER) {
+            Ok(None) => return Some(Role::NewSubscriber(frames)),
+            Ok(Some(content)) => Header::parse(content),
+            Err(error) => Err(error),
+        };
+        let accepted = header.map_err(|error| error.to_string());
+        match accepted.and_then(|header| self.accept_subscriber(id, &header)) {
+            Ok(topic) => {
+                self.net.set_deadline(id, None);
+                Some(Role::Subscriber(topic))
+            }
+            Err(error) => {
+                tracing::debug!(peer = self.net.peer(id), error, "refused a subscriber");
+                let header = Header::new([("error", &error[..])]);
+                self.net.send(id, Arc::from(header.encode()), QUEUE);
+                self.net.close_when_sent(now, id);
+                None
+            }
+        }
+    }
+
+    fn accept_subscriber(&mut self, id: ConnectionId, header: &Header) -> Result<Arc<str>, String> {
+        let topic: Arc<str> = Arc::from(header.get("topic"));
+        let Some(publication) = self.publications.get_mut(&topic) else {
+            return Err(format!("{} does not publish '{topic}'", self.name));
+        };
+        let (ty, theirs) = (&publication.ty, header.get("md5sum"));
+        if !fits(&ty.md5, theirs) {
+            return Err(format!(
+                "{topic} is {} with MD5 sum {}, and not {} with {theirs}",
+                ty.name,
+                ty.md5,
+                header.get("type")
+            ));
+        }
+        let answer = Header::new([
+            ("callerid", &self.name[..]),
+            ("topic", &topic),
+            ("type", &ty.name),
+            ("md5sum", &ty.md5),
+            ("message_definition", &ty.definition),
+            ("latching", if publication.latching { "1" } else { "0" }),
+        ]);
+        self.net.send(id, Arc::from(answer.encode()), QUEUE);
+        if let Some(last) = &publication.last {
+            self.net.send(id, Arc::clone(last), QUEUE);
+        }
+        publication
+            .subscribers
+            .insert(id, Arc::from(header.get("callerid")));
+        self.relinked.extend(publication.action.clone());
+        Ok(topic)
+    }
+
+    pub(crate) fn on_subscriber_closed(&mut self, id: ConnectionId, topic: &str) {
+        if let Some(publication) = self.publications.get_mut(topic) {
+            publication.subscribers.remove(&id);
+            self.relinked.extend(publication.action.clone());
+        }
+    }
+}
+
+/// Reads `["TCPROS", host, port]`.
+fn read_offer(value: &Value) -> Option<Address> {
+    let [protocol, host, port] = value.as_array()? else {
+        return None;
+    };
+    if protocol.as_str() != Some("TCPROS") {
+        return None;
+    }
+    Some(Address {
+        host: host.as_str()?.to_owned(),
+        port: u16::try_from(port.as_int()?).ok()?,
+    })
+}

@@ -1,0 +1,141 @@
+//! What is there: the nodes, topics, actions and services that a master knows.
+
+use std::collections::BTreeMap;
+
+use crate::action::wire::STATUS_TYPE;
+use crate::node::{CallError, Node};
+use crate::xmlrpc::Value;
+
+/// What a master knows.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Survey {
+    /// Topics with their types; the type of a topic that nobody publishes may be `*`.
+    pub topics: BTreeMap<String, String>,
+    /// Actions with their types, such as `control_msgs/FollowJointTrajectoryAction`.
+    pub actions: BTreeMap<String, String>,
+    /// Services.
+    pub services: Vec<String>,
+    /// Nodes with the addresses of their APIs, and what is wrong with each: its host name cannot be resolved here, or
+    /// it does not answer.
+    pub nodes: BTreeMap<String, (String, Option<String>)>,
+}
+
+impl Node {
+    /// Asks the master what is there, and each node whether it lives. Blocks for up to some seconds for each node that
+    /// does not answer.
+    ///
+    /// # Errors
+    /// If the master does not answer.
+    pub fn survey(&self) -> Result<Survey, CallError> {
+        let topics = pairs(&self.ask_master("getTopicTypes", &[])?);
+        let state = self.ask_master("getSystemState", &[])?;
+        let parts = state.as_array().unwrap_or_default();
+        let mut nodes = BTreeMap::new();
+        for row in parts
+            .iter()
+            .flat_map(|part| part.as_array().unwrap_or_default())
+        {
+            let [_, names] = row.as_array().unwrap_or_default() else {
+                continue;
+            };
+            for name in names
+                .as_array()
+                .unwrap_or_default()
+                .iter()
+                .filter_map(Value::as_str)
+            {
+                nodes
+                    .entry(name.to_owned())
+                    .or_insert_with(|| self.look_at(name));
+            }
+        }
+        let services = parts.get(2).and_then(Value::as_array).unwrap_or_default();
+        let name = |row: &Value| row.as_array()?.first()?.as_str().map(str::to_owned);
+        Ok(Survey {
+            actions: actions(&topics),
+            services: services.iter().filter_map(name).collect(),
+            topics,
+            nodes,
+        })
+    }
+
+    /// The address of a node, and what is wrong with it.
+    fn look_at(&self, name: &str) -> (String, Option<String>) {
+        let uri = match self.ask_master("lookupNode", &[name.into()]) {
+            Ok(uri) => uri.as_str().unwrap_or_default().to_owned(),
+            Err(error) => return (String::new(), Some(error.to_string())),
+        };
+        let wrong = self.ask(&uri, "getPid", &[]).err();
+        (uri, wrong.map(|error| error.to_string()))
+    }
+}
+
+/// Reads a list of pairs.
+pub(crate) fn pairs(value: &Value) -> BTreeMap<String, String> {
+    let pair = |row: &Value| match row.as_array()? {
+        [name, ty] => Some((name.as_str()?.to_owned(), ty.as_str()?.to_owned())),
+        _ => None,
+    };
+    value
+        .as_array()
+        .unwrap_or_default()
+        .iter()
+        .filter_map(pair)
+        .collect()
+}
+
+/// The actions among topics: those with a status of actionlib, and their types.
+fn actions(topics: &BTreeMap<String, String>) -> BTreeMap<String, String> {
+    let of = |(topic, ty): (&String, &String)| {
+        let name = topic
+            .strip_suffix("/status")
+            .filter(|_| ty == STATUS_TYPE)?;
+        let parts = [
+            ("/goal", "Goal"),
+            ("/result", "Result"),
+            ("/feedback", "Feedback"),
+        ];
+        let types = parts.iter().filter_map(|(part, suffix)| {
+            topics.get(&format!("{name}{part}"))?.strip_suffix(suffix)
+        });
+        Some((
+            name.to_owned(),
+            types.into_iter().next().unwrap_or("*").to_owned(),
+        ))
+    };
+    topics.iter().filter_map(of).collect()
+}
+
+/// The actions among topics, as text.
+pub(crate) fn action_names(topics: &BTreeMap<String, String>) -> Vec<String> {
+    actions(topics)
+        .into_iter()
+        .map(|(name, ty)| format!("{name} ({ty})"))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn actions_are_found_among_topics() {
+        let topics = [
+            ("/arm/move/status", STATUS_TYPE),
+            (
+                "/arm/move/goal",
+                "control_msgs/FollowJointTrajectoryActionGoal",
+            ),
+            ("/odd/status", STATUS_TYPE),
+            ("/battery/status", "std_msgs/String"),
+        ];
+        let topics = topics.map(|(name, ty)| (name.to_owned(), ty.to_owned()));
+        assert_eq!(
+            action_names(&topics.into()),
+            [
+                "/arm/move (control_msgs/FollowJointTrajectoryAction)",
+                "/odd (*)"
+            ]
+        );
+    }
+}

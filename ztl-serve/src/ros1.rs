@@ -1,0 +1,48 @@
+//! Robots with ROS 1: kinds that run tasks there, and topics as streams.
+//!
+//! | file | what |
+//! |---|---|
+//! | `connection` | the node that all share, and `ros1` at the top of the file |
+//! | `types` | types by their names in the file |
+//! | `message`, `fit` | messages with placeholders, read from YAML and filled with a goal |
+//! | `shown` | texts with parts of a received message |
+//! | `action` | `ros1-action` |
+//! | `trajectory`, `motion` | `ros1-trajectory`, and the end of a motion by joint states |
+//! | `publish` | `ros1-publish` |
+//! | `service` | `ros1-service` |
+//! | `parameter` | `ros1-parameter` |
+//! | `topic` | `ros1-topic`, a stream |
+
+pub(crate) mod action;
+pub(crate) mod connection;
+mod fit;
+pub(crate) mod message;
+mod motion;
+pub(crate) mod parameter;
+pub(crate) mod publish;
+pub(crate) mod service;
+mod shown;
+pub(crate) mod topic;
+pub(crate) mod trajectory;
+mod types;
+
+use ztl_ros1::GoalEvent;
+
+/// What the node reports to a job.
+#[derive(Debug)]
+pub(crate) enum Event {
+    Goal(GoalEvent),
+    /// The encoded response of a service, or why there is none; `unknown`: the service may have done it.
+    Response(Result<Vec<u8>, Refusal>),
+}
+
+/// Why a service has not answered.
+#[derive(Debug)]
+pub(crate) struct Refusal {
+    pub(crate) reason: String,
+    /// Whether the service may have done it.
+    pub(crate) unknown: bool,
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,296 @@
+//! A motion to a position, without I/O: it ends when joint states say that the joints are there.
+
+use std::time::{Duration, Instant};
+
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+
+use crate::human::human_time;
+use crate::kind::{Outcome, StopReason};
+
+/// How long a motion waits for its controller and for joint states before it begins.
+pub(super) const BEGIN: Duration = Duration::from_millis(1500);
+/// How long the joints must be at their positions: a joint that passes is not there.
+const SETTLED: Duration = Duration::from_millis(100);
+/// The longest time without joint states.
+const SILENCE: Duration = Duration::from_secs(2);
+/// How often the controller is told to stop, and the pause between two of these.
+const STOPS: u32 = 3;
+const STOP_PAUSE: Duration = Duration::from_millis(100);
+/// For how long the joints must not move until they count as still, and how long that may take.
+const STILL: Duration = Duration::from_millis(200);
+pub(super) const STOP_TIME: Duration = Duration::from_secs(2);
+/// Of the tolerance, how far a joint that is still may move.
+const STILL_PART: f64 = 0.1;
+/// The shortest time between two progress texts.
+const PROGRESS: Duration = Duration::from_millis(500);
+
+/// Where a motion goes, and when it is there.
+#[derive(Debug, Clone)]
+pub(super) struct Target {
+    pub(super) joints: Vec<String>,
+    /// Of each joint, in rad or m.
+    pub(super) positions: Vec<f64>,
+    pub(super) tolerance: f64,
+    pub(super) limit: Duration,
+}
+
+/// When the position of each joint was heard, and what it was.
+pub(super) type Seen = Vec<Option<(Instant, f64)>>;
+
+/// What the owner of the motion does.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Action {
+    /// Sends the trajectory: the motion begins.
+    Begin,
+    /// Sends the empty trajectory.
+    Stop,
+    Progress(String),
+    End(Outcome),
+}
+
+#[derive(Debug)]
+enum Phase {
+    Waiting {
+        until: Instant,
+    },
+    Moving {
+        until: Instant,
+        there_since: Option<Instant>,
+        next_progress: Instant,
+    },
+    Stopping {
+        outcome: Outcome,
+        left: u32,
+        next: Instant,
+        until: Instant,
+        /// Where the joints were, and since when.
+        rest: (Instant, Vec<f64>),
+    },
+    Ended,
+}
+
+/// A motion in progress. Call [`handle`](Self::handle) every few milliseconds.
+#[derive(Debug)]
+pub(super) struct Motion {
+    target: Target,
+    phase: Phase,
+}
+
+impl Motion {
+    pub(super) fn new(now: Instant, target: Target) -> Self {
+        Self {
+            target,
+            phase: Phase::Waiting { until: now + BEGIN },
+        }
+    }
+
+    /// Ends the motion early.
+    pub(super) fn stop(&mut self, now: Instant, why: StopReason, actions: &mut Vec<Action>) {
+        match self.phase {
+            Phase::Waiting { .. } => self.end(why.before_start(), actions),
+            Phase::Moving { .. } => {
+                let text = match why {
+                    StopReason::Replaced(by) => format!("replaced by task {by}"),
+                    StopReason::Server => "the server was stopped".to_owned(),
+                    _ => "aborted".to_owned(),
+                };
+                self.begin_stop(now, Outcome::Aborted(text));
+            }
+            Phase::Stopping { .. } | Phase::Ended => {}
+        }
+    }
+
+    /// Does what is due. `is_heard`: whether the controller receives what is sent.
+    pub(super) fn handle(
+        &mut self,
+        now: Instant,
+        is_heard: bool,
+        seen: &Seen,
+        actions: &mut Vec<Action>,
+    ) {
+        match &self.phase {
+            Phase::Waiting { until } => {
+                let until = *until;
+                self.wait(now, until, is_heard, seen, actions);
+            }
+            Phase::Moving { .. } => self.watch(now, is_heard, seen, actions),
+            Phase::Stopping { .. } | Phase::Ended => {}
+        }
+        self.settle(now, seen, actions);
+    }
+
+    fn wait(
+        &mut self,
+        now: Instant,
+        until: Instant,
+        is_heard: bool,
+        seen: &Seen,
+        actions: &mut Vec<Action>,
+    ) {
+        let missing = self.missing(now, seen);
+        if is_heard && missing.is_none() {
+            actions.push(Action::Begin);
+            self.phase = Phase::Moving {
+                until: now + self.target.limit,
+                there_since: None,
+                next_progress: now + PROGRESS,
+            };
+        } else if until <= now {
+            let waited = human_time(BEGIN);
+            let reason = match missing.filter(|_| is_heard) {
+                Some(joint) => {
+                    format!("no joint state of {joint} within {waited}, so nothing was moved")
+                }
+                None => format!("no controller receives the topic within {waited}"),
+            };
+            self.end(Outcome::Rejected(reason), actions);
+        }
+    }
+
+    fn watch(&mut self, now: Instant, is_heard: bool, seen: &Seen, actions: &mut Vec<Action>) {
+        let missing = self.missing(now, seen);
+        let (joint, distance) = self.farthest(seen);
+        let tolerance = self.target.tolerance;
+        let limit = self.target.limit;
+        let Phase::Moving {
+            until,
+            there_since,
+            next_progress,
+        } = &mut self.phase
+        else {
+            return;
+        };
+        let failed = if let Some(joint) = missing {
+            let silence = human_time(SILENCE);
+            Some(format!(
+                "{UNKNOWN_OUTCOME}no joint state of {joint} for {silence}; the controller was told to stop"
+            ))
+        } else if !is_heard {
+            Some(format!(
+                "{UNKNOWN_OUTCOME}the controller has left the topic"
+            ))
+        } else if *until <= now {
+            let limit = human_time(limit);
+            Some(format!(
+                "{joint} is {distance:.3} from its position after {limit}"
+            ))
+        } else {
+            None
+        };
+        if let Some(reason) = failed {
+            return self.begin_stop(now, Outcome::Failed(reason));
+        }
+        if distance <= tolerance {
+            let since = *there_since.get_or_insert(now);
+            if now >= since + SETTLED {
+                let positions = positions(seen)
+                    .iter()
+                    .map(|it| format!("{it:.4}"))
+                    .collect::<Vec<_>>();
+                let text = format!("[{}]", positions.join(", "));
+                return self.end(Outcome::Completed(text), actions);
+            }
+        } else {
+            *there_since = None;
+        }
+        if *next_progress <= now {
+            *next_progress = now + PROGRESS;
+            actions.push(Action::Progress(format!(
+                "{joint} is {distance:.3} from its position"
+            )));
+        }
+    }
+
+    /// Tells the controller to stop, several times, and waits until the joints are still.
+    fn settle(&mut self, now: Instant, seen: &Seen, actions: &mut Vec<Action>) {
+        let still = self.target.tolerance * STILL_PART;
+        let is_blind = self.missing(now, seen).is_some();
+        let Phase::Stopping {
+            outcome,
+            left,
+            next,
+            until,
+            rest: (since, place),
+        } = &mut self.phase
+        else {
+            return;
+        };
+        if *left > 0 && *next <= now {
+            *left -= 1;
+            *next = now + STOP_PAUSE;
+            actions.push(Action::Stop);
+        }
+        let here = positions(seen);
+        let has_moved = here
+            .iter()
+            .zip(&*place)
+            .any(|(here, place)| (here - place).abs() > still);
+        if has_moved || here.len() != place.len() {
+            (*since, *place) = (now, here);
+        }
+        if *left > 0 {
+            return;
+        }
+        let is_still = now >= *since + STILL && !is_blind;
+        let ended = match outcome {
+            outcome if is_still => outcome.clone(),
+            _ if *until > now => return,
+            Outcome::Failed(reason) if reason.starts_with(UNKNOWN_OUTCOME) => outcome.clone(),
+            _ => {
+                let time = human_time(STOP_TIME);
+                Outcome::Failed(format!(
+                    "{UNKNOWN_OUTCOME}the controller was told to stop, and {time} later the joints still move or say nothing"
+                ))
+            }
+        };
+        self.end(ended, actions);
+    }
+
+    fn begin_stop(&mut self, now: Instant, outcome: Outcome) {
+        self.phase = Phase::Stopping {
+            outcome,
+            left: STOPS,
+            next: now,
+            until: now + STOP_TIME,
+            rest: (now, Vec::new()),
+        };
+    }
+
+    fn end(&mut self, outcome: Outcome, actions: &mut Vec<Action>) {
+        self.phase = Phase::Ended;
+        actions.push(Action::End(outcome));
+    }
+
+    /// A joint that was not heard for too long.
+    fn missing(&self, now: Instant, seen: &Seen) -> Option<String> {
+        let is_old = |seen: &Option<(Instant, f64)>| seen.is_none_or(|(at, _)| now >= at + SILENCE);
+        let mut joints = self.target.joints.iter().zip(seen);
+        joints
+            .find(|(_, seen)| is_old(seen))
+            .map(|(joint, _)| joint.clone())
+    }
+
+    /// The joint that is farthest from its position, and its distance.
+    fn farthest(&self, seen: &Seen) -> (String, f64) {
+        let mut farthest = (String::new(), -1.0);
+        let target = self.target.joints.iter().zip(&self.target.positions);
+        for ((joint, position), (_, here)) in target.zip(seen.iter().flatten()) {
+            let distance = (here - position).abs();
+            // A position that is no number is nowhere near.
+            if distance.is_nan() || distance > farthest.1 {
+                farthest = (joint.clone(), distance);
+            }
+        }
+        farthest
+    }
+}
+
+fn positions(seen: &Seen) -> Vec<f64> {
+    seen.iter()
+        .flatten()
+        .map(|(_, position)| *position)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests;
