@@ -171,7 +171,7 @@ impl Frames {
         }
     }
 
-    /// Takes bytes from the stream. Then call [`next`](Self::next) until it returns `None`, which bounds what is kept
+    /// Takes bytes from the stream. Then call [`poll`](Self::poll) until it returns `None`, which bounds what is kept
     /// to one message and these bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         if self.taken > 0 {
@@ -188,7 +188,7 @@ impl Frames {
     ///
     /// # Errors
     /// [`StreamError`]: nothing more can be read.
-    pub fn next(&mut self) -> Result<Option<Message>, StreamError> {
+    pub fn poll(&mut self) -> Result<Option<Message>, StreamError> {
         loop {
             let rest = self.buffer.get(self.taken..).unwrap_or_default();
             let start = rest.get(..MAGIC.len()).unwrap_or(rest);
@@ -295,7 +295,7 @@ mod tests {
             let mut found = 0;
             for part in bytes.chunks(cut) {
                 frames.push(part);
-                while let Some(next) = frames.next().unwrap() {
+                while let Some(next) = frames.poll().unwrap() {
                     assert_eq!(next, message());
                     found += 1;
                 }
@@ -308,14 +308,14 @@ mod tests {
     fn other_protocols_and_long_messages_are_errors_at_once() {
         let mut frames = Frames::new(64);
         frames.push(b"SSH-2.0");
-        assert_eq!(frames.next(), Err(StreamError::NotNaoqi));
+        assert_eq!(frames.poll(), Err(StreamError::NotNaoqi));
 
         let mut bytes = Vec::new();
         message().encode_into(&mut bytes);
         bytes[8..12].copy_from_slice(&u32::MAX.to_le_bytes());
         let mut frames = Frames::new(64);
         frames.push(&bytes);
-        let error = frames.next().unwrap_err();
+        let error = frames.poll().unwrap_err();
         let expected = "it sent a message of 4294967295 bytes, expected at most 64";
         assert_eq!(error.to_string(), expected);
     }
@@ -328,7 +328,7 @@ mod tests {
         message().encode_into(&mut bytes);
         let mut frames = Frames::new(64);
         frames.push(&bytes);
-        assert_eq!(frames.next(), Ok(Some(message())));
-        assert_eq!(frames.next(), Ok(None));
+        assert_eq!(frames.poll(), Ok(Some(message())));
+        assert_eq!(frames.poll(), Ok(None));
     }
 }
