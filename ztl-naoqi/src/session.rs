@@ -323,3 +323,6 @@ impl Session {
         self.last_id
     }
 }
+
+#[cfg(test)]
+mod tests;
