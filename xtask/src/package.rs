@@ -9,8 +9,8 @@ use crate::project::{PACKAGE, Project};
 
 /// In an order in which they can be published.
 #[rustfmt::skip]
-const CRATES: [&str; 13] = [
-    "ztl-core", "ztl-zmtp", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-pickle", "ztl-std", "ztl-script", "ztl-record", "ztl-serve", "ztl-sim", "ztl-web", "ztl",
+const CRATES: [&str; 14] = [
+    "ztl-core", "ztl-zmtp", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-pickle", "ztl-naoqi", "ztl-std", "ztl-script", "ztl-record", "ztl-serve", "ztl-sim", "ztl-web", "ztl",
 ];
 
 /// Packages each crate, and compiles the last one from the packages alone, which replace the registry.

@@ -30,7 +30,7 @@ const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Resu
 }
 
 #[rustfmt::skip]
-const STEPS: [Step; 21] = [
+const STEPS: [Step; 22] = [
     step("tools", "compilers, libraries and programs are installed", install::programs),
     step("fmt", "all code is formatted, also outside the workspace", format),
     step("clippy", "no lint fires, in the workspace and in each no_std crate alone", clippy),
@@ -40,6 +40,7 @@ const STEPS: [Step; 21] = [
     step("python", "the original ZTL package is installed in a virtual environment", |project| install::python(project).map(drop)),
     step("clients", "the npm package of the client in JavaScript is installed", install::javascript),
     step("peers", "old and other peers are installed: libzmq 4.1.6, Python 2.7 where there is one, JeroMQ", install::peers),
+    step("naoqi", "libqi, the messaging library of NAO and Pepper, is installed as a Python package", install::naoqi),
     step("bare", "the no_std crates build for three microcontrollers with nothing but `core`", bare::build),
     step("proof", "bytes from outside reach no panic: shown by linking", proof::prove),
     step("size", "the standard image and the boards' images have the recorded sizes", size::check),
@@ -196,6 +197,7 @@ fn tests(project: &Project) -> Result<()> {
     install::python(project)?;
     install::javascript(project)?;
     install::peers(project)?;
+    install::naoqi(project)?;
     build_programs(project)?;
     firmware::build_for_qemu(project)?;
     // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its

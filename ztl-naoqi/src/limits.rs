@@ -23,6 +23,8 @@ pub struct Limits {
     pub output: usize,
     /// The most connections. Default 64.
     pub connections: usize,
+    /// The most services of which the names are kept; a robot has about 100. Others can be used, too. Default 4096.
+    pub services: usize,
 }
 
 impl Default for Limits {
@@ -37,6 +39,7 @@ impl Default for Limits {
             signal_bytes: 4 << 20,
             output: 4 << 20,
             connections: 64,
+            services: 4096,
         }
     }
 }

@@ -147,7 +147,7 @@ impl Session {
             let name = info.field("name", 0).and_then(Value::as_text);
             let id = info.field("serviceId", 1).and_then(Value::as_u32);
             if let (Some(name), Some(id)) = (name, id) {
-                self.known.insert(name.to_owned(), id);
+                self.learn_name(name, id);
                 if id == DIRECTORY {
                     self.directory.process = Process::of(info);
                 }
@@ -182,7 +182,7 @@ impl Session {
             return;
         };
         if is_added {
-            if self.known.insert(name.to_owned(), id) != Some(id) && self.directory.ready {
+            if self.learn_name(name, id) && self.directory.ready {
                 self.events.push_back(Event::ServiceAdded(name.to_owned()));
             }
             self.on_added(name, id, now);
@@ -194,6 +194,13 @@ impl Session {
             }
             self.on_removed(name, id, now);
         }
+    }
+
+    /// Whether it is news, and there is room for it.
+    fn learn_name(&mut self, name: &str, id: u32) -> bool {
+        let has_room =
+            self.known.len() < self.options.limits.services || self.known.contains_key(name);
+        has_room && self.known.insert(name.to_owned(), id) != Some(id)
     }
 
     /// Asks where a service is. False if the directory cannot be asked now.
