@@ -128,14 +128,14 @@ fn connection(bytes: &[u8]) {
     let Some(Action::Connect(link, _)) = session.poll_action() else {
         panic!("it does not connect");
     };
-    session.handle_connected(link, now);
+    session.handle_connected(link, [10, 0, 0, 7].into(), now);
     session.handle_bytes(link, &introduction(), now);
     assert_eq!(session.poll_event(), Some(Event::Connected));
     let call = Call::new("ALMotion", "moveTo", vec![Value::Double(1.0)]);
     let call = session
         .call(call, Duration::from_secs(5), now)
         .expect("a call");
-    session.subscribe(SignalOf::memory("FrontTactilTouched"), now);
+    session.subscribe(SignalOf::memory("FrontTactilTouched"));
     let mut ended = 0;
     for (index, part) in bytes.chunks(64).enumerate() {
         session.handle_bytes(link, part, now);

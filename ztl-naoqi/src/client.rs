@@ -258,7 +258,7 @@ impl Worker {
                     told(call.map_or(Cancel::Ended, |call| self.session.cancel(*call)));
                 }
                 Command::Subscribe(handle, signal, each) => {
-                    let id = self.session.subscribe(signal, now);
+                    let id = self.session.subscribe(signal);
                     self.subscriptions.insert(id, (handle, each));
                 }
                 Command::Unsubscribe(handle) => {

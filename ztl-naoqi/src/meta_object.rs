@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::encode::{Distance, Mismatch, encode};
-use crate::signature::{Names, Signature, Tuple};
+use crate::signature::{Names, Signature, SignatureError, Tuple};
 use crate::value::Value;
 
 /// How deep the signatures of methods may be nested.
@@ -202,15 +202,26 @@ impl MetaObject {
 }
 
 impl Method {
+    /// The types of its arguments; nothing if it takes any.
+    ///
+    /// # Errors
+    /// The signature cannot be read.
+    pub fn arguments(&self) -> Result<Option<Tuple>, SignatureError> {
+        match Signature::parse(&self.parameters, DEPTH)? {
+            Signature::Tuple(tuple) => Ok(Some(tuple)),
+            _ => Ok(None),
+        }
+    }
+
     fn encode(&self, arguments: &[Value]) -> Result<(Distance, Vec<u8>), ArgumentErrorKind> {
         let mut payload = Vec::new();
-        let signature = Signature::parse(&self.parameters, DEPTH).map_err(|error| {
+        let tuple = self.arguments().map_err(|error| {
             ArgumentErrorKind::Unreadable(format!("{:?}, {error}", self.parameters))
         })?;
-        let Signature::Tuple(tuple) = signature else {
+        let Some(tuple) = tuple else {
             // It takes anything: a tuple of the arguments as one dynamic value.
             let all = Value::Tuple(Names::default(), arguments.into());
-            let distance = encode(&all, &signature, &mut payload).map_err(|mismatch| {
+            let distance = encode(&all, &Signature::Dynamic, &mut payload).map_err(|mismatch| {
                 ArgumentErrorKind::Argument {
                     number: 1,
                     mismatch,

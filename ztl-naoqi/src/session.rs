@@ -201,6 +201,14 @@ impl fmt::Display for CallError {
     }
 }
 
+impl CallError {
+    /// Whether nothing was sent, so that nothing has happened.
+    #[must_use]
+    pub const fn nothing_was_sent(&self) -> bool {
+        matches!(self, Self::NotSent(_) | Self::Arguments(_))
+    }
+}
+
 impl std::error::Error for CallError {}
 
 /// What to do with connections.
@@ -246,8 +254,8 @@ impl Session {
     #[must_use]
     pub fn new(options: Options, now: Instant) -> Self {
         let mut session = Self {
+            directory: Directory::new(options.directory.clone(), now),
             options,
-            directory: Directory::new(now),
             links: BTreeMap::new(),
             services: BTreeMap::new(),
             known: BTreeMap::new(),
@@ -290,11 +298,11 @@ impl Session {
     }
 
     /// Subscribes to a signal until [`unsubscribe`](Self::unsubscribe), also when its service comes back.
-    pub fn subscribe(&mut self, signal: SignalOf, now: Instant) -> SubscriptionId {
+    pub fn subscribe(&mut self, signal: SignalOf) -> SubscriptionId {
         let id = SubscriptionId(self.new_id());
         let service = signal.service.clone();
         self.subscriptions.insert(id, Subscription::new(signal));
-        self.want(&service, now);
+        self.want(&service);
         id
     }
 

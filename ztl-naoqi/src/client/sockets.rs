@@ -136,12 +136,12 @@ impl Sockets {
                 continue;
             }
             let error = socket.stream.take_error().unwrap_or_else(Some);
-            match error.map_or_else(|| socket.stream.peer_addr().map(drop), Err) {
-                Ok(()) => {
+            match error.map_or_else(|| socket.stream.peer_addr(), Err) {
+                Ok(peer) => {
                     socket.connected = true;
                     // Only a matter of speed.
                     let _ = socket.stream.set_nodelay(true);
-                    session.handle_connected(*link, now);
+                    session.handle_connected(*link, peer.ip(), now);
                 }
                 Err(error) if error.kind() == io::ErrorKind::NotConnected => {
                     socket.writable = false

@@ -62,7 +62,7 @@ impl Session {
         self.calls.insert(call, PendingCall { service, stage });
         let service = self.services.entry(name.clone()).or_default();
         service.waiting.push(call);
-        self.want(&name, now);
+        self.want(&name);
         Ok(call)
     }
 
@@ -134,7 +134,6 @@ impl Session {
         link: LinkId,
         service: u32,
         meta: &Arc<MetaObject>,
-        _: Instant,
     ) {
         let Some(pending) = self.calls.get(&call) else {
             return;
@@ -225,6 +224,7 @@ impl Session {
                 if let Some(service) = self.services.get_mut(&pending.service) {
                     service.waiting.retain(|waiting| *waiting != call);
                 }
+                self.drop_unused(&pending.service);
                 if let (None, Err(error)) = (method, &result) {
                     let result = Err(error.clone());
                     self.events.push_back(Event::Described { call, result });

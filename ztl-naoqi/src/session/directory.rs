@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::connection::payload;
+use crate::endpoint::Endpoint;
 use crate::message::{Address, Message};
 use crate::meta_object::MetaObject;
 use crate::value::Value;
@@ -30,6 +31,8 @@ pub(super) const UNREGISTER_EVENT: u32 = 1;
 #[derive(Debug)]
 pub(super) struct Directory {
     pub(super) link: Option<LinkId>,
+    /// Where it was reached: with an address in place of its name.
+    pub(super) reached: Endpoint,
     /// Whether it has listed its services.
     pub(super) ready: bool,
     /// When to connect, without a link.
@@ -51,9 +54,10 @@ struct Functions {
 }
 
 impl Directory {
-    pub(super) fn new(now: Instant) -> Self {
+    pub(super) fn new(reached: Endpoint, now: Instant) -> Self {
         Self {
             link: None,
+            reached,
             ready: false,
             retry_at: now,
             pause: FIRST_PAUSE,
@@ -160,7 +164,7 @@ impl Session {
         self.directory.pause = FIRST_PAUSE;
         self.directory.reason = None;
         self.events.push_back(Event::Connected);
-        self.want_all(now);
+        self.want_all();
     }
 
     /// A signal of the directory: a service was added or removed.
@@ -185,7 +189,7 @@ impl Session {
             if self.learn_name(name, id) && self.directory.ready {
                 self.events.push_back(Event::ServiceAdded(name.to_owned()));
             }
-            self.on_added(name, id, now);
+            self.on_added(name, id);
         } else {
             if self.known.get(name) == Some(&id) {
                 self.known.remove(name);
@@ -243,7 +247,7 @@ impl Session {
             self.events.push_back(Event::Disconnected { reason });
         }
         self.known.clear();
-        self.forget_services(now);
+        self.forget_services();
     }
 }
 

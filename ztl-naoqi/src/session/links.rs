@@ -1,6 +1,7 @@
 //! Connections: from the first endpoint that is tried to the loss of the connection.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::net::IpAddr;
 use std::time::{Duration, Instant};
 
 use crate::connection::{Connection, Happened, OutputFull, error_text};
@@ -50,12 +51,16 @@ pub(super) enum Pending {
     Call(CallId),
     /// The object that has the signal, and the signature in which it is returned.
     SignalObject(SubscriptionId, String),
-    Registered(SubscriptionId),
+    /// The subscription, and its handle.
+    Registered(SubscriptionId, u64),
 }
 
 impl Session {
-    /// A connection was opened.
-    pub fn handle_connected(&mut self, link: LinkId, now: Instant) {
+    /// A connection was opened, to this address.
+    pub fn handle_connected(&mut self, link: LinkId, peer: IpAddr, now: Instant) {
+        if self.directory.link == Some(link) {
+            self.directory.reached.host = peer.to_canonical().to_string();
+        }
         let credentials = self.options.credentials.clone();
         let limits = self.options.limits;
         if let Some(link) = self.links.get_mut(&link) {
@@ -80,9 +85,7 @@ impl Session {
             };
             match connection.poll() {
                 Ok(Some(Happened::Ready)) => self.on_ready(id, now),
-                Ok(Some(Happened::NewToken(token))) => {
-                    self.events.push_back(Event::NewToken(token))
-                }
+                Ok(Some(Happened::NewToken(token))) => self.on_new_token(token),
                 Ok(Some(Happened::Message(message))) => self.on_message(id, message, now),
                 Ok(None) => break,
                 Err(reason) => {
@@ -213,6 +216,13 @@ impl Session {
         }
     }
 
+    fn on_new_token(&mut self, token: String) {
+        if let Some(credentials) = &mut self.options.credentials {
+            credentials.token.clone_from(&token);
+        }
+        self.events.push_back(Event::NewToken(token));
+    }
+
     fn on_ready(&mut self, id: LinkId, now: Instant) {
         if let Some(link) = self.links.get_mut(&id) {
             link.ready = true;
@@ -257,7 +267,9 @@ impl Session {
             Pending::SignalObject(subscription, returns) => {
                 self.on_signal_object(id, subscription, &returns, answer);
             }
-            Pending::Registered(subscription) => self.on_registered(subscription, answer),
+            Pending::Registered(subscription, handle) => {
+                self.on_registered(subscription, handle, answer);
+            }
         }
     }
 

@@ -100,12 +100,12 @@ impl Session {
             if let Some(service) = self.services.get_mut(&name) {
                 service.retry_at = None;
             }
-            self.want(&name, now);
+            self.want(&name);
         }
     }
 
     /// Finds out about a service that calls or subscriptions wait for, and goes on with them.
-    pub(super) fn want(&mut self, name: &str, now: Instant) {
+    pub(super) fn want(&mut self, name: &str) {
         let service = self.services.entry(name.to_owned()).or_default();
         match service.state {
             ServiceState::Unknown => {
@@ -115,16 +115,16 @@ impl Session {
                     service.state = ServiceState::Resolving;
                 }
             }
-            ServiceState::Ready { .. } => self.on_service_ready(name, now),
+            ServiceState::Ready { .. } => self.on_service_ready(name),
             _ => {}
         }
     }
 
     /// As [`want`](Self::want), for all services.
-    pub(super) fn want_all(&mut self, now: Instant) {
+    pub(super) fn want_all(&mut self) {
         let names: Vec<String> = self.services.keys().cloned().collect();
         for name in names {
-            self.want(&name, now);
+            self.want(&name);
         }
     }
 
@@ -173,7 +173,7 @@ impl Session {
         if let Some((link, _)) = open {
             return Ok(ServiceState::Linking { link: *link, id });
         }
-        let candidates = reachable(&endpoints, &self.options.directory);
+        let candidates = reachable(&endpoints, &self.directory.reached);
         if candidates.is_empty() {
             let all = endpoints.join(", ");
             return Err(format!(
@@ -240,13 +240,13 @@ impl Session {
             Ok(meta) => {
                 let meta = Arc::new(meta);
                 service.state = ServiceState::Ready { link, id, meta };
-                self.on_service_ready(name, now);
+                self.on_service_ready(name);
             }
             Err(reason) => self.unavailable(name, &format!("{name}: {reason}"), now),
         }
     }
 
-    fn on_service_ready(&mut self, name: &str, now: Instant) {
+    fn on_service_ready(&mut self, name: &str) {
         let Some(service) = self.services.get_mut(name) else {
             return;
         };
@@ -256,7 +256,7 @@ impl Session {
         let (link, id, meta) = (*link, *id, Arc::clone(meta));
         service.retry_at = None;
         for call in std::mem::take(&mut service.waiting) {
-            self.start(call, link, id, &meta, now);
+            self.start(call, link, id, &meta);
         }
         self.begin_subscriptions(name, link, id, &meta);
     }
@@ -289,26 +289,26 @@ impl Session {
     }
 
     /// The directory is lost: its numbers for services mean nothing any more.
-    pub(super) fn forget_services(&mut self, now: Instant) {
+    pub(super) fn forget_services(&mut self) {
         let services = self.services.iter();
         let names: Vec<String> = services
             .filter(|(_, service)| !matches!(service.state, ServiceState::Unknown))
             .map(|(name, _)| name.clone())
             .collect();
         for name in names {
-            self.forget(&name, "the service directory was lost", now);
+            self.forget(&name, "the service directory was lost");
         }
     }
 
-    pub(super) fn on_added(&mut self, name: &str, id: u32, now: Instant) {
+    pub(super) fn on_added(&mut self, name: &str, id: u32) {
         let Some(service) = self.services.get(name) else {
             return;
         };
         if service.state.id().is_some_and(|other| other != id) {
-            self.forget(name, "it was registered again", now);
+            self.forget(name, "it was registered again");
         }
         if self.services.contains_key(name) {
-            self.want(name, now);
+            self.want(name);
         }
     }
 
@@ -316,23 +316,27 @@ impl Session {
         self.calls_removed(name, id, now);
         let state = self.services.get(name).map(|service| &service.state);
         if state.is_some_and(|state| state.id() == Some(id)) {
-            self.forget(name, "the service was removed", now);
+            self.forget(name, "the service was removed");
         }
     }
 
     /// A service is not where it was. Calls that were not sent wait until it is found again, or their time is over.
-    fn forget(&mut self, name: &str, reason: &str, _: Instant) {
+    fn forget(&mut self, name: &str, reason: &str) {
         if let Some(service) = self.services.get_mut(name) {
             service.state = ServiceState::Unknown;
             service.retry_at = None;
         }
-        let is_wanted = self.end_subscriptions(name, reason);
-        if !is_wanted
-            && self
-                .services
-                .get(name)
-                .is_some_and(|service| service.waiting.is_empty())
-        {
+        if !self.end_subscriptions(name, reason) {
+            self.drop_unused(name);
+        }
+    }
+
+    /// Forgets a service that nothing waits for.
+    pub(super) fn drop_unused(&mut self, name: &str) {
+        let unused = |service: &Service| {
+            service.waiting.is_empty() && matches!(service.state, ServiceState::Unknown)
+        };
+        if self.services.get(name).is_some_and(unused) && !self.is_subscribed(name) {
             self.services.remove(name);
         }
     }

@@ -123,7 +123,10 @@ impl Session {
             Ok(_) => return self.not_subscribed(id, "the method returns no object"),
             Err(reason) => return self.not_subscribed(id, &reason),
         };
-        let Some(of) = self.subscriptions.get(&id).map(|wish| wish.of.clone()) else {
+        let wish = self.subscriptions.get(&id);
+        // It may have been given up meanwhile.
+        let is_asking = |wish: &&Subscription| matches!(wish.stage, Stage::Asking { link: other } if other == link);
+        let Some(of) = wish.filter(is_asking).map(|wish| wish.of.clone()) else {
             return self.release(link, object.service, object.object);
         };
         let (service, number) = (object.service, object.object);
@@ -175,7 +178,7 @@ impl Session {
                     ..address
                 };
                 let arguments = registration(service, signal.id, handle);
-                let asked = self.ask(link, call, arguments, Pending::Registered(id));
+                let asked = self.ask(link, call, arguments, Pending::Registered(id, handle));
                 asked.map_err(|_| "too much waits to be sent".to_owned())?;
                 handle
             }
@@ -192,14 +195,25 @@ impl Session {
         Ok(())
     }
 
-    pub(super) fn on_registered(&mut self, id: SubscriptionId, answer: Result<Message, CallError>) {
-        if !self.subscriptions.contains_key(&id) {
+    pub(super) fn on_registered(
+        &mut self,
+        id: SubscriptionId,
+        registered: u64,
+        answer: Result<Message, CallError>,
+    ) {
+        let Some(wish) = self.subscriptions.get_mut(&id) else {
+            return;
+        };
+        // It may have been registered elsewhere meanwhile.
+        if !matches!(wish.stage, Stage::Active { handle, .. } if handle == registered) {
             return;
         }
-        match answer {
-            Ok(_) => self.events.push_back(Event::Subscribed(id)),
-            Err(error) => self.not_subscribed(id, &error.to_string()),
+        if let Err(error) = answer {
+            let stage = std::mem::replace(&mut wish.stage, Stage::Waiting);
+            self.stop(&stage);
+            return self.not_subscribed(id, &error.to_string());
         }
+        self.events.push_back(Event::Subscribed(id));
     }
 
     /// A signal has arrived.
@@ -273,6 +287,11 @@ impl Session {
             self.not_subscribed(*id, reason);
         }
         !wanted.is_empty()
+    }
+
+    pub(super) fn is_subscribed(&self, service: &str) -> bool {
+        let mut wishes = self.subscriptions.values();
+        wishes.any(|wish| wish.of.service == service)
     }
 
     fn not_subscribed(&mut self, id: SubscriptionId, reason: &str) {

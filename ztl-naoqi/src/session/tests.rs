@@ -76,7 +76,8 @@ impl Robot {
     #[track_caller]
     fn connect(&mut self, endpoint: &str) {
         let link = self.opening(endpoint);
-        self.session.handle_connected(link, self.now);
+        let peer = [10, 0, 0, 7].into();
+        self.session.handle_connected(link, peer, self.now);
         self.link = Some(link);
         self.frames = Frames::new(1 << 20);
     }
@@ -256,6 +257,14 @@ fn a_new_token_is_used_and_told() {
     robot.list();
     assert_eq!(robot.session.poll_event(), Some(Event::Connected));
 
+    robot
+        .session
+        .handle_closed(robot.link.unwrap(), "closed", robot.now);
+    robot.wait(Duration::from_secs(1));
+    robot.connect("tcp://10.0.0.7:9559");
+    let sent = String::from_utf8_lossy(&robot.hear().payload).into_owned();
+    assert!(sent.contains("fresh") && !sent.contains("secret"), "{sent}");
+
     let mut robot = Robot::new(nao());
     robot.answer(8, Kind::Reply, more());
     robot.answer(8, Kind::Reply, more());
@@ -343,7 +352,7 @@ fn signatures_that_cannot_be_read_harm_only_what_has_them() {
 
     let id = robot
         .session
-        .subscribe(SignalOf::service("ALTextToSpeech", "word"), robot.now);
+        .subscribe(SignalOf::service("ALTextToSpeech", "word"));
     robot.answer(0, Kind::Reply, bytes("9", "L"));
     assert_eq!(robot.session.poll_event(), Some(Event::Subscribed(id)));
     let address = Address {
@@ -453,7 +462,7 @@ fn calls_signals_and_output_are_bounded() {
 
     let subscription = robot
         .session
-        .subscribe(SignalOf::service("ALTextToSpeech", "level"), robot.now);
+        .subscribe(SignalOf::service("ALTextToSpeech", "level"));
     let address = Address {
         service: 2,
         object: 1,
@@ -491,4 +500,34 @@ fn objects_in_results_are_released() {
         (release.kind, release.address.object, release.address.action),
         (Kind::Post, 77, 3)
     );
+}
+
+#[test]
+fn a_service_is_looked_for_at_the_address_that_the_robots_name_has() {
+    let now = Instant::now();
+    let mut session = Session::new(
+        Options {
+            directory: Endpoint::parse("tcp://nao.local:9559").unwrap(),
+            credentials: None,
+            limits: Limits::default(),
+        },
+        now,
+    );
+    let Some(Action::Connect(link, _)) = session.poll_action() else {
+        panic!("it does not connect");
+    };
+    session.handle_connected(link, "::ffff:10.0.0.7".parse().unwrap(), now);
+    let mut robot = Robot {
+        session,
+        now,
+        frames: Frames::new(1 << 20),
+        link: Some(link),
+    };
+    robot.authenticate();
+    robot.list();
+    robot.session.poll_event();
+    robot.say();
+    let endpoints = "['tcp://198.18.0.1:4000', 'tcp://10.0.0.7:4000']";
+    robot.resolve(&format!("[ALTextToSpeech, 2, nao, 222, {endpoints}, '1']"));
+    robot.opening("tcp://10.0.0.7:4000");
 }
