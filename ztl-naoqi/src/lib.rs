@@ -3,6 +3,17 @@
 //! [`Session`] is a state machine without I/O; [`Client`] runs one on a thread. What a robot, or another process in
 //! its place, can take is bounded by [`Limits`].
 //!
+//! | a call ends as | what has happened |
+//! |---|---|
+//! | `Ok` | the method has returned |
+//! | [`CallError::NotSent`], [`CallError::Arguments`] | nothing |
+//! | [`CallError::Failed`] | the method has failed, with the exception's text |
+//! | [`CallError::Canceled`] | it was cancelled, or not sent yet |
+//! | [`CallError::Unknown`] | the service, its process or the robot was lost while the call was under way |
+//! | [`CallError::Unreadable`] | the method has returned something that cannot be read |
+//!
+//! A robot that encrypts its connections (`tcps://`) cannot be reached yet.
+//!
 //! ```no_run
 //! use std::time::Duration;
 //! use ztl_naoqi::{Call, Client, Endpoint, Limits, Options, Value};
