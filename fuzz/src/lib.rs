@@ -12,6 +12,7 @@ pub mod goal;
 pub mod link;
 pub mod link_ends;
 pub mod message;
+pub mod naoqi;
 pub mod pickle;
 pub mod recording;
 mod script;

@@ -197,6 +197,22 @@ pub(crate) fn environment(
     Ok(python)
 }
 
+/// Installs libqi, the messaging library of NAOqi, as a Python package, unless `ZTL_NAOQI` names a Python that has it.
+pub(crate) fn naoqi(project: &Project) -> Result<()> {
+    const PACKAGE: &str = "qi==3.1.5";
+    if let Some(python) = env::var_os("ZTL_NAOQI") {
+        let import = ["-c", "import qi"];
+        return Ok(cmd!(project.sh, "{python} {import...}").run()?);
+    }
+    let installed = environment(project, "naoqi", &[PACKAGE], "qi");
+    installed.map(drop).with_context(|| {
+        format!(
+            "PyPI has {PACKAGE} for Python 3.7 to 3.12 on x86-64. Debian 11 and 12 have such a Python, Debian 13 has not: \
+             there, install one, and name it in ZTL_NAOQI once it has the package"
+        )
+    })
+}
+
 /// Installs the original ZTL package, with every package in the listed version, and its own tests, which only the
 /// source archive has. Returns its Python.
 pub(crate) fn python(project: &Project) -> Result<PathBuf> {

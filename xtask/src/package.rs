@@ -9,8 +9,8 @@ use crate::project::{PACKAGE, Project};
 
 /// In an order in which they can be published.
 #[rustfmt::skip]
-const CRATES: [&str; 14] = [
-    "ztl-core", "ztl-zmtp", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-pickle", "ztl-std", "ztl-script", "ztl-record", "ztl-ros1", "ztl-serve", "ztl-sim", "ztl-web", "ztl",
+const CRATES: [&str; 15] = [
+    "ztl-core", "ztl-zmtp", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-pickle", "ztl-naoqi", "ztl-std", "ztl-script", "ztl-record", "ztl-ros1", "ztl-serve", "ztl-sim", "ztl-web", "ztl",
 ];
 
 /// The systems besides Linux on which a client may run.

@@ -178,6 +178,7 @@ pub(crate) fn install(project: &Project) -> Result<()> {
     install::emulators(sh)?;
     install::javascript(project)?;
     install::peers(project)?;
+    install::naoqi(project)?;
     cross::add(sh, &package::FOREIGN);
     let boards = firmware::boards(sh)?;
     let boards = boards.iter().map(|board| board.target.as_str());
@@ -248,6 +249,7 @@ fn tests(project: &Project) -> Result<()> {
     install::python(project)?;
     install::javascript(project)?;
     install::peers(project)?;
+    install::naoqi(project)?;
     project.build_programs()?;
     firmware::build_for_qemu(project)?;
     // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its

@@ -1,0 +1,221 @@
+"""A robot's services in libqi itself: names and signatures of NAO, on its own service directory or on another one.
+
+    robot.py directory ENDPOINT SERVICE...
+    robot.py process DIRECTORY SERVICE...
+
+Prints `ready ENDPOINT`, then does what each line of stdin says, and answers with a line.
+"""
+
+import sys
+import threading
+import time
+
+import qi
+
+ANY = qi.Dynamic
+
+
+def said(text):
+    print(text, flush=True)
+
+
+@qi.multiThreaded()
+class ALTextToSpeech:
+    def __init__(self):
+        self.stopped = threading.Event()
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def say(self, text):
+        said("say " + text)
+        if text == "a long story":
+            self.stopped.clear()
+            self.stopped.wait(60)
+            said("silent")
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def stopAll(self):
+        self.stopped.set()
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def setLanguage(self, language):
+        raise RuntimeError("language " + language + " is not installed")
+
+
+@qi.multiThreaded()
+class ALMotion:
+    def __init__(self):
+        self.stiffness = qi.Property("f")
+        self.stiffness.setValue(0.0)
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.List(qi.String), qi.List(qi.Float), qi.List(qi.Float), qi.Bool))
+    def angleInterpolation(self, names, angles, times, absolute):
+        said("angles %s %s %s %s" % (names, angles, times, absolute))
+
+    @qi.bind(returnType=qi.Bool, paramsType=(qi.Float, qi.Float, qi.Float))
+    def moveTo(self, x, y, theta):
+        said("move %s %s %s" % (x, y, theta))
+        return True
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def stopMove(self):
+        said("stopped")
+
+    @qi.bind(returnType=qi.Bool, paramsType=(qi.Int32,))
+    def killTask(self, task):
+        return task == 7
+
+    @qi.bind(returnType=qi.List(qi.Float), paramsType=(ANY, qi.Bool))
+    def getAngles(self, names, sensors):
+        return [0.5] * len(names)
+
+
+@qi.multiThreaded()
+class ALAnimationPlayer:
+    def __init__(self):
+        # A promise that nobody holds is broken.
+        self.promises = []
+
+    def cancelled(self, promise):
+        said("cancelled")
+        promise.setCanceled()
+
+    @qi.bind(paramsType=(qi.String,))
+    def run(self, animation):
+        promise = qi.Promise(self.cancelled)
+        self.promises.append(promise)
+        said("run " + animation)
+        if animation == "short":
+            threading.Timer(0.3, lambda: promise.setValue("over")).start()
+        return promise.future()
+
+
+@qi.multiThreaded()
+class ALLeds:
+    @qi.bind(returnType=qi.String, paramsType=(qi.String, qi.Int32, qi.Float), methodName="fadeRGB")
+    def fade_number(self, group, rgb, duration):
+        return "number %d" % rgb
+
+    @qi.bind(returnType=qi.String, paramsType=(qi.String, qi.String, qi.Float), methodName="fadeRGB")
+    def fade_name(self, group, color, duration):
+        return "name " + color
+
+    @qi.bind(returnType=qi.String, paramsType=qi.AnyArguments)
+    def anything(self, *values):
+        return repr(values)
+
+    @qi.bind(returnType=qi.String, paramsType=(ANY,))
+    def shown(self, value):
+        return repr(value)
+
+    @qi.bind(returnType=ANY, paramsType=(ANY,))
+    def echo(self, value):
+        return value
+
+    @qi.bind(returnType="(sf)<Touch,part,force>", paramsType=())
+    def touch(self):
+        return ("Head", 0.25)
+
+
+class Subscriber:
+    def __init__(self):
+        self.signal = qi.Signal("m")
+
+
+@qi.multiThreaded()
+class ALMemory:
+    def __init__(self):
+        self.subscribers = {}
+        self.changed = qi.Signal("(si)")
+
+    @qi.bind(returnType=qi.Object, paramsType=(qi.String,))
+    def subscriber(self, key):
+        if key not in self.subscribers:
+            self.subscribers[key] = Subscriber()
+        return self.subscribers[key]
+
+    @qi.nobind
+    def raise_event(self, key, value):
+        self.subscribers[key].signal(value)
+
+
+class Odd:
+    """Values of a type that cannot be sent."""
+
+    @qi.bind(returnType="X", paramsType=())
+    def gives(self):
+        return 1
+
+    @qi.bind(returnType=qi.Void, paramsType=("X",))
+    def takes(self, value):
+        pass
+
+
+class Other:
+    """Any other service."""
+
+    def name(self):
+        return "other"
+
+
+KINDS = {kind.__name__: kind for kind in (ALTextToSpeech, ALMotion, ALAnimationPlayer, ALLeds, ALMemory, Odd)}
+
+
+class Robot:
+    def __init__(self, session):
+        self.session = session
+        self.services = {}
+
+    def register(self, name):
+        service = KINDS.get(name, Other)()
+        number = self.session.registerService(name, service)
+        self.services[name] = (number, service)
+
+    def do(self, words):
+        command, rest = words[0], words[1:]
+        if command == "register":
+            for name in rest:
+                self.register(name)
+        elif command == "many":
+            for number in range(int(rest[0])):
+                self.register("Service%03d" % number)
+        elif command == "unregister":
+            self.session.unregisterService(self.services.pop(rest[0])[0])
+        elif command == "raise":
+            self.services["ALMemory"][1].raise_event(rest[0], eval(" ".join(rest[1:])))
+        elif command == "flood":
+            for number in range(int(rest[0])):
+                self.services["ALMemory"][1].changed("flood", number)
+        elif command == "stiffness":
+            said("stiffness %s" % self.services["ALMotion"][1].stiffness.value())
+        elif command == "time":
+            # How long calls of libqi itself take, in microseconds, sorted.
+            other = qi.Session()
+            other.connect(self.session.endpoints()[0])
+            leds = other.service("ALLeds")
+            times = []
+            for _ in range(int(rest[0])):
+                start = time.perf_counter()
+                leds.fadeRGB("FaceLeds", 255, 0.5)
+                times.append(time.perf_counter() - start)
+            said("p50 %d" % (sorted(times)[len(times) // 2] * 1e6))
+            other.close()
+        said("done " + command)
+
+
+def main():
+    mode, endpoint, names = sys.argv[1], sys.argv[2], sys.argv[3:]
+    session = qi.Session()
+    if mode == "directory":
+        session.listenStandalone(endpoint)
+    else:
+        session.connect(endpoint)
+        session.listen("tcp://127.0.0.1:0")
+    robot = Robot(session)
+    for name in names:
+        robot.register(name)
+    said("ready %s" % session.endpoints()[0])
+    for line in sys.stdin:
+        robot.do(line.split())
+
+
+main()
