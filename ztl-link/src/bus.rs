@@ -1,7 +1,7 @@
 //! The gateway's end of a shared, half-duplex line, without I/O: it decides which node is asked next.
 //!
 //! A node speaks only when it is asked, and answers with one frame. So the bus delays the frames of its nodes' sessions,
-//! and may lose them like any other line, but needs no rule of its own for tasks. See `docs/link.md`, section 13.
+//! and may lose them like any other line, but needs no rule of its own for tasks. See `docs/link.md`, section 15.
 
 mod member;
 mod search;

@@ -1,4 +1,4 @@
-//! What the device does itself (`docs/link.md`, 13): tasks that its firmware has started, and events.
+//! What the device does itself (`docs/link.md`, section 14): tasks that its firmware has started, and events.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::send::frame_bytes;
 use crate::state::Session;
 use crate::task::{Stage, Task};
 
-/// Pause before the device is asked again about a task [13.5].
+/// Pause before the device is asked again about a task [14.5].
 const ASK_PAUSE: Duration = Duration::from_millis(100);
 /// Most tasks of a device itself that have not ended. A device holds at most 255 tasks.
 const MOST: usize = 255;
@@ -20,7 +20,7 @@ const MOST: usize = 255;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Own {
     begun: Option<BegunTask>,
-    /// The boot of the device, and the latest of its tasks that was taken up [13.4].
+    /// The boot of the device, and the latest of its tasks that was taken up [14.4].
     latest: Option<(u32, LinkId)>,
     /// Number of the latest event since the boot.
     event: u32,
@@ -158,7 +158,7 @@ impl<J: SessionJournal> Session<J> {
         }
     }
 
-    /// Asks the device about its own tasks that were not heard of for a while [13.5].
+    /// Asks the device about its own tasks that were not heard of for a while [14.5].
     pub(crate) fn ask_about_own(&mut self, now: Instant) {
         if !self.answers() {
             return;

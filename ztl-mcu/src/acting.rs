@@ -1,4 +1,4 @@
-//! What a node's firmware does by itself: it starts tasks and reports events (`docs/link.md`, 13).
+//! What a node's firmware does by itself: it starts tasks and reports events (`docs/link.md`, section 14).
 
 use heapless::{String, Vec};
 use ztl_core::Instant;

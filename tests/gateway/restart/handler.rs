@@ -42,6 +42,7 @@ fn task(number: u32, state: State, ended: Option<u64>) -> RestoredTask {
         state,
         text: format!("of {number}"),
         ended: ended.map(Duration::from_secs),
+        by_device: false,
     }
 }
 

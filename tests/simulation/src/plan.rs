@@ -50,6 +50,15 @@ pub enum What {
         /// The task.
         task: usize,
     },
+    /// A button of the device starts a task, and an event is reported.
+    Press {
+        /// The device.
+        device: usize,
+        /// The motor.
+        motor: usize,
+        /// Duration of the task.
+        millis: u64,
+    },
     /// The device is reset.
     Reset(usize),
     /// The line is closed, loses all bytes on it, and is opened again after this time.
@@ -120,7 +129,7 @@ impl Plan {
         for _ in 0..6 + dice.below(20) {
             at += Duration::from_millis(dice.below(700));
             let what = what(&mut dice, devices.len(), clients, journal, asked);
-            asked += usize::from(matches!(what, What::Ask { .. }));
+            asked += usize::from(matches!(what, What::Ask { .. } | What::Press { .. }));
             happenings.push(Happening { at, what });
         }
         // Sometimes a session has had nearly all its commands when the first happening begins.
@@ -160,7 +169,7 @@ fn what(dice: &mut Dice, devices: usize, clients: usize, journal: bool, asked: u
     let device = dice.below(devices as u64) as usize;
     let way = [Way::Down, Way::Up][dice.below(2) as usize];
     let time = |dice: &mut Dice, most| Duration::from_millis(dice.below(most));
-    match dice.below(24) {
+    match dice.below(27) {
         0..=7 => What::Ask {
             client,
             device,
@@ -186,6 +195,11 @@ fn what(dice: &mut Dice, devices: usize, clients: usize, journal: bool, asked: u
             What::Noise(device, way, faults, time(dice, 6000))
         }
         20 | 21 => What::Kill(dice.below(25) as usize, time(dice, 1500)),
+        24..=26 => What::Press {
+            device,
+            motor: dice.below(2) as usize,
+            millis: [0, 30, 400, 1500, 4000][dice.below(5) as usize] + dice.below(60),
+        },
         22 if journal => What::Full(time(dice, 2000)),
         _ => What::Deaf(time(dice, 2500)),
     }

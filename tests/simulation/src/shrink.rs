@@ -77,7 +77,7 @@ fn time_of(what: &mut What) -> Option<&mut Duration> {
         | What::Kill(_, time)
         | What::Full(time)
         | What::Deaf(time) => Some(time),
-        What::Ask { .. } | What::Abort { .. } | What::Reset(_) => None,
+        What::Ask { .. } | What::Abort { .. } | What::Press { .. } | What::Reset(_) => None,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Messages that only shared lines have: who may speak, and who is there (`docs/link.md` section 13).
+//! Messages that only shared lines have: who may speak, and who is there (`docs/link.md` section 15).
 //!
 //! All are checked under [`NO_SESSION`](super::NO_SESSION) and have no sequence number. A node that is alone on its line
 //! needs none of this.

@@ -10,7 +10,7 @@ pub struct LinkId(pub u32);
 const LOCAL: u32 = 1 << 31;
 
 impl LinkId {
-    /// The id of the `count`th task that a node starts itself since its boot (`docs/link.md` [13.1]).
+    /// The id of the `count`th task that a node starts itself since its boot (`docs/link.md` [14.1]).
     #[must_use]
     pub const fn local(count: u32) -> Self {
         Self(LOCAL | count)

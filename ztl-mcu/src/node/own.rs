@@ -1,4 +1,4 @@
-//! Tasks that the firmware starts itself, and its events (`docs/link.md`, 13).
+//! Tasks that the firmware starts itself, and its events (`docs/link.md`, section 14).
 
 use core::time::Duration;
 

@@ -8,13 +8,13 @@ use ztl_core::Instant;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 use ztl_core::time::earliest;
 use ztl_mcu::describe::Described;
-use ztl_mcu::{Identity, Node};
+use ztl_mcu::{Acting, Identity, Node, Reason};
 use ztl_sim::line::{Faults, FaultyLine};
 
 use super::motor::{Motor, Shared, Truth};
 use crate::plan::{MotorPlan, Way};
 
-type SmallNode = Node<'static, Described<[Motor; 2]>, 4, 160>;
+type SmallNode = Node<'static, Acting<Described<[Motor; 2]>>, 4, 160>;
 
 /// Bytes are transferred in pieces of about this duration.
 const BURST: Duration = Duration::from_millis(1);
@@ -92,6 +92,25 @@ impl Device {
                 self.up.handle_bytes(now, &buffer[..count]);
             }
         }
+    }
+
+    /// A button starts a task, and an event is reported, for which there may be no room.
+    pub(super) fn press(
+        &mut self,
+        now: Instant,
+        motor: u8,
+        task: usize,
+        millis: u64,
+    ) -> Result<(), Reason> {
+        let clock = self.clock(now);
+        self.node.report_event(clock, &format!("event {task}"));
+        let goal = format!("{task} {millis}");
+        self.node.start_here(clock, motor, &goal).map(drop)
+    }
+
+    /// Whether it was reset.
+    pub(super) const fn was_reset(&self) -> bool {
+        self.boots > 1
     }
 
     /// Bytes that have arrived at the gateway.
@@ -207,6 +226,6 @@ fn node(number: usize, motors: [MotorPlan; 2], boot: u32, truth: &Shared) -> Sma
         ends: None,
         safe_at: None,
     };
-    let components = Described([motor(0), motor(1)]);
+    let components = Acting::new(Described([motor(0), motor(1)]));
     Node::new(Identity::new("lab", "1", boot), components)
 }

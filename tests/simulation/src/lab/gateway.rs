@@ -56,7 +56,7 @@ pub(super) type Letter = (Envelope, Vec<u8>);
 
 /// A running gateway.
 pub(super) struct Gateway {
-    dispatcher: Dispatcher<Room>,
+    pub(super) dispatcher: Dispatcher<Room>,
     pub(super) sessions: Vec<LabSession>,
     /// The reply to the INIT of each pending task.
     replies: HashMap<TaskId, String>,
@@ -64,6 +64,8 @@ pub(super) struct Gateway {
     pub(super) out: Vec<Letter>,
     /// Events of the sessions with their device, for the trace and the checks.
     pub(super) told: Vec<(usize, LinkEvent)>,
+    /// Tasks of devices that were taken up, with their goals.
+    pub(super) taken: Vec<(TaskId, String)>,
 }
 
 impl Gateway {
@@ -93,6 +95,7 @@ impl Gateway {
             replies: HashMap::new(),
             out: Vec::new(),
             told: Vec::new(),
+            taken: Vec::new(),
         };
         for task in ended {
             gateway.restore(now, task.id, task.state, &task.text);
@@ -173,6 +176,9 @@ impl Gateway {
         for device in 0..self.sessions.len() {
             self.sessions[device].handle_timeout(now);
             while let Some(event) = self.sessions[device].poll_event() {
+                if event == LinkEvent::Begun {
+                    self.take_up(now, device);
+                }
                 self.on_event(now, &event);
                 self.told.push((device, event));
             }

@@ -25,6 +25,11 @@ impl Lab {
                     self.people[client].abort(task, id);
                 }
             }
+            What::Press {
+                device,
+                motor,
+                millis,
+            } => self.press(device, motor, millis),
             What::Reset(device) => self.devices[device].reset(now),
             What::Unplug(device, time) => {
                 self.devices[device].unplug();

@@ -9,21 +9,25 @@ use super::summary::Summary;
 
 /// What clients know about each task.
 pub(super) struct Books {
-    journal: bool,
-    tasks: Vec<Book>,
+    pub(super) journal: bool,
+    pub(super) tasks: Vec<Book>,
     /// The final states that gateways reported, by task id.
-    decided: Vec<(TaskId, State, String)>,
+    pub(super) decided: Vec<(TaskId, State, String)>,
+    /// The events that devices have reported.
+    pub(super) reported: Vec<String>,
     /// Whether a gateway was killed. Otherwise every client can learn the outcome of its INIT.
-    killed: bool,
+    pub(super) killed: bool,
 }
 
-struct Book {
+pub(super) struct Book {
     client: usize,
     /// Of which motor, by device.
-    motor: (usize, usize),
+    pub(super) motor: (usize, usize),
     known: Known,
     /// The id that it had.
-    id: Option<TaskId>,
+    pub(super) id: Option<TaskId>,
+    /// Whether the device has started it.
+    pub(super) own: bool,
 }
 
 impl Books {
@@ -32,6 +36,7 @@ impl Books {
             journal,
             tasks: Vec::new(),
             decided: Vec::new(),
+            reported: Vec::new(),
             killed: false,
         }
     }
@@ -42,8 +47,16 @@ impl Books {
             motor,
             known: Known::Asked,
             id: None,
+            own: false,
         });
         self.tasks.len() - 1
+    }
+
+    /// A device starts a task itself. A client that aborts it later knows of it.
+    pub(super) fn press(&mut self, motor: (usize, usize)) -> usize {
+        let task = self.ask(0, motor);
+        self.tasks[task].own = true;
+        task
     }
 
     pub(super) fn id(&self, task: usize) -> Option<TaskId> {
@@ -185,6 +198,7 @@ impl Books {
         for (task, book) in self.tasks.iter().enumerate() {
             let execution = truth.tasks.get(task).copied().unwrap_or_default();
             match &book.known {
+                Known::Asked if book.own => {}
                 Known::Asked => return Err(format!("task {task}: its INIT is never answered")),
                 Known::Open(_) => return Err(format!("promise 2: task {task} never ends")),
                 Known::Never(why) if execution.begun > 0 => {

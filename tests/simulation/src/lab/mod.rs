@@ -7,6 +7,7 @@ mod gateway;
 mod happen;
 mod judge;
 mod motor;
+mod own;
 mod summary;
 
 use std::cell::RefCell;
@@ -127,6 +128,8 @@ impl Lab {
         self.ask_again();
         self.pass_until(self.now + Duration::from_secs(4))?;
         self.books.settled(&self.truth.borrow())?;
+        let reset: Vec<bool> = self.devices.iter().map(Device::was_reset).collect();
+        self.books.own_settled(&self.truth.borrow(), &reset)?;
         self.judge_descriptions()?;
         self.serve()?;
         Ok(self.books.summary(&self.truth.borrow()))
@@ -227,7 +230,12 @@ impl Lab {
         self.carry_requests();
         if let Some(gateway) = &mut self.gateway {
             gateway.handle_timeout(self.now);
+            let taken = std::mem::take(&mut gateway.taken);
+            for (id, goal) in &taken {
+                self.books.on_taken(*id, goal)?;
+            }
             for (device, event) in std::mem::take(&mut gateway.told) {
+                self.books.on_reported(&event)?;
                 self.note(|| format!("gateway, {}: {event:?}", name(device)));
                 self.books.on_event(&event, &self.truth.borrow())?;
             }

@@ -71,6 +71,8 @@ impl LinkModel {
         if !client.own.own || client.told == Told::Rejected {
             return false;
         }
+        // An abort that its gateway has not sent is lost with it.
+        client.aborted = false;
         if !is_kept {
             // It is taken up anew.
             client.told = Told::Nothing;
