@@ -40,12 +40,13 @@ use ztl_mcu::describe::{DescribeAll, Described};
 use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
+use ztl_mcu::parameters::{SaveError, Storage, Text, TuneAll, Tuned};
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LatestReading, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
     Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
-    parse_goal,
+    parameters, parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
@@ -79,6 +80,9 @@ extern "C" fn main() -> ! {
     let mut long_framed =
         Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), SLOT.component()));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
+    let tuned = Tuned::new(ready_parts()).with_firmware(Settings::default());
+    let tuned = Described(tuned.load::<_, 5>(Eeprom));
+    let mut ready_node = Node::<_, 2, 128>::new(identity(), tuned);
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
     let mut ask = Connection::<Req, _>::new([0; 300]);
@@ -386,8 +390,38 @@ fn run_client(client: &mut Client, input: &[u8], text: &str) {
     ));
 }
 
+parameters! {
+    /// One of each kind.
+    struct Settings {
+        on: bool = Parameter::<bool>::new(false);
+        number: u32 = Parameter::<u32>::new(1).range(1, 9);
+        whole: i32 = Parameter::<i32>::new(-1);
+        gain: f32 = Parameter::<f32>::new(1.0).range(0.0, 10.0).unit("1/s").about("of the loop");
+        label: Text<16> = Parameter::<Text<16>>::new("node");
+    }
+}
+
+/// Stores and returns anything.
+struct Eeprom;
+
+impl Storage for Eeprom {
+    fn read(&mut self, key: u64, buffer: &mut [u8]) -> Result<Option<usize>, SaveError> {
+        black_box(key);
+        buffer.fill_with(receive);
+        Ok(black_box(Some(buffer.len())))
+    }
+
+    fn write(&mut self, key: u64, bytes: &[u8]) -> Result<(), SaveError> {
+        black_box((key, bytes));
+        match any() {
+            0 => Err(SaveError::Failed),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The ready components, with arbitrary settings. A check requires every one of them here.
-fn ready_parts() -> impl Components + DescribeAll {
+fn ready_parts() -> impl Components + DescribeAll + TuneAll {
     let slide = black_box(StepperConfig::DEFAULT);
     let motor = StepMotor::new(AnyPin, AnyPin, &slide)
         .with_enable(AnyPin)
