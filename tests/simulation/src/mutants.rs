@@ -39,8 +39,8 @@ const NEXT: (&str, &str, &str) = (
 );
 const HIGHEST: (&str, &str, &str) = (
     COMMANDS,
-    "if task <= self.highest {",
-    "if task <= self.highest && !ON {",
+    "if task <= self.highest ||",
+    "if task <= self.highest && !ON ||",
 );
 
 /// All mutants.
