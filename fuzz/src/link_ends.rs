@@ -12,6 +12,8 @@
 //! | `s` | session only: a client starts a task; `a` aborts the task with this id |
 //! | `p` | session only: a client asks about parameters: 0 saves them, an even number reads, an odd one sets one |
 //! | `o`, `c` | session only: the line is opened or closed |
+//! | `l` | node only: a frame of the current session that is not a command: length of the body, body |
+//! | `p`, `e` | node only: the firmware starts a task itself, or reports an event |
 //! | any other | ignored |
 //!
 //! For a node, sequence number 0 of an `f` frame stands for the next one.
@@ -25,7 +27,7 @@ use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, 
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::describe::{About, Describe, Described, Goal};
 use ztl_mcu::parameters::{Declaration, Parameter, Tunable, Tuned, Value};
-use ztl_mcu::{Component, Identity, Node, Refused, Report, Run, description};
+use ztl_mcu::{Acting, Component, Identity, Node, Refused, Report, Run, description};
 
 use ztl_link::{LinkEvent, ParameterRequest, ParameterValue, Session};
 
@@ -129,7 +131,7 @@ impl Component for Motor {
     }
 }
 
-type SmallNode = Node<'static, Described<Tuned<[Motor; 1]>>, 3, 128>;
+type SmallNode = Node<'static, Acting<Described<Tuned<[Motor; 1]>>>, 3, 128>;
 
 fn new_node(boot: u32) -> SmallNode {
     let motor = Motor {
@@ -138,7 +140,7 @@ fn new_node(boot: u32) -> SmallNode {
         gain: 7,
         reversed: false,
     };
-    let components = Described(Tuned::new([motor]));
+    let components = Acting::new(Described(Tuned::new([motor])));
     Node::new(Identity::new("gripper", "1.0.0", boot), components)
 }
 
@@ -251,6 +253,15 @@ pub fn node(input: &[u8]) {
                 now = now + Duration::from_millis(16) * u32::from(steps.byte().unwrap_or(0));
                 Vec::new()
             }
+            b'l' => framed(session_key(hello, BOOT), 0, steps.bytes()),
+            b'p' => {
+                let _ = node.start_here(now, 0, "40");
+                Vec::new()
+            }
+            b'e' => {
+                node.report_event(now, "pressed");
+                Vec::new()
+            }
             _ => Vec::new(),
         };
         hellos.on_bytes(&bytes);
@@ -263,7 +274,12 @@ pub fn node(input: &[u8]) {
     hellos.skip_used();
     let mut session = Session::new(7, None, number);
     session.handle_connected(now);
-    let mut ends = Ends { now, session, node };
+    let mut ends = Ends {
+        now,
+        session,
+        node,
+        taken: 0,
+    };
     ends.serve();
 }
 
@@ -273,7 +289,7 @@ pub fn session(input: &[u8]) {
     let mut now = Instant::ZERO;
     let mut session = Session::new(7, None, number);
     let mut told = Told::default();
-    let (mut boot, mut last) = (BOOT, 0);
+    let (mut boot, mut last, mut taken) = (BOOT, 0, 0);
     let mut steps = Steps {
         rest: input,
         left: MOST_STEPS,
@@ -324,6 +340,9 @@ pub fn session(input: &[u8]) {
         session.handle_timeout(now);
         let _ = session.poll_transmit();
         while let Some(event) = session.poll_event() {
+            if let Some(id) = take_up(&mut session, now, &event, &mut taken) {
+                told.tasks.insert(id, None);
+            }
             told.on_event(&event);
         }
         // Room for 255 descriptions of 1 KiB each, and 50 tasks.
@@ -335,6 +354,7 @@ pub fn session(input: &[u8]) {
         now,
         session,
         node: new_node(boot.wrapping_add(1)),
+        taken: 100_000,
     };
     for event in ends.serve() {
         told.on_event(&event);
@@ -347,6 +367,21 @@ pub fn session(input: &[u8]) {
         told.answered, all,
         "each request about parameters is answered"
     );
+}
+
+/// Takes up a task that the device has begun. Returns its id.
+fn take_up(
+    session: &mut Session,
+    now: Instant,
+    event: &LinkEvent,
+    taken: &mut u32,
+) -> Option<TaskId> {
+    if *event != LinkEvent::Begun {
+        return None;
+    }
+    *taken += 1;
+    let id = TaskId::new(10_000 + *taken).expect("not 0");
+    session.take_up(now, id).then_some(id)
 }
 
 /// What was told.
@@ -395,6 +430,8 @@ struct Ends {
     now: Instant,
     session: Session,
     node: SmallNode,
+    /// Number of tasks of the device that were taken up, by any session.
+    taken: u32,
 }
 
 impl Ends {
@@ -436,7 +473,10 @@ impl Ends {
                 let up = sent_by(&mut self.node, self.now);
                 self.session.handle_bytes(self.now, &up);
                 self.session.handle_timeout(self.now);
-                events.extend(core::iter::from_fn(|| self.session.poll_event()));
+                while let Some(event) = self.session.poll_event() {
+                    take_up(&mut self.session, self.now, &event, &mut self.taken);
+                    events.push(event);
+                }
             }
             let node = self.node.poll_timeout(self.now);
             let wake = self.session.poll_timeout().map_or(node, |at| at.min(node));

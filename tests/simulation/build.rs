@@ -62,7 +62,7 @@ fn main() -> io::Result<()> {
     }
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
-         mod acting;\nmod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\n\
+         mod acting;\npub mod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\n\
          pub use acting::{{Acting, OwnWork}};\n\
          pub use component::{{Component, Components, LongResults, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\

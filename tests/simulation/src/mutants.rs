@@ -39,8 +39,8 @@ const NEXT: (&str, &str, &str) = (
 );
 const HIGHEST: (&str, &str, &str) = (
     COMMANDS,
-    "if task <= self.highest {",
-    "if task <= self.highest && !ON {",
+    "if task <= self.highest ||",
+    "if task <= self.highest && !ON ||",
 );
 
 /// All mutants.
@@ -390,7 +390,7 @@ pub const MUTANTS: &[Mutant] = &[
             "None if task.is_local() && !self.was_taken_up(task) && !ON => return,",
         )],
         caught_in: ("jog", 1),
-        complaint: "promise 7",
+        complaint: "promise 2",
     },
     Mutant {
         name: "the gateway misses tasks of the device in the list of a Welcome",

@@ -223,7 +223,7 @@ impl LinkModel {
                 };
             } else if !kept {
                 client.forgotten = true;
-            } else if open.iter().all(|task| task.id != id) {
+            } else if !client.own.own && open.iter().all(|task| task.id != id) {
                 // It was never sent and never will be.
                 client.told = Told::Rejected;
             }
