@@ -242,7 +242,7 @@ fn tasks_of_a_line_with_faults_have_one_id_and_one_end() {
             if dice.below(6) == 0 {
                 lab.restart(&mut dice);
             }
-            lab.pass(Duration::from_millis(dice.below(500).into()));
+            lab.pass(Duration::from_millis(dice.below(500)));
         }
         lab.up.set_faults(Faults::default());
         lab.down.set_faults(Faults::default());

@@ -128,6 +128,10 @@ impl<C: Component> Component for Recorded<C> {
         self.component.next_tick()
     }
 
+    fn result(&self) -> &str {
+        self.component.result()
+    }
+
     fn poll_reading(&mut self, now: Instant, buffer: &mut [u8]) -> Option<Reading> {
         self.component.poll_reading(now, buffer)
     }

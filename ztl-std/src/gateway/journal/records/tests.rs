@@ -511,3 +511,52 @@ fn no_bytes_make_the_reader_panic() {
         }
     }
 }
+
+/// A task that a device has started itself.
+fn own_task(number: u32, link: u32) -> Entry<'static> {
+    let sent = task(number).sent.map(|sent| Sent {
+        link: LinkId::local(link),
+        ..sent
+    });
+    Entry {
+        sent,
+        ..task(number)
+    }
+}
+
+#[test]
+fn the_last_task_that_a_device_has_started_is_never_forgotten() {
+    let mut log = fresh();
+    assert_eq!(log.latest_own("gripper"), None);
+    for (number, link) in [(101, 1), (102, 2)] {
+        let task = own_task(number, link);
+        log.starting(at(1), "gripper", None, &task).unwrap();
+        let end = (State::Completed, "40.0");
+        log.ended_as(at(2), "gripper", &task, end).unwrap();
+    }
+    log.start(at(3), 103).unwrap();
+    let late = at(3 + 10 * KEEP.as_secs());
+    log.forget(late);
+    assert_eq!(
+        log.tasks.len(),
+        2,
+        "the unended one, and the last of the device"
+    );
+    assert!(
+        log.ended(late).is_empty(),
+        "clients know nothing of it any more"
+    );
+    log.rotate(late).unwrap();
+    let log = restarted(&log);
+    assert_eq!(log.latest_own("gripper"), Some((81501, LinkId::local(2))));
+    assert_eq!(log.latest_own("head"), None);
+}
+
+#[test]
+fn a_task_that_a_device_has_started_runs_after_a_restart() {
+    let mut log = fresh();
+    log.starting(at(1), "gripper", None, &own_task(101, 1))
+        .unwrap();
+    let unended = restarted(&log).unended();
+    assert_eq!(unended[0].1.sent.link, LinkId::local(1));
+}
