@@ -242,7 +242,8 @@ impl Engine {
 
     /// Finds out why no action server is there.
     fn explain(&mut self, now: Instant, name: &Arc<str>, key: GoalKey) {
-        let own = [self.name[..].into()];
+        // Of all topics, as a subscriber this node would be among the actions itself.
+        let params = [self.name[..].into(), "".into()];
         let name = Arc::clone(name);
         let then = move |engine: &mut Self, now: Instant, answer: Result<Value, CallError>| {
             let text = engine.reason(&name, answer);
@@ -251,7 +252,14 @@ impl Engine {
             });
         };
         let master = self.master.clone();
-        self.rpc(now, &master, "getTopicTypes", &own, EXPLAIN, Box::new(then));
+        self.rpc(
+            now,
+            &master,
+            "getPublishedTopics",
+            &params,
+            EXPLAIN,
+            Box::new(then),
+        );
     }
 
     fn reason(&self, name: &Arc<str>, types: Result<Value, CallError>) -> String {
