@@ -1,6 +1,6 @@
 //! XML-RPC, the language of ROS 1's master and of the control of its nodes.
 //!
-//! Reading is bounded: values nest [`DEPTH`] levels at most, and no input panics. The length is limited by HTTP.
+//! Reading is bounded: values nest 64 levels at most, and no input panics. The length is limited by HTTP.
 
 mod read;
 mod write;
