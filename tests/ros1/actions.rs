@@ -116,6 +116,8 @@ fn a_wrong_name_is_answered_within_two_seconds_with_those_that_exist() {
         end.text
     );
     assert!(end.text.contains(&there), "{}", end.text);
+    assert!(!end.text.contains("/wrong ("), "{}", end.text);
+    assert!(!node.survey().unwrap().actions.contains_key("/wrong"));
 }
 
 #[test]
@@ -204,6 +206,22 @@ fn a_server_that_was_stopped_for_a_while_loses_no_goal() {
     robot.signal("CONT");
     robot.write_line("finish");
     running.ends(EndState::Succeeded, "told", Some(7));
+}
+
+#[test]
+fn a_goal_of_unknown_outcome_is_cancelled_when_its_server_is_back() {
+    let master = Master::shared();
+    let name = unique("hung");
+    let robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let running = Running::send(&action, 4);
+    running.accepted();
+    robot.signal("STOP");
+    let text = format!("the action server /{name} is silent");
+    running.ends(EndState::Unknown, &text, None);
+    robot.signal("CONT");
+    robot.wait_for("cancel ");
 }
 
 #[test]
