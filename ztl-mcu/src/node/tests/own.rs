@@ -395,3 +395,19 @@ fn other_components_report_at_most_48_bytes_and_wait_for_nothing() {
         },
     );
 }
+
+#[test]
+fn an_old_gateway_acknowledges_ends_and_notes_nothing() {
+    with_acting(|desk, _| {
+        desk.hello(5, 1);
+        for seq in 1..20 {
+            desk.command(seq, Body::Ping);
+            let id = desk.start_here(0, "0").unwrap();
+            let heard = desk.pass(0);
+            let ended = format!("Ended {id} COMPLETED moving");
+            assert!(heard.contains(&ended), "{heard:?}");
+            desk.loose(Body::Ack { task: LinkId(id) });
+            assert_eq!(desk.pass(100), [""; 0]);
+        }
+    });
+}
