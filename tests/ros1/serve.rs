@@ -281,9 +281,40 @@ fn topics_are_published_as_streams() {
 }
 
 #[test]
+fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
+    let mut master = Master::start();
+    let _action = master.action("arm", "move");
+    let _lost = master.robot_at("no-such-host.invalid", &["topics", "lost"]);
+    let uri = format!("http://127.0.0.1:{}", master.port);
+    let doctor = || {
+        let mut command = ztl();
+        command.env("ROS_HOSTNAME", "127.0.0.1");
+        Process::run(command.args(["doctor", "--ros1", &uri]))
+    };
+    let ended = doctor();
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    for part in [
+        &format!("master {uri}: 2 nodes"),
+        "ok    ros1       action /move (actionlib/TestAction)\n",
+        "ok    ros1       the clock of /move is ",
+        "WRONG ros1       node /lost at http://no-such-host.invalid",
+        "start it with ROS_HOSTNAME or ROS_IP",
+    ] {
+        assert!(ended.stdout.contains(part), "{part}: {}", ended.stdout);
+    }
+    master.kill();
+    let ended = doctor();
+    let part = format!("WRONG ros1       no answer from the master {uri}: ");
+    assert!(ended.stdout.contains(&part), "{}", ended.stdout);
+}
+
+#[test]
 fn the_examples_are_valid_without_the_robots_files() {
     let directory = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/serve/ros1");
-    let mut names: Vec<_> = std::fs::read_dir(directory).expect("examples").flatten().collect();
+    let mut names: Vec<_> = std::fs::read_dir(directory)
+        .expect("examples")
+        .flatten()
+        .collect();
     names.sort_by_key(std::fs::DirEntry::path);
     assert_eq!(names.len(), 3);
     for file in names {
