@@ -281,6 +281,45 @@ fn topics_are_published_as_streams() {
 }
 
 #[test]
+fn a_check_warns_of_names_that_the_robot_does_not_have() {
+    let master = Master::shared();
+    let name = unique("checked");
+    let _action = master.action(&name, &name);
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.yaml");
+    let text = format!(
+        "ros1: {{master: 'http://127.0.0.1:{}'}}
+scopes: {{/test: {{p: {{
+    right: {{ros1-action: /{name}, type: actionlib/TestAction}},
+    typo: {{ros1-action: /{name}x, type: actionlib/TestAction}},
+    other: {{ros1-action: /{name}, type: actionlib/TwoIntsAction}},
+    dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}}}}}}}}",
+        master.port
+    );
+    std::fs::write(&path, text).expect("to write");
+    let mut command = ztl();
+    let ended = Process::run(command.arg("serve").arg(&path).args(["--check", "-p", "0"]));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    for part in [
+        format!(
+            "robot.yaml:4:25: warning: the master knows no action /{name}x; did you mean '/{name}'?"
+        ),
+        format!(
+            "robot.yaml:5:26: warning: action /{name} is of the type actionlib/TestAction, not actionlib/TwoIntsAction; write type: actionlib/TestAction"
+        ),
+        "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
+    ] {
+        assert!(ended.stderr.contains(&part), "{part}: {}", ended.stderr);
+    }
+    assert_eq!(
+        ended.stderr.matches("warning: ").count(),
+        3,
+        "{}",
+        ended.stderr
+    );
+}
+
+#[test]
 fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     let mut master = Master::start();
     let _action = master.action("arm", "move");
@@ -317,11 +356,28 @@ fn the_examples_are_valid_without_the_robots_files() {
         .collect();
     names.sort_by_key(std::fs::DirEntry::path);
     assert_eq!(names.len(), 3);
+    let scratch = Scratch::new();
     for file in names {
         let mut command = ztl();
-        command.arg("serve").arg(file.path()).arg("--check");
+        // A port without a master.
+        let text = std::fs::read_to_string(file.path()).expect("an example");
+        let path = scratch.path("robot.yaml");
+        std::fs::write(&path, text.replace("localhost:11311", "localhost:1")).expect("to write");
+        command.arg("serve").arg(&path).arg("--check");
         let ended = Process::run(command.args(["-p", "0", "--publish", "0"]));
         assert_eq!(ended.code, Some(0), "{ended:?}");
-        assert_eq!(ended.stderr, "", "{ended:?}");
+        // All else is right.
+        let warnings: Vec<&str> = ended
+            .stderr
+            .lines()
+            .filter(|line| line.contains("warning: "))
+            .collect();
+        let [warning] = warnings.as_slice() else {
+            panic!("{ended:?}");
+        };
+        assert!(
+            warning.contains("no answer from the master http://localhost:1: "),
+            "{ended:?}"
+        );
     }
 }
