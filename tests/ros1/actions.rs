@@ -116,6 +116,8 @@ fn a_wrong_name_is_answered_within_two_seconds_with_those_that_exist() {
         end.text
     );
     assert!(end.text.contains(&there), "{}", end.text);
+    assert!(!end.text.contains("/wrong ("), "{}", end.text);
+    assert!(!node.survey().unwrap().actions.contains_key("/wrong"));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Robots of ROS 1: a real master, rospy and actionlib against our node.
 
 mod actions;
+mod hostile;
 mod master;
 mod names;
 mod rig;

@@ -49,6 +49,25 @@ fn a_master_that_was_killed_and_restarted_gets_everything_again() {
 }
 
 #[test]
+fn a_master_that_hangs_stops_no_goal() {
+    let master = Master::start();
+    let node = master.node();
+    let action = node.action("/arm", test_action()).unwrap();
+    let _robot = master.action("arm", "/arm");
+    wait("it is connected", || {
+        Running::send(&action, 1).end().state == EndState::Succeeded
+    });
+    master.signal("STOP");
+    let error = node.param("/x").unwrap_err().to_string();
+    assert!(error.starts_with("no answer from "), "{error}");
+    Running::send(&action, 1).ends(EndState::Succeeded, "done", Some(10));
+    master.signal("CONT");
+    wait("it is registered", || {
+        registered(&node, "/arm/goal", node.name()) == 1
+    });
+}
+
+#[test]
 fn a_node_may_start_before_its_master() {
     let mut master = Master::start();
     master.kill();

@@ -26,7 +26,8 @@ impl Master {
     fn start_at(port: u16) -> Self {
         let logs = Scratch::new();
         // The shared one ends with this program, whose end closes the pipe.
-        let script = "rosmaster --core -p $0 & master=$!; read end; kill -9 $master";
+        let script =
+            "rosmaster --core -p $0 & master=$!; echo process $master; read end; kill -9 $master";
         let mut command = Command::new("sh");
         command.args(["-c", script, &port.to_string()]);
         set_environment(&mut command, port, &logs);
@@ -49,6 +50,13 @@ impl Master {
     pub(crate) fn kill(&mut self) {
         self.process.close_stdin();
         self.process.wait_for_end_of_output();
+    }
+
+    /// Sends it a signal, such as `STOP`.
+    pub(crate) fn signal(&self, name: &str) {
+        let line = self.process.wait_for("process ");
+        let process = line.split_once(' ').and_then(|(_, id)| id.parse().ok());
+        ztl_tests::lab::signal(process.expect("its id"), name);
     }
 
     /// Starts a master at the same port.

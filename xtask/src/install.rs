@@ -112,6 +112,15 @@ pub(crate) fn qemu(sh: &Shell) -> Result<()> {
     version(sh, check).map_or_else(|_| install(sh, packages), |_| Ok(()))
 }
 
+/// Installs actionlib for C++ if missing.
+pub(crate) fn actionlib(sh: &Shell) -> Result<()> {
+    let there = "pkg-config --exists actionlib";
+    match succeeds(cmd!(sh, "sh -c {there}")) {
+        true => Ok(()),
+        false => install(sh, "libactionlib-dev"),
+    }
+}
+
 /// Installs emulators for other processors if missing.
 pub(crate) fn emulators(sh: &Shell) -> Result<()> {
     match has(sh, "qemu-i386-static") {

@@ -65,10 +65,11 @@ impl Soak {
     }
 }
 
-/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, and parts of the server comparison.
-pub(crate) const PARTS: [&str; 12] = [
+/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, actions of ROS 1, and parts of the server comparison.
+pub(crate) const PARTS: [&str; 13] = [
     "firmware",
     "web",
+    "ros1",
     "rates",
     "most",
     "cpu",
@@ -86,14 +87,23 @@ pub(crate) const PARTS: [&str; 12] = [
 pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
     let all = parts.is_empty();
     let wanted = |part: &str| all || parts.iter().any(|wanted| wanted == part);
-    let others = |part: &&String| !["firmware", "web"].contains(&part.as_str());
+    let others = |part: &&String| !["firmware", "web", "ros1"].contains(&part.as_str());
     let server: Vec<_> = parts.iter().filter(others).collect();
+    if wanted("ros1") {
+        install::actionlib(&project.sh)?;
+    }
     if all || !server.is_empty() {
         install::python(project)?;
         project.cargo(BUILD).run()?;
         let choice = if all { "" } else { " --bench server --" };
         let bench = project.cargo(&format!("bench --package ztl-tests{choice}"));
         bench.args(server).run()?;
+    }
+    // It is among all benchmarks.
+    if !all && wanted("ros1") {
+        project
+            .cargo("bench --package ztl-tests --bench ros1")
+            .run()?;
     }
     if wanted("web") {
         install::javascript(project)?;

@@ -212,6 +212,16 @@ mod tests {
     }
 
     #[test]
+    fn no_damage_panics() {
+        let bytes = [response("<one/>", false), request("lamp:1", "<two/>")].concat();
+        crate::damage::damage(&bytes, |damaged| {
+            let mut reader = Reader::new(100);
+            reader.handle_bytes(damaged);
+            while let Ok(Some(_)) = reader.poll_message(true) {}
+        });
+    }
+
+    #[test]
     fn a_response_without_a_length_ends_with_its_connection() {
         let mut reader = Reader::new(10);
         reader.handle_bytes(b"HTTP/1.0 200 OK\r\nServer: x\r\n\r\nab");

@@ -3,6 +3,8 @@
 //! The wire rules are parsers and state machines without I/O. One thread for each node moves the bytes.
 
 mod action;
+#[cfg(test)]
+mod damage;
 mod http;
 pub mod message;
 mod node;

@@ -253,7 +253,7 @@ impl Node {
     }
 
     /// Calls a service; `ty` has the name and MD5 sum of its type. The callback gets the encoded response, and is called
-    /// once within `limit`, unless the node stops.
+    /// once within `limit`, a day at most, unless the node stops.
     pub fn call(
         &self,
         service: &str,

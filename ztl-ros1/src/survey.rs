@@ -28,6 +28,7 @@ impl Node {
     /// If the master does not answer.
     pub fn survey(&self) -> Result<Survey, CallError> {
         let topics = pairs(&self.ask_master("getTopicTypes", &[])?);
+        let published = pairs(&self.ask_master("getPublishedTopics", &["".into()])?);
         let state = self.ask_master("getSystemState", &[])?;
         let parts = state.as_array().unwrap_or_default();
         let mut nodes = BTreeMap::new();
@@ -52,7 +53,7 @@ impl Node {
         let services = parts.get(2).and_then(Value::as_array).unwrap_or_default();
         let name = |row: &Value| row.as_array()?.first()?.as_str().map(str::to_owned);
         Ok(Survey {
-            actions: actions(&topics),
+            actions: actions(&published),
             services: services.iter().filter_map(name).collect(),
             topics,
             nodes,
@@ -84,17 +85,13 @@ pub(crate) fn pairs(value: &Value) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// The actions among topics: those with a status of actionlib, and their types.
+/// The actions among published topics: those with a status of actionlib, and their types.
 fn actions(topics: &BTreeMap<String, String>) -> BTreeMap<String, String> {
     let of = |(topic, ty): (&String, &String)| {
         let name = topic
             .strip_suffix("/status")
             .filter(|_| ty == STATUS_TYPE)?;
-        let parts = [
-            ("/goal", "Goal"),
-            ("/result", "Result"),
-            ("/feedback", "Feedback"),
-        ];
+        let parts = [("/result", "Result"), ("/feedback", "Feedback")];
         let types = parts.iter().filter_map(|(part, suffix)| {
             topics.get(&format!("{name}{part}"))?.strip_suffix(suffix)
         });
@@ -106,7 +103,7 @@ fn actions(topics: &BTreeMap<String, String>) -> BTreeMap<String, String> {
     topics.iter().filter_map(of).collect()
 }
 
-/// The actions among topics, as text.
+/// The actions among published topics, as text.
 pub(crate) fn action_names(topics: &BTreeMap<String, String>) -> Vec<String> {
     actions(topics)
         .into_iter()
@@ -123,8 +120,8 @@ mod tests {
         let topics = [
             ("/arm/move/status", STATUS_TYPE),
             (
-                "/arm/move/goal",
-                "control_msgs/FollowJointTrajectoryActionGoal",
+                "/arm/move/result",
+                "control_msgs/FollowJointTrajectoryActionResult",
             ),
             ("/odd/status", STATUS_TYPE),
             ("/battery/status", "std_msgs/String"),

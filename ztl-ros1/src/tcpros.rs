@@ -152,6 +152,19 @@ mod tests {
     }
 
     #[test]
+    fn no_damage_panics() {
+        let header = Header::new([("md5sum", "*"), ("topic", "/lamp")]).encode();
+        crate::damage::damage(&header, |damaged| {
+            let mut frames = Frames::default();
+            frames.handle_bytes(damaged);
+            while let Ok(Some(content)) = frames.poll_frame(100) {
+                let _ = Header::parse(content);
+            }
+            let _ = Header::parse(damaged);
+        });
+    }
+
+    #[test]
     fn malformed_headers_are_refused() {
         for bytes in [
             &b"\x01"[..],

@@ -1,6 +1,6 @@
 //! XML-RPC, the language of ROS 1's master and of the control of its nodes.
 //!
-//! Reading is bounded: values nest [`DEPTH`] levels at most, and no input panics. The length is limited by HTTP.
+//! Reading is bounded: values nest 64 levels at most, and no input panics. The length is limited by HTTP.
 
 mod read;
 mod write;
@@ -162,18 +162,10 @@ mod tests {
     fn no_damage_panics() {
         let text = call("m", &[sample()]);
         let bytes = text.as_bytes();
-        let mut state = 0x2545_F491_u32;
-        for round in 0..20_000 {
-            let mut damaged = bytes.to_vec();
-            for _ in 0..=round % 4 {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let at = state as usize % damaged.len();
-                damaged[at] = (state >> 24) as u8;
-                damaged.truncate(damaged.len() - (state >> 16) as usize % 3);
-            }
-            let _ = parse_call(&damaged);
-            let _ = parse_response(&damaged);
-        }
+        crate::damage::damage(bytes, |damaged| {
+            let _ = parse_call(damaged);
+            let _ = parse_response(damaged);
+        });
         for end in 0..bytes.len() - "</methodCall>".len() {
             assert!(parse_call(&bytes[..end]).is_err(), "{end}");
         }

@@ -317,6 +317,15 @@ impl Machine {
         }
     }
 
+    /// The simulated time stands still, and so do the statuses of servers: the silence does not count.
+    pub(crate) fn handle_pause(&mut self, now: Instant) {
+        for goal in self.goals.values_mut() {
+            if self.links.status.contains(&goal.server) {
+                goal.heard = now;
+            }
+        }
+    }
+
     /// Call this at [`poll_timeout`](Self::poll_timeout), or more often.
     pub(crate) fn handle_timeout(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         self.orphans.retain(|_, orphan| orphan.until > now);

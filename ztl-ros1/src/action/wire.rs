@@ -191,6 +191,16 @@ mod tests {
     }
 
     #[test]
+    fn no_damage_panics() {
+        let bytes = [HEADER, b"\x02\0\0\0", ONE, ONE].concat();
+        crate::damage::damage(&bytes, |damaged| {
+            let _ = parse_status(damaged);
+            let _ = parse_update(damaged);
+            let _ = parse_clock(damaged);
+        });
+    }
+
+    #[test]
     fn goals_and_cancels_have_the_layout_of_their_types() {
         let stamp = RosTime { secs: 1, nsecs: 2 };
         let expected =

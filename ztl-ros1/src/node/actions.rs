@@ -17,6 +17,9 @@ use crate::{ActionTypes, MessageType};
 /// How long the master may take to say what exists, for the reason why a goal was not sent.
 const EXPLAIN: Duration = Duration::from_millis(400);
 
+/// A simulated clock that has not moved for this long stands still.
+const PAUSE: Duration = Duration::from_secs(1);
+
 /// Called with the events of a goal.
 pub(crate) type OnEvent = Box<dyn FnMut(GoalEvent) + Send>;
 
@@ -43,9 +46,17 @@ pub(crate) struct Clock {
     pub(crate) known: bool,
     /// The time of the topic `/clock`, if that is the clock.
     simulated: Option<RosTime>,
+    /// When that time changed last.
+    moved: Option<Instant>,
 }
 
 impl Clock {
+    /// Whether it is simulated and stands still.
+    fn is_paused(&self, now: Instant) -> bool {
+        let moves = self.moved.is_some_and(|at| now < at + PAUSE);
+        self.simulated.is_some() && !moves
+    }
+
     /// The time for goals. Zero if `/clock` has not been received yet.
     fn now(&self) -> RosTime {
         self.simulated.unwrap_or_else(|| {
@@ -188,8 +199,12 @@ impl Engine {
 
     pub(crate) fn time_actions(&mut self, now: Instant) {
         let names: Vec<Arc<str>> = self.actions.keys().cloned().collect();
+        let paused = self.clock.is_paused(now);
         for name in names {
             self.with_action(now, &name, |action, effects| {
+                if paused {
+                    action.machine.handle_pause(now);
+                }
                 action.machine.handle_timeout(now, effects);
             });
         }
@@ -242,7 +257,8 @@ impl Engine {
 
     /// Finds out why no action server is there.
     fn explain(&mut self, now: Instant, name: &Arc<str>, key: GoalKey) {
-        let own = [self.name[..].into()];
+        // Of all topics, as a subscriber this node would be among the actions itself.
+        let params = [self.name[..].into(), "".into()];
         let name = Arc::clone(name);
         let then = move |engine: &mut Self, now: Instant, answer: Result<Value, CallError>| {
             let text = engine.reason(&name, answer);
@@ -251,7 +267,14 @@ impl Engine {
             });
         };
         let master = self.master.clone();
-        self.rpc(now, &master, "getTopicTypes", &own, EXPLAIN, Box::new(then));
+        self.rpc(
+            now,
+            &master,
+            "getPublishedTopics",
+            &params,
+            EXPLAIN,
+            Box::new(then),
+        );
     }
 
     fn reason(&self, name: &Arc<str>, types: Result<Value, CallError>) -> String {
@@ -351,9 +374,11 @@ impl Engine {
         }
     }
 
-    pub(crate) fn on_clock(&mut self, content: &[u8]) {
-        if let (Some(time), true) = (wire::parse_clock(content), self.clock.simulated.is_some()) {
-            self.clock.simulated = Some(time);
+    pub(crate) fn on_clock(&mut self, now: Instant, content: &[u8]) {
+        if let (Some(time), Some(before)) = (wire::parse_clock(content), &mut self.clock.simulated)
+            && std::mem::replace(before, time) != time
+        {
+            self.clock.moved = Some(now);
         }
     }
 }

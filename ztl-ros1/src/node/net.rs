@@ -115,6 +115,8 @@ struct Connection {
     deadline: Option<Instant>,
     /// It is in the list of those that may be readable.
     listed: bool,
+    /// The other end sends no more. The system tells that once, perhaps with its last bytes.
+    ended: bool,
 }
 
 /// The way to the thread of a node.
@@ -215,6 +217,9 @@ impl Net {
                 Some(index) => self.accept(index),
                 None => {
                     let id = ConnectionId(event.token().0);
+                    if let Some(connection) = self.connections.get_mut(&id) {
+                        connection.ended |= event.is_read_closed() || event.is_error();
+                    }
                     self.flush(id);
                     self.list(id);
                 }
@@ -318,7 +323,7 @@ impl Net {
                 peer: connection.peer.to_string(),
             }),
             Ok(count) => {
-                if count == piece.len() {
+                if count == piece.len() || connection.ended {
                     self.list(id);
                 }
                 Read::Bytes(count)
@@ -388,6 +393,7 @@ impl Net {
                 accepted,
                 deadline: None,
                 listed: false,
+                ended: false,
             },
         );
         self.set_deadline(id, deadline);

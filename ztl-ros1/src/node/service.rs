@@ -16,6 +16,9 @@ use crate::xmlrpc::Value;
 /// The longest answer, in bytes.
 const LONGEST: usize = 64 * 1024 * 1024;
 
+/// The longest time that a call may take.
+const LONGEST_CALL: Duration = Duration::from_secs(24 * 3600);
+
 /// Called once with the encoded response.
 pub(crate) type OnResponse = Box<dyn FnOnce(Result<Vec<u8>, ServiceError>) + Send>;
 
@@ -99,6 +102,7 @@ impl Engine {
         limit: Duration,
         then: OnResponse,
     ) {
+        let limit = limit.min(LONGEST_CALL);
         let deadline = now + limit;
         let params = [self.name[..].into(), service.into()];
         let service = service.to_owned();

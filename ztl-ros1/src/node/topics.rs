@@ -500,7 +500,7 @@ impl Engine {
                 Consumer::Action(action, part) => {
                     self.on_action_message(now, action, *part, caller, content);
                 }
-                Consumer::Clock => self.on_clock(content),
+                Consumer::Clock => self.on_clock(now, content),
             }
         }
         if let Some(subscription) = self.subscriptions.get_mut(topic) {

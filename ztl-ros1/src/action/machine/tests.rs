@@ -388,6 +388,20 @@ fn a_silent_server_with_an_open_connection_is_waited_for_longer() {
 }
 
 #[test]
+fn a_pause_of_the_simulation_is_no_silence() {
+    let mut lab = Lab::active();
+    lab.pass(SILENCE_OPEN - Duration::from_millis(1));
+    lab.machine.handle_pause(lab.now);
+    lab.pass(SILENCE_OPEN - Duration::from_millis(1));
+    lab.expect(&[]);
+    lab.links(Links::default());
+    lab.machine.handle_pause(lab.now);
+    lab.pass(Duration::from_millis(1));
+    let text = "the action server /arm is gone";
+    lab.expect_end(ended(EndState::Unknown, text, None));
+}
+
+#[test]
 fn a_restarted_server_does_not_know_the_goal() {
     let mut lab = Lab::active();
     lab.links(Links::default());
