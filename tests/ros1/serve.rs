@@ -2,7 +2,9 @@
 
 use ztl_std::State::{Aborted, Completed, Failed, Rejected};
 use ztl_std::{RemoteTask, RunError, State, Subscriber, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect, reserve_port, until, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, Scratch, Server, connect, our_client_at, reserve_port, until, ztl,
+};
 
 use crate::rig::{Master, unique, wait};
 
@@ -136,6 +138,36 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
     wait("the stop messages of the server", || {
         node.stdout().ends_with(&format!("{STOP}\n").repeat(5))
     });
+}
+
+#[test]
+fn a_base_stops_when_its_client_is_gone_and_gets_nothing_more_from_a_killed_server() {
+    let drive = DRIVE.replace("stop: {}", "stop: {}, needs-client: 1 s");
+    let robot = Robot::new(&drive);
+    let drives = || robot.twists().last().is_some_and(|line| line == GO);
+    // Connects.
+    assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
+    let mut command = our_client_at(robot.server.port);
+    let mut client = Process::start(command.arg("p:drive:{speed: 0.5, seconds: 60}"));
+    wait("it drives", drives);
+    client.kill();
+    let stopped = || robot.twists().ends_with(&[STOP; 5].map(str::to_owned));
+    wait("the stop messages", stopped);
+
+    let mut remote = robot.remote();
+    wait("the next drive begins", || {
+        let task = remote.trigger("p", "drive", "{speed: 0.5, seconds: 60}");
+        task.is_ok()
+    });
+    wait("it drives", drives);
+    let Robot { node, server, .. } = robot;
+    server.process.signal("KILL");
+    server.process.end(PATIENCE);
+    let printed = node.stdout();
+    assert!(
+        printed.ends_with(&format!("{GO}\n")),
+        "nobody sends a stop: {printed}"
+    );
 }
 
 #[test]
