@@ -209,6 +209,22 @@ fn a_server_that_was_stopped_for_a_while_loses_no_goal() {
 }
 
 #[test]
+fn a_goal_of_unknown_outcome_is_cancelled_when_its_server_is_back() {
+    let master = Master::shared();
+    let name = unique("hung");
+    let robot = master.action(&name, &name);
+    let node = master.node();
+    let action = node.action(&name, test_action()).unwrap();
+    let running = Running::send(&action, 4);
+    running.accepted();
+    robot.signal("STOP");
+    let text = format!("the action server /{name} is silent");
+    running.ends(EndState::Unknown, &text, None);
+    robot.signal("CONT");
+    robot.wait_for("cancel ");
+}
+
+#[test]
 fn fifty_actions_at_once_and_a_thousand_feedbacks_a_second() {
     let master = Master::shared();
     let name = unique("busy");

@@ -105,6 +105,13 @@ impl Master {
     }
 }
 
+impl Drop for Master {
+    fn drop(&mut self) {
+        // Killing the shell alone would leave the master behind.
+        self.kill();
+    }
+}
+
 fn set_environment(command: &mut Command, port: u16, logs: &Scratch) {
     command.env("ROS_MASTER_URI", format!("http://127.0.0.1:{port}"));
     command.env("ROS_HOSTNAME", "127.0.0.1");

@@ -23,7 +23,7 @@ def say(*words):
 
 class Action:
     """Goals: 1 succeeds, 2 aborts, 3 is rejected, 4 runs until it is cancelled or told, 5 waits and is recalled,
-    6 loses its result, 7 is never seen, 8 ignores cancels; 1000 and more send as many feedbacks, one a millisecond."""
+    6 loses its result, 7 is never seen; 1000 and more send as many feedbacks, one a millisecond."""
 
     def __init__(self, topic):
         self.held = {}
@@ -41,6 +41,9 @@ class Action:
         if goal == 3:
             handle.set_rejected(result, "no")
             return
+        if goal in (4, 5):
+            # First, since a command may follow as soon as it is accepted.
+            self.held[handle.get_goal_id().id] = handle
         if goal != 5:
             handle.set_accepted("yes")
         if goal in (1, 6):
@@ -50,8 +53,6 @@ class Action:
             handle.set_aborted(result, "broken")
         elif goal >= 1000:
             threading.Thread(target=self.feed, args=(handle, goal, result), daemon=True).start()
-        else:
-            self.held[handle.get_goal_id().id] = handle
 
     def feed(self, handle, count, result):
         start = time.monotonic()
@@ -62,12 +63,11 @@ class Action:
 
     def on_cancel(self, handle):
         say("cancel", handle.get_goal_id().id)
-        if handle.get_goal().goal != 8:
-            self.held.pop(handle.get_goal_id().id, None)
-            handle.set_canceled(TestResult(result=-1), "stopped")
+        self.held.pop(handle.get_goal_id().id, None)
+        handle.set_canceled(TestResult(result=-1), "stopped")
 
     def command(self, word):
-        for handle in self.held.values():
+        for handle in list(self.held.values()):
             if word == "finish":
                 handle.set_succeeded(TestResult(result=7), "told")
             elif word == "preempt":
