@@ -2,7 +2,9 @@
 
 use ztl_std::State::{Aborted, Completed, Failed, Rejected};
 use ztl_std::{RemoteTask, RunError, State, Subscriber, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect, reserve_port, until, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, Scratch, Server, connect, our_client_at, reserve_port, until, ztl,
+};
 
 use crate::rig::{Master, unique, wait};
 
@@ -136,6 +138,36 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
     wait("the stop messages of the server", || {
         node.stdout().ends_with(&format!("{STOP}\n").repeat(5))
     });
+}
+
+#[test]
+fn a_base_stops_when_its_client_is_gone_and_gets_nothing_more_from_a_killed_server() {
+    let drive = DRIVE.replace("stop: {}", "stop: {}, needs-client: 1 s");
+    let robot = Robot::new(&drive);
+    let drives = || robot.twists().last().is_some_and(|line| line == GO);
+    // Connects.
+    assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
+    let mut command = our_client_at(robot.server.port);
+    let mut client = Process::start(command.arg("p:drive:{speed: 0.5, seconds: 60}"));
+    wait("it drives", drives);
+    client.kill();
+    let stopped = || robot.twists().ends_with(&[STOP; 5].map(str::to_owned));
+    wait("the stop messages", stopped);
+
+    let mut remote = robot.remote();
+    wait("the next drive begins", || {
+        let task = remote.trigger("p", "drive", "{speed: 0.5, seconds: 60}");
+        task.is_ok()
+    });
+    wait("it drives", drives);
+    let Robot { node, server, .. } = robot;
+    server.process.signal("KILL");
+    server.process.end(PATIENCE);
+    let printed = node.stdout();
+    assert!(
+        printed.ends_with(&format!("{GO}\n")),
+        "nobody sends a stop: {printed}"
+    );
 }
 
 #[test]
@@ -281,6 +313,73 @@ fn topics_are_published_as_streams() {
 }
 
 #[test]
+fn a_check_warns_of_names_that_the_robot_does_not_have() {
+    let master = Master::shared();
+    let name = unique("checked");
+    let _action = master.action(&name, &name);
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.yaml");
+    let text = format!(
+        "ros1: {{master: 'http://127.0.0.1:{}'}}
+scopes: {{/test: {{p: {{
+    right: {{ros1-action: /{name}, type: actionlib/TestAction}},
+    typo: {{ros1-action: /{name}x, type: actionlib/TestAction}},
+    other: {{ros1-action: /{name}, type: actionlib/TwoIntsAction}},
+    dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}}}}}}}}",
+        master.port
+    );
+    std::fs::write(&path, text).expect("to write");
+    let mut command = ztl();
+    let ended = Process::run(command.arg("serve").arg(&path).args(["--check", "-p", "0"]));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    for part in [
+        format!(
+            "robot.yaml:4:25: warning: the master knows no action /{name}x; did you mean '/{name}'?"
+        ),
+        format!(
+            "robot.yaml:5:26: warning: action /{name} is of the type actionlib/TestAction, not actionlib/TwoIntsAction; write type: actionlib/TestAction"
+        ),
+        "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
+    ] {
+        assert!(ended.stderr.contains(&part), "{part}: {}", ended.stderr);
+    }
+    assert_eq!(
+        ended.stderr.matches("warning: ").count(),
+        3,
+        "{}",
+        ended.stderr
+    );
+}
+
+#[test]
+fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
+    let mut master = Master::start();
+    let _action = master.action("arm", "move");
+    let _lost = master.robot_at("no-such-host.invalid", &["topics", "lost"]);
+    let uri = format!("http://127.0.0.1:{}", master.port);
+    let doctor = || {
+        let mut command = ztl();
+        command.env("ROS_HOSTNAME", "127.0.0.1");
+        Process::run(command.args(["doctor", "--ros1", &uri]))
+    };
+    let ended = doctor();
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    for part in [
+        &format!("master {uri}: 2 nodes"),
+        "ok    ros1       action /move (actionlib/TestAction)\n",
+        "ok    ros1       the clock of /move is ",
+        "WRONG ros1       node /lost at http://no-such-host.invalid",
+        "start it with ROS_HOSTNAME or ROS_IP",
+    ] {
+        assert!(ended.stdout.contains(part), "{part}: {}", ended.stdout);
+    }
+    master.kill();
+    let ended = doctor();
+    let part = format!("WRONG ros1       no answer from the master {uri}: ");
+    assert!(ended.stdout.contains(&part), "{}", ended.stdout);
+}
+
+#[test]
 fn the_examples_are_valid_without_the_robots_files() {
     let directory = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/serve/ros1");
     let mut names: Vec<_> = std::fs::read_dir(directory)
@@ -289,11 +388,28 @@ fn the_examples_are_valid_without_the_robots_files() {
         .collect();
     names.sort_by_key(std::fs::DirEntry::path);
     assert_eq!(names.len(), 3);
+    let scratch = Scratch::new();
     for file in names {
         let mut command = ztl();
-        command.arg("serve").arg(file.path()).arg("--check");
+        // A port without a master.
+        let text = std::fs::read_to_string(file.path()).expect("an example");
+        let path = scratch.path("robot.yaml");
+        std::fs::write(&path, text.replace("localhost:11311", "localhost:1")).expect("to write");
+        command.arg("serve").arg(&path).arg("--check");
         let ended = Process::run(command.args(["-p", "0", "--publish", "0"]));
         assert_eq!(ended.code, Some(0), "{ended:?}");
-        assert_eq!(ended.stderr, "", "{ended:?}");
+        // All else is right.
+        let warnings: Vec<&str> = ended
+            .stderr
+            .lines()
+            .filter(|line| line.contains("warning: "))
+            .collect();
+        let [warning] = warnings.as_slice() else {
+            panic!("{ended:?}");
+        };
+        assert!(
+            warning.contains("no answer from the master http://localhost:1: "),
+            "{ended:?}"
+        );
     }
 }

@@ -39,8 +39,11 @@ const PROGRAMS: &[[&str; 2]] = &[
     ["systemd", "systemd-analyze --version"],
     // A robot of ROS 1: a master, nodes and action servers. Another Python on the PATH does not find them.
     [
-        "python3-rosmaster python3-rospy python3-actionlib python3-rosgraph-msgs python3-std-srvs",
-        "/usr/bin/python3 -c 'import actionlib, rosgraph_msgs, rosmaster, rospy, std_srvs; print(\"rospy\", rospy.__file__)'",
+        "python3-rosmaster python3-rospy python3-actionlib python3-rosgraph-msgs python3-std-srvs python3-geometry-msgs \
+         python3-sensor-msgs python3-trajectory-msgs libactionlib-dev ros-actionlib-msgs ros-geometry-msgs ros-nav-msgs \
+         ros-move-base-msgs ros-roscpp-msg ros-rosgraph-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-trajectory-msgs",
+        "cd /usr/share/actionlib && cd /usr/share/move_base_msgs && cd /usr/share/roscpp && cd /usr/share/nav_msgs && \
+         /usr/bin/python3 -c 'import actionlib, geometry_msgs, rosgraph_msgs, rosmaster, rospy, sensor_msgs, std_srvs, trajectory_msgs; print(\"rospy\", rospy.__file__)'",
     ],
     // Make the Debian package, and a root to install it in.
     ["xz-utils", "xz --version"],

@@ -19,7 +19,8 @@ use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
 use crate::program::processes::ProcessRegistry;
 use crate::reader::{ComponentContext, ConfigReader};
-use crate::ros1::connection::Ros1;
+use crate::ros1::connection::{Connection, Ros1};
+use crate::ros1::names::{UsedName, missing};
 use crate::stream::read::cannot_have_streams;
 use crate::stream::{StreamConfig, Streams};
 
@@ -44,6 +45,8 @@ pub struct Config {
     pub unpublished: Option<Diagnostic>,
     pub(crate) streams: Vec<Arc<StreamConfig>>,
     at_once: usize,
+    /// The node of ROS 1, and the names there that the file uses.
+    ros1: (Arc<Connection>, Vec<UsedName>),
 }
 
 /// A scope and its handlers.
@@ -135,6 +138,14 @@ impl Config {
         Ok(())
     }
 
+    /// Asks the master of ROS 1 for the names that the file uses, and warns of those that are not there or of another
+    /// type. Blocks for some seconds if nodes do not answer.
+    #[must_use]
+    pub fn missing_names(&self) -> Vec<Diagnostic> {
+        let (connection, names) = &self.ros1;
+        missing(connection, names)
+    }
+
     /// The number of streams of each scope that has any.
     #[must_use]
     pub fn streams(&self) -> Vec<(&str, usize)> {
@@ -213,6 +224,10 @@ impl<'d> ConfigReader<'d> {
             warnings: Vec::new(),
             unpublished,
             streams: streams.unwrap_or_default(),
+            ros1: (
+                Arc::clone(&self.ros1.connection),
+                std::mem::take(&mut self.ros1.names),
+            ),
             at_once: at_once.unwrap_or(AT_ONCE),
         })
     }

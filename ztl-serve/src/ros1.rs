@@ -5,6 +5,7 @@
 //! | `connection` | the node that all share, and `ros1` at the top of the file |
 //! | `types` | types by their names in the file |
 //! | `message`, `fit` | messages with placeholders, read from YAML and filled with a goal |
+//! | `names` | what of these is not there |
 //! | `shown` | texts with parts of a received message |
 //! | `action` | `ros1-action` |
 //! | `trajectory`, `motion` | `ros1-trajectory`, and the end of a motion by joint states |
@@ -18,6 +19,7 @@ pub(crate) mod connection;
 mod fit;
 pub(crate) mod message;
 mod motion;
+pub(crate) mod names;
 pub(crate) mod parameter;
 pub(crate) mod publish;
 pub(crate) mod service;

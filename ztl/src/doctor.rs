@@ -2,6 +2,8 @@
 
 mod finding;
 mod network;
+#[cfg(unix)]
+mod ros1;
 mod serial;
 mod storage;
 mod system;
@@ -45,6 +47,11 @@ pub(crate) struct Doctor {
     #[arg(long, value_name = "DIR")]
     journal: Option<PathBuf>,
 
+    /// Check a master of ROS 1 with its nodes and actions [default: that of $ROS_MASTER_URI, else that of this machine]
+    #[cfg(unix)]
+    #[arg(long, value_name = "URI", num_args = 0..=1)]
+    ros1: Option<Option<String>>,
+
     #[command(flatten)]
     format: DataFormat,
 }
@@ -73,6 +80,10 @@ impl Doctor {
         found.push(storage::journal(self.journal.as_deref()));
         if let Some(address) = &address {
             found.push(network::server(address, &self.connecting));
+        }
+        #[cfg(unix)]
+        if let Some(master) = &self.ros1 {
+            found.extend(ros1::master(master.as_deref()));
         }
         let problems = found.iter().filter(|f| f.health == Health::Problem).count();
         if self.format.is_chosen() {

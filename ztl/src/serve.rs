@@ -85,13 +85,17 @@ impl Watchdog {
 impl Serve {
     pub(crate) fn run(self) -> Done {
         let check = self.check;
-        let (config, place) = match self.plan() {
+        let (mut config, place) = match self.plan() {
             Ok(plan) => plan,
             Err(unfit) => {
                 error_line(unfit);
                 return Ok(ExitCode::from(MISCONFIGURED));
             }
         };
+        if check {
+            let missing = config.missing_names();
+            config.warnings.extend(missing);
+        }
         for warning in &config.warnings {
             error_part(warning);
         }

@@ -6,6 +6,7 @@ use ztl_ros1::message::{Definitions, MessageType};
 use ztl_ros1::{Config, Node as RosNode};
 use ztl_yaml::Node;
 
+use super::names::UsedName;
 use crate::reader::ConfigReader;
 
 /// How the node is called in ROS, before what makes its name unique.
@@ -23,6 +24,8 @@ pub(crate) struct Connection {
 pub(crate) struct Ros1 {
     pub(crate) connection: Arc<Connection>,
     definitions: Option<Definitions>,
+    /// The names that the file uses.
+    pub(crate) names: Vec<UsedName>,
 }
 
 impl Default for Ros1 {
@@ -30,6 +33,7 @@ impl Default for Ros1 {
         Self {
             connection: Connection::new(Config::from_environment(NAME)),
             definitions: None,
+            names: Vec::new(),
         }
     }
 }

@@ -11,6 +11,7 @@ use ztl_yaml::{Fields, Node};
 
 use super::connection::Connection;
 use super::message::{MessageTemplate, rule_of_goals};
+use super::names::NameKind;
 use super::shown::ShownMessage;
 use super::{Event, Refusal};
 use crate::call::Call;
@@ -51,6 +52,7 @@ pub(crate) fn read<'d>(
     let limit = fields.optional("limit");
     let limit = limit.and_then(|node| reader.time(node, LONGEST_LIMIT));
     let service = service?;
+    reader.uses_name(node, name.as_ref(), NameKind::Service);
     let request = match message {
         Some(node) => reader.message_template(node, &service.request, context.rule),
         None => MessageTemplate::of_goal(&service.request),

@@ -336,6 +336,22 @@ fn goals_fill_messages_by_name_and_type() {
 }
 
 #[test]
+fn a_constant_of_the_type_may_be_written_by_its_name() {
+    let status = |word: &str| {
+        format!(
+            "{{ros1-publish: /t, type: actionlib_msgs/GoalStatus, message: {{status: {word}}}}}"
+        )
+    };
+    component(&status("SUCCEEDED"));
+    let all = said(&status("SUCCESS"));
+    assert!(
+        all.first()
+            .is_some_and(|first| first.contains("'SUCCESS' is not uint8")),
+        "{all:?}"
+    );
+}
+
+#[test]
 fn the_short_forms_make_the_whole_goals() {
     let arm = "{ros1-action: /arm, type: control_msgs/FollowJointTrajectoryAction, joints: [shoulder, elbow]}";
     let goal = goal_of(arm, "{positions: [1, -0.5], seconds: 2.5}").expect("a goal");

@@ -156,7 +156,12 @@ fn a_motion_that_takes_too_long_or_is_not_seen_is_stopped_and_fails() {
         Some(&Action::End(Outcome::Failed(reason)))
     );
     let mut bench = Bench::new();
-    bench.pass(SECOND, Some([0.0, f64::NAN]));
+    bench.pass(SECOND, Some([1.0, f64::NAN]));
+    assert_eq!(
+        bench.done(),
+        [Action::Begin],
+        "a position that is no number is nowhere near"
+    );
     bench.is_heard = false;
     bench.pass(5 * SECOND, Some([0.0, 0.0]));
     let reason = "unknown: the controller has left the topic".to_owned();
