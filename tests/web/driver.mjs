@@ -144,6 +144,41 @@ const scenarios = {
     }
   },
 
+  // Devices at each size; then one of them is lost, and its gateway.
+  async devices() {
+    const device = (page, text) => page.locator('.devices li', { hasText: text });
+    for (const [name, size] of Object.entries(SIZES)) {
+      const page = await open(size);
+      await page.emulateMedia({ colorScheme: name === 'tablet' ? 'dark' : 'light' });
+      const arm = device(page, 'arm · /test');
+      await arm.locator('.good', { hasText: /^up$/ }).waitFor();
+      await arm.getByText(/^gripper \S+ · uptime \d+ s$/).waitFor();
+      await arm.getByText(/^round trip [\d.]+ ms, 99 % [\d.]+ ms · resets\s0 · lost\s0 · errors\s0 · resent\s\d+$/).waitFor();
+      await device(page, 'wrist · /test').locator('.bad', { hasText: /^NOT THERE for \d+ s: .*no.such.port/ }).waitFor();
+      await saying(page, '#robot-list', 'evil').getByText('3 more devices are not shown').waitFor();
+      await device(page, '<img src=x onerror=alert(1)><script>alert(2)</script>\\u202e').first().waitFor();
+      assert.equal(await page.locator('main img, main script').count(), 0);
+      assert.equal(page.alerts, 0);
+      assert.equal(await saying(page, '#robot-list', 'plain').locator('.devices').isVisible(), false);
+      const clipped = await page.locator('.devices li').evaluateAll((all) => all.filter((it) => it.scrollWidth > it.clientWidth).length);
+      assert.equal(clipped, 0, `${name}: devices are clipped`);
+      if (name === 'phone') await checkPhone(page, 'devices');
+      await page.locator('#robots').scrollIntoViewIfNeeded();
+      await arm.scrollIntoViewIfNeeded();
+      await check(page, `devices-${name}`);
+      if (name === 'desk') {
+        await outside('kill the device');
+        await arm.locator('.bad', { hasText: /^SILENT for \d+ s: / }).waitFor();
+        await outside('start the device');
+        await arm.locator('.good', { hasText: /^up$/ }).waitFor();
+        await arm.getByText(/ · resets\s1 · lost\s1 · /).waitFor();
+        await outside('kill the gateway');
+        await arm.locator('.quiet', { hasText: 'last known: up' }).waitFor();
+      }
+      await page.close();
+    }
+  },
+
   // The show at each size: scenes, cues by tap and by key, a note, Stop, and a scene that is stopped.
   async show() {
     for (const [name, size] of Object.entries(SIZES)) {

@@ -3,6 +3,7 @@
 mod client;
 mod clients;
 mod console;
+mod devices;
 mod figures;
 mod gate;
 mod goals;

@@ -44,7 +44,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 12] = [
+const FILES: [(&str, &str, &str); 13] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
@@ -54,6 +54,7 @@ const FILES: [(&str, &str, &str); 12] = [
     ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
     ("/past.js", "text/javascript; charset=utf-8", include_str!("../assets/past.js")),
     ("/streams.js", "text/javascript; charset=utf-8", include_str!("../assets/streams.js")),
+    ("/robots.js", "text/javascript; charset=utf-8", include_str!("../assets/robots.js")),
     ("/operator.js", "text/javascript; charset=utf-8", include_str!("../assets/operator.js")),
     ("/elements.js", "text/javascript; charset=utf-8", include_str!("../assets/elements.js")),
     ("/rosbridge.js", "text/javascript; charset=utf-8", include_str!("../assets/rosbridge.js")),

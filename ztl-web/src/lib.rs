@@ -10,6 +10,7 @@ mod board;
 mod clients;
 mod clock;
 mod cut;
+mod devices;
 mod gate;
 mod goal;
 mod goals;
