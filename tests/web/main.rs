@@ -8,6 +8,7 @@ mod figures;
 mod gate;
 mod goals;
 mod page;
+mod record;
 mod robot;
 mod show;
 mod socket;

@@ -32,7 +32,7 @@ const operator = new Operator(bridge);
 const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
 const streams = new Streams(bridge, now);
 const past = new Past(bridge);
-const stage = new Show(bridge, { now, whyNot: () => operator.whyNot() });
+const stage = new Show(bridge, { now, whyNot: () => operator.whyNot(), recorded: (is) => past.showRecord(is) });
 
 // The console's wall clock. Behind by what the answer took to come, never ahead.
 function now() {
