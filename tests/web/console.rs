@@ -3,7 +3,7 @@
 use std::fs;
 use std::process::Command;
 
-use ztl_tests::lab::{Process, SCOPE, Scratch, Server, node_packages, reserve_port, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, node_packages, reserve_port, ztl};
 
 /// A robot whose tasks can be aborted: `test:echo`, `test:sleep`, and `test:mark`, which leaves a mark for each start.
 pub(crate) const ROBOT: &str = "\
@@ -152,4 +152,18 @@ pub(crate) fn node(script: &str) -> Command {
         .arg(path)
         .env("ZTL_CLIENTS", node_packages("roslib"));
     command
+}
+
+/// Starts a scenario of `driver.mjs`.
+pub(crate) fn drive(scenario: &str, url: &str, console: &Console) -> Process {
+    let directory = console.files.path("");
+    let mut command = node("driver.mjs");
+    Process::start(command.args([scenario, url]).arg(directory))
+}
+
+/// Plays a scenario to its end.
+#[track_caller]
+pub(crate) fn passes(scenario: &str, url: &str, console: &Console) {
+    let ended = drive(scenario, url, console).end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
 }

@@ -144,6 +144,41 @@ const scenarios = {
     }
   },
 
+  // Devices at each size; then one of them is lost, and its gateway.
+  async devices() {
+    const device = (page, text) => page.locator('.devices li', { hasText: text });
+    for (const [name, size] of Object.entries(SIZES)) {
+      const page = await open(size);
+      await page.emulateMedia({ colorScheme: name === 'tablet' ? 'dark' : 'light' });
+      const arm = device(page, 'arm · /test');
+      await arm.locator('.good', { hasText: /^up$/ }).waitFor();
+      await arm.getByText(/^gripper \S+ · uptime \d+ s$/).waitFor();
+      await arm.getByText(/^round trip [\d.]+ ms, 99 % [\d.]+ ms · resets\s0 · lost\s0 · errors\s0 · resent\s\d+$/).waitFor();
+      await device(page, 'wrist · /test').locator('.bad', { hasText: /^NOT THERE for \d+ s: .*no.such.port/ }).waitFor();
+      await saying(page, '#robot-list', 'evil').getByText('3 more devices are not shown').waitFor();
+      await device(page, '<img src=x onerror=alert(1)><script>alert(2)</script>\\u202e').first().waitFor();
+      assert.equal(await page.locator('main img, main script').count(), 0);
+      assert.equal(page.alerts, 0);
+      assert.equal(await saying(page, '#robot-list', 'plain').locator('.devices').isVisible(), false);
+      const clipped = await page.locator('.devices li').evaluateAll((all) => all.filter((it) => it.scrollWidth > it.clientWidth).length);
+      assert.equal(clipped, 0, `${name}: devices are clipped`);
+      if (name === 'phone') await checkPhone(page, 'devices');
+      await page.locator('#robots').scrollIntoViewIfNeeded();
+      await arm.scrollIntoViewIfNeeded();
+      await check(page, `devices-${name}`);
+      if (name === 'desk') {
+        await outside('kill the device');
+        await arm.locator('.bad', { hasText: /^SILENT for \d+ s: / }).waitFor();
+        await outside('start the device');
+        await arm.locator('.good', { hasText: /^up$/ }).waitFor();
+        await arm.getByText(/ · resets\s1 · lost\s1 · /).waitFor();
+        await outside('kill the gateway');
+        await arm.locator('.quiet', { hasText: 'last known: up' }).waitFor();
+      }
+      await page.close();
+    }
+  },
+
   // The show at each size: scenes, cues by tap and by key, a note, Stop, and a scene that is stopped.
   async show() {
     for (const [name, size] of Object.entries(SIZES)) {
@@ -231,6 +266,63 @@ const scenarios = {
     }
   },
 
+  // The report of the show and its record, while it runs, at each size.
+  async record() {
+    let length = 0;
+    for (const [name, size] of Object.entries(SIZES)) {
+      const page = await open(size);
+      await page.emulateMedia({ colorScheme: name === 'phone' ? 'dark' : 'light' });
+      const note = `<img src=x onerror=alert(3)> of the ${name}`;
+      await page.locator('#show-note-text').fill(note);
+      await page.locator('#show-note-text').press('Enter');
+      await page.locator('#show-notes li', { hasText: note }).waitFor();
+      if (name === 'phone') {
+        await page.waitForTimeout(700);
+        await page.locator('#show-play').click();
+        await page.locator('#show-state', { hasText: 'DECIDE: a task failed' }).waitFor();
+      }
+      await page.locator('#record-links').scrollIntoViewIfNeeded();
+      await check(page, `record-${name}`);
+      const opened = browser.waitForEvent('page');
+      await page.getByText('Report of the show so far').click();
+      const report = await opened;
+      report.alerts = 0;
+      report.on('dialog', (dialog) => { report.alerts += 1; dialog.dismiss(); });
+      const refused = [];
+      report.on('console', (message) => { if (message.type() === 'error') refused.push(message.text()); });
+      await report.setViewportSize({ width: size[0], height: size[1] });
+      await report.emulateMedia({ colorScheme: name === 'phone' ? 'dark' : 'light' });
+      await report.reload();
+      assert.equal(new URL(report.url()).pathname, '/report');
+      await report.getByText(note).first().waitFor();
+      await report.locator('.timeline:visible').first().waitFor();
+      assert.equal(await report.locator('img, script').count(), 0);
+      assert.equal(await report.getByText('damaged').count(), 0);
+      // Its style counts.
+      assert.equal(await report.locator('svg.defs').first().evaluate((it) => getComputedStyle(it).position), 'absolute');
+      assert.deepEqual([report.alerts, refused], [0, []]);
+      // No script runs in it, not even the driver's: that checks a copy.
+      const copy = await browser.newPage();
+      await copy.setViewportSize({ width: size[0], height: size[1] });
+      await copy.emulateMedia({ colorScheme: name === 'phone' ? 'dark' : 'light' });
+      await copy.setContent(await report.content());
+      await check(copy, `report-${name}`);
+      await copy.close();
+      await report.screenshot({ path: `${process.env.ZTL_SCREENSHOTS ?? directory}/report-${name}.png` });
+      await report.close();
+      const downloading = page.waitForEvent('download');
+      await page.getByText('Download its record').click();
+      const download = await downloading;
+      assert.equal(download.suggestedFilename(), 'run_1.jsonl');
+      const lines = readFileSync(await download.path(), 'utf8').trim().split('\n').map((line) => JSON.parse(line));
+      assert.ok(lines.some((line) => line.event === 'note' && line.text.endsWith(note)));
+      assert.ok(lines.length > length, 'it has grown');
+      length = lines.length;
+      assert.equal(await page.locator('#connection').getAttribute('data-state'), 'open');
+      await page.close();
+    }
+  },
+
   // Skip, Pause, Go on, Replay and Retry.
   async commands() {
     const page = await open();
@@ -246,6 +338,8 @@ const scenarios = {
     };
     const step = (text) => page.locator('#show-steps li', { hasText: text }).first().waitFor();
     const scene = (text) => page.locator('#show-scenes button', { hasText: text }).waitFor();
+    await page.getByText('The show is not recorded. Started with --record').waitFor();
+    assert.equal(await page.locator('#record-links').isVisible(), false);
     await state('Next: skipped');
     await press('Skip');
     await state('Next: played');
@@ -274,7 +368,7 @@ const scenarios = {
     await state('The last scene is over.');
     await scene('✓ 3 flaky');
     await page.locator('#goals-box').waitFor({ state: 'hidden' });
-    assert.equal(await page.locator('#running .card').count(), 0);
+    await page.locator('#idle').waitFor();
   },
 
   // A scene is stopped and played again while its robot hangs.

@@ -3,10 +3,12 @@
 mod client;
 mod clients;
 mod console;
+mod devices;
 mod figures;
 mod gate;
 mod goals;
 mod page;
+mod record;
 mod robot;
 mod show;
 mod socket;

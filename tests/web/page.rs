@@ -6,7 +6,9 @@ use ztl_pickle::{DType, Pickle};
 use ztl_std::Publisher;
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
 
-use crate::console::{Console, DESCRIBED, ROBOT, from_port, marks, node, robot, web};
+use crate::console::{
+    Console, DESCRIBED, ROBOT, drive, from_port, marks, node, passes, robot, web,
+};
 
 /// Components that describe themselves with texts wider than a phone.
 const LONG: &str = "    long:
@@ -15,20 +17,6 @@ const LONG: &str = "    long:
       words: {built-in: echo, about: 'see https://example.org', goal: {one-of: [a_word_that_is_as_long_as_the_name_of_a_recording_can_be.wav, b]}}
       fields: {built-in: echo, about: 'see https://example.org', goal: {fields: {the_force_of_the_finger_as_it_was_measured_by_its_pad: {list-of: text}, the_name_of_the_object_that_is_to_be_grasped_by_the_hand: {type: text, default: an_object_that_was_grasped_before_this_one_by_the_hand}}}}
 ";
-
-/// Starts a scenario of the driver.
-fn drive(scenario: &str, url: &str, console: &Console) -> Process {
-    let directory = console.files.path("");
-    let mut command = node("driver.mjs");
-    Process::start(command.args([scenario, url]).arg(directory))
-}
-
-/// Plays a scenario to its end.
-#[track_caller]
-fn passes(scenario: &str, url: &str, console: &Console) {
-    let ended = drive(scenario, url, console).end(PATIENCE * 3);
-    assert!(ended.stdout.contains("passed"), "{ended:?}");
-}
 
 /// A client of the robot that is not the console.
 fn client(console: &Console, task: &str) -> Process {

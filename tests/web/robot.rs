@@ -45,7 +45,17 @@ pub(crate) struct Scripted {
 }
 
 impl Scripted {
-    pub(crate) fn start(mut answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> Self {
+    /// One without devices.
+    pub(crate) fn start(answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> Self {
+        Self::with_devices("{}", answer)
+    }
+
+    /// One that gives this answer to `devices`.
+    pub(crate) fn with_devices(
+        devices: &str,
+        mut answer: impl FnMut(&str) -> Option<String> + Send + 'static,
+    ) -> Self {
+        let devices = format!("$ztl;5;0;{devices}");
         let socket = zmq::Context::new().socket(zmq::ROUTER).expect("a socket");
         socket.set_linger(0).expect("an option");
         socket.set_rcvtimeo(20).expect("an option");
@@ -60,10 +70,13 @@ impl Scripted {
                     continue;
                 };
                 let body = String::from_utf8(frames.pop().expect("a body")).expect("UTF-8");
-                // Its components say nothing of themselves.
-                let answer = match body.starts_with("$ztl;2;-1;describe") {
-                    true => Some(r#"$ztl;5;0;{"components": []}"#.to_owned()),
-                    false => answer(&body),
+                let answer = match body.as_str() {
+                    // Its components say nothing of themselves.
+                    body if body.starts_with("$ztl;2;-1;describe") => {
+                        Some(r#"$ztl;5;0;{"components": []}"#.to_owned())
+                    }
+                    "$ztl;2;-1;devices" => Some(devices.clone()),
+                    body => answer(body),
                 };
                 if let Some(answer) = answer {
                     frames.push(answer.into_bytes());

@@ -203,7 +203,23 @@ impl fmt::Display for Damage {
 ///
 /// # Errors
 /// When the source cannot be read.
-pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<Damage>)> {
+pub fn read(name: &str, from: impl BufRead) -> io::Result<(Vec<Record>, Vec<Damage>)> {
+    read_all(name, from, false)
+}
+
+/// Reads the record of a run that goes on: that it has no end yet, nor perhaps its last line, is no damage.
+///
+/// # Errors
+/// When the source cannot be read.
+pub fn read_so_far(name: &str, from: impl BufRead) -> io::Result<(Vec<Record>, Vec<Damage>)> {
+    read_all(name, from, true)
+}
+
+fn read_all(
+    name: &str,
+    mut from: impl BufRead,
+    goes_on: bool,
+) -> io::Result<(Vec<Record>, Vec<Damage>)> {
     let mut runs: Vec<Record> = Vec::new();
     let mut damage = Vec::new();
     let mut more = 0_u64;
@@ -233,6 +249,7 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
         }
         let event = match parse(&line) {
             Ok(event) => event,
+            Err(_) if !whole && goes_on => continue,
             Err(_) if !whole => {
                 complain("the line is cut off; it is passed over".to_owned());
                 continue;
@@ -288,7 +305,9 @@ pub fn read(name: &str, mut from: impl BufRead) -> io::Result<(Vec<Record>, Vec<
     } else if runs.is_empty() && is_undamaged {
         about_file(1, "no run starts here".to_owned());
     }
-    for run in &runs {
+    // Only the last one of them may go on.
+    let whole = runs.len().saturating_sub(usize::from(goes_on));
+    for run in runs.iter().take(whole) {
         let ended = |event: &StampedEvent| matches!(event.event, RunEvent::RunEnded { .. });
         if !run.events.last().is_some_and(ended) {
             let text = format!(

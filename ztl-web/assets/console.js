@@ -4,6 +4,7 @@ import { at, card, element, setText, showAll, span } from './elements.js';
 import { Form, NOTHING } from './form.js';
 import { Operator } from './operator.js';
 import { Past } from './past.js';
+import { showRobots } from './robots.js';
 import { Bridge } from './rosbridge.js';
 import { Show } from './show.js';
 import { Streams } from './streams.js';
@@ -31,7 +32,7 @@ const operator = new Operator(bridge);
 const form = new Form(bridge, { now, whyNot: () => operator.whyNot(), started });
 const streams = new Streams(bridge, now);
 const past = new Past(bridge);
-const stage = new Show(bridge, { now, whyNot: () => operator.whyNot() });
+const stage = new Show(bridge, { now, whyNot: () => operator.whyNot(), recorded: (is) => past.showRecord(is) });
 
 // The console's wall clock. Behind by what the answer took to come, never ahead.
 function now() {
@@ -109,7 +110,7 @@ at('ended-box').addEventListener('toggle', showNow);
 
 function show() {
   showNow();
-  showRobots();
+  showRobots(robots, now());
   form.show();
   stage.show();
   streams.show();
@@ -139,18 +140,6 @@ function hideStop() {
 
 function ago(ms) {
   return span(now() - ms);
-}
-
-function showRobots() {
-  const words = { there: 'there', missing: 'MISSING', unknown: 'not asked yet' };
-  showAll(at('robot-list'), robots, (robot) => robot.name, () => card(['name', '', 'quiet'], []), (made, robot) => {
-    const [name, health, text] = made.lines;
-    setText(name, robot.name);
-    health.className = { there: 'good', missing: 'bad' }[robot.health] ?? 'quiet';
-    const since = robot.health === 'unknown' ? '' : ` for ${ago(robot.since_ms)}`;
-    setText(health, words[robot.health] + since);
-    setText(text, [robot.endpoint, robot.text].filter(Boolean).join('\n'));
-  });
 }
 
 function showTasks() {

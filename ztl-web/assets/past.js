@@ -1,4 +1,4 @@
-// Past: the tasks of the last hours that the console has seen end, while this part is open.
+// Past: the record of the show; and the tasks of the last hours that the console has seen end, while this part is open.
 
 import { at, card, setLong, setText, showAll } from './elements.js';
 import { NOTHING } from './form.js';
@@ -15,6 +15,13 @@ export class Past {
     at('past-box').addEventListener('toggle', () => this.look());
     at('past-filter').addEventListener('input', () => this.look());
     at('past-form').addEventListener('submit', (event) => event.preventDefault());
+  }
+
+  // There is a show, which may be recorded.
+  showRecord(isRecorded) {
+    at('record').hidden = false;
+    at('record-links').hidden = !isRecorded;
+    at('record-none').hidden = isRecorded;
   }
 
   // Asks again, soon.

@@ -14,6 +14,7 @@ export class Show {
   #bridge;
   #now;
   #whyNot;
+  #recorded;
   // What the console tells; nothing without a show.
   #told = null;
   // When the question changed, and which it is.
@@ -22,8 +23,9 @@ export class Show {
   // Of each cue.
   #presses = new Map();
 
-  constructor(bridge, { now, whyNot }) {
+  constructor(bridge, { now, whyNot, recorded }) {
     this.#bridge = bridge;
+    this.#recorded = recorded;
     this.#now = now;
     this.#whyNot = whyNot;
     for (const [name, text] of Object.entries(COMMANDS)) {
@@ -48,6 +50,7 @@ export class Show {
       if ((told.question?.number ?? null) !== this.#number || told.scene !== this.#told?.scene) this.#changed = performance.now();
       this.#number = told.question?.number ?? null;
       this.#told = told;
+      this.#recorded(told.recorded);
       this.show();
     });
   }

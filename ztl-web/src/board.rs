@@ -12,6 +12,7 @@ use ztl_std::{Offers, RemoteId, State};
 
 use crate::aborts::AbortRequest;
 use crate::clients::Clients;
+use crate::devices::Devices;
 use crate::goal::Goal;
 use crate::operator::{Client, Operator};
 use crate::past::Past;
@@ -74,6 +75,8 @@ pub(crate) struct Seen {
     pub(crate) scopes: BTreeMap<String, Offers>,
     /// Changes with what its components say of themselves; 0 if that is nothing, `None` until the server was asked.
     pub(crate) described: Option<u64>,
+    /// The devices of a gateway.
+    pub(crate) devices: Arc<Devices>,
     /// Whether the server lists its tasks.
     pub(crate) lists: bool,
     pub(crate) tasks: Vec<Task>,
@@ -378,6 +381,8 @@ impl Board {
                 "text": seen.text,
                 "lists_tasks": seen.lists,
                 "described": seen.described,
+                "devices": seen.devices.shown,
+                "devices_text": seen.devices.text,
                 "scopes": server.scopes.iter().map(scope).collect::<Vec<_>>(),
             })
         };

@@ -25,6 +25,7 @@ use crate::board::{Board, locked};
 use crate::gate::{Gate, Role, name_of, token_in};
 use crate::own_page::{OwnPage, Posted};
 use crate::places::{Place, Places, Stranger, Strangers};
+use crate::record::RecordFile;
 use crate::socket;
 use crate::tls::Tls;
 
@@ -44,7 +45,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// The files of the page: path, type, content.
 #[rustfmt::skip]
-const FILES: [(&str, &str, &str); 12] = [
+const FILES: [(&str, &str, &str); 13] = [
     ("/", "text/html; charset=utf-8", include_str!("../assets/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("/console.js", "text/javascript; charset=utf-8", include_str!("../assets/console.js")),
@@ -53,6 +54,7 @@ const FILES: [(&str, &str, &str); 12] = [
     ("/show.js", "text/javascript; charset=utf-8", include_str!("../assets/show.js")),
     ("/ready.js", "text/javascript; charset=utf-8", include_str!("../assets/ready.js")),
     ("/past.js", "text/javascript; charset=utf-8", include_str!("../assets/past.js")),
+    ("/robots.js", "text/javascript; charset=utf-8", include_str!("../assets/robots.js")),
     ("/streams.js", "text/javascript; charset=utf-8", include_str!("../assets/streams.js")),
     ("/operator.js", "text/javascript; charset=utf-8", include_str!("../assets/operator.js")),
     ("/elements.js", "text/javascript; charset=utf-8", include_str!("../assets/elements.js")),
@@ -90,6 +92,7 @@ struct Console {
     gate: Arc<Gate>,
     connections: Places,
     page: Option<Arc<OwnPage>>,
+    record: Option<Arc<RecordFile>>,
     is_encrypted: bool,
     sockets: Places,
 }
@@ -132,7 +135,7 @@ pub(crate) async fn accept(
     listener: TcpListener,
     board: Arc<Board>,
     gate: Gate,
-    page: Option<OwnPage>,
+    (page, record): (Option<OwnPage>, Option<RecordFile>),
     tls: Option<Tls>,
 ) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
@@ -141,6 +144,7 @@ pub(crate) async fn accept(
         gate: Arc::new(gate),
         connections: Places::new(CONNECTIONS.0, CONNECTIONS.1),
         page: page.map(Arc::new),
+        record: record.map(Arc::new),
         is_encrypted: tls.is_some(),
         sockets: Places::new(SOCKETS.0, SOCKETS.1),
     });
@@ -214,6 +218,12 @@ fn router(console: Console) -> Router {
             false => path,
         };
         router = router.route(path, get(file));
+    }
+    if let Some(record) = &console.record {
+        let (whole, reported) = (Arc::clone(record), Arc::clone(record));
+        let download = get(async move || whole.download().await);
+        let report = get(async move || reported.report().await);
+        router = router.route("/record", download).route("/report", report);
     }
     if let Some(page) = &console.page {
         let (shown, posted) = (Arc::clone(page), Arc::clone(page));

@@ -10,6 +10,7 @@ mod board;
 mod clients;
 mod clock;
 mod cut;
+mod devices;
 mod gate;
 mod goal;
 mod goals;
@@ -19,6 +20,7 @@ mod own_page;
 mod past;
 mod picture;
 mod places;
+mod record;
 mod robots;
 mod rosbridge;
 mod server_thread;
@@ -37,7 +39,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 pub use robots::{Connect, Robot};
-pub use show::{Show, ShowRecord};
+pub use show::{Record, Show, ShowRecord};
 pub use streams::{Connect as ConnectPublisher, Publisher};
 pub use tls::Tls;
 pub use tokens::Tokens;
@@ -87,6 +89,8 @@ pub fn serve(options: Options) -> io::Result<()> {
     for (server, woken) in woken.into_iter().enumerate() {
         server_thread::spawn(&console, server, woken)?;
     }
+    let record = show.as_ref().and_then(|show| show.record.as_ref());
+    let record = record.map(record::RecordFile::new);
     if let Some(show) = show {
         show::spawn(show, &console)?;
     }
@@ -96,5 +100,5 @@ pub fn serve(options: Options) -> io::Result<()> {
         .enable_all()
         .build()?;
     let gate = gate::Gate::new(tokens, hosts, listener.local_addr()?.port());
-    runtime.block_on(http::accept(listener, console, gate, page, tls))
+    runtime.block_on(http::accept(listener, console, gate, (page, record), tls))
 }

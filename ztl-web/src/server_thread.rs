@@ -1,8 +1,10 @@
 //! The thread of a server: asks what it offers and which tasks run, and sends it ABORTs, at the same time over one
 //! connection. So an ABORT never waits for an answer, and a server that hangs delays no other.
 
+mod seldom;
+
 use std::collections::{HashMap, HashSet};
-use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+use std::hash::DefaultHasher;
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -40,8 +42,6 @@ const STOP_LIMIT: Duration = Duration::from_secs(4);
 const ENDED: usize = 20;
 /// Most tasks that a message names.
 const NAMED: usize = 5;
-/// How often a server is asked what its components say of themselves, if nothing has changed.
-const DESCRIBE: Duration = Duration::from_secs(5);
 
 /// Starts the thread of a server. It looks for work when it is woken.
 pub(crate) fn spawn(board: &Arc<Board>, index: usize, woken: Receiver<()>) -> io::Result<()> {
@@ -65,6 +65,7 @@ enum Asked {
     Tasks,
     /// What its components say of themselves.
     Describe,
+    Devices,
     Abort(Key),
 }
 
@@ -100,6 +101,9 @@ struct ServerThread<'b> {
     /// The questions what its components say of themselves, while they are under way, and the hash of the answers.
     describing: Option<(DescribeQuestions, DefaultHasher)>,
     next_describe: Instant,
+    /// Whether it was asked for its devices, and when it will be asked again.
+    asks_devices: bool,
+    next_devices: Instant,
     /// Whether it does not list its tasks, as a server of the original.
     is_original: bool,
     boot: Option<u32>,
@@ -120,6 +124,8 @@ impl<'b> ServerThread<'b> {
             next_look: Instant::now(),
             describing: None,
             next_describe: Instant::now(),
+            asks_devices: false,
+            next_devices: Instant::now(),
             is_original: false,
             boot: None,
             running: Vec::new(),
@@ -238,48 +244,6 @@ impl<'b> ServerThread<'b> {
         }
     }
 
-    /// Asks what the components say of themselves.
-    fn describe(&mut self) {
-        if let (None, Some(requests)) = (&self.describing, &mut self.requests) {
-            let questions = DescribeQuestions::of_server();
-            requests.ask_server(Asked::Describe, questions.question());
-            self.describing = Some((questions, DefaultHasher::new()));
-            self.next_describe = Instant::now() + DESCRIBE;
-        }
-    }
-
-    fn on_described(&mut self, answer: Answer) {
-        let Some((mut questions, mut hash)) = self.describing.take() else {
-            return;
-        };
-        let answer = match server_answer(answer) {
-            Ok(answer) => answer.unwrap_or_default(),
-            Err(_) => {
-                self.next_describe = Instant::now();
-                return;
-            }
-        };
-        answer.hash(&mut hash);
-        match (questions.on_answer(&answer), &mut self.requests) {
-            (true, Some(requests)) => {
-                requests.ask_server(Asked::Describe, questions.question());
-                self.describing = Some((questions, hash));
-            }
-            _ => {
-                let scopes = questions.into_scopes();
-                let number = match scopes.is_empty() {
-                    true => 0,
-                    // A number that JavaScript can tell from others.
-                    false => hash.finish() >> 12 | 1,
-                };
-                if self.board.seen(self.index).described != Some(number) {
-                    self.board
-                        .set_described(self.index, number, Arc::new(scopes));
-                }
-            }
-        }
-    }
-
     fn receive(&mut self) {
         let Some(requests) = &mut self.requests else {
             return;
@@ -304,6 +268,7 @@ impl<'b> ServerThread<'b> {
             match asked {
                 Asked::Abort(key) => self.on_abort(&key, answer),
                 Asked::Describe => self.on_described(answer),
+                Asked::Devices => self.on_devices(answer),
                 Asked::Probe => self.on_look(|look| look.probe = Some(answer)),
                 Asked::Tasks => self.on_look(|look| look.tasks = Some(answer)),
             }
@@ -410,6 +375,7 @@ impl<'b> ServerThread<'b> {
             text: known.text.clone(),
             scopes: known.scopes.clone(),
             described: known.described,
+            devices: Arc::clone(&known.devices),
             lists: true,
             tasks: Vec::new(),
             gaps: listed.gaps.clone(),
@@ -460,6 +426,9 @@ impl<'b> ServerThread<'b> {
         drop(started);
         if !same_boot || seen.scopes != known.scopes || Instant::now() >= self.next_describe {
             self.describe();
+        }
+        if !same_boot || Instant::now() >= self.next_devices {
+            self.ask_devices();
         }
         self.board.set_seen(self.index, seen);
         self.stop_running();

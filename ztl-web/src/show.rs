@@ -6,6 +6,7 @@ mod stage;
 
 use std::collections::{BTreeMap, HashSet};
 use std::io;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread;
@@ -50,11 +51,21 @@ pub struct Show {
     /// What the operator should know before the first scene.
     pub notes: Vec<String>,
     /// Where its events are recorded.
-    pub record: Option<Box<dyn ShowRecord>>,
+    pub record: Option<Record>,
     /// The show aborts its tasks and ends when the other end of this is dropped.
     pub ending: Receiver<()>,
     /// Is dropped when it has ended.
     pub ended: SyncSender<()>,
+}
+
+/// The record of a show.
+pub struct Record {
+    /// Writes it.
+    pub events: Box<dyn ShowRecord>,
+    /// The file.
+    pub file: PathBuf,
+    /// Makes the page of its report, in HTML, or tells why there is none. The show goes on meanwhile.
+    pub report: fn(&Path) -> Result<String, String>,
 }
 
 /// Records the events of a show.
@@ -238,7 +249,7 @@ pub(crate) fn spawn(show: Show, board: &Arc<Board>) -> io::Result<()> {
         runner,
         pressed,
         stage,
-        record,
+        record: record.map(|record| record.events),
         ending: Some(ending),
         began_ms: now_ms(),
         pressed_cues: BTreeMap::new(),

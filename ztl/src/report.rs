@@ -11,6 +11,12 @@ use ztl_script::report;
 use crate::exit::Done;
 use crate::terminal::{error_line, line};
 
+/// Longest record of a run that goes on, in bytes: it is held as a whole. And longest recording, which only takes time.
+#[cfg(feature = "web")]
+const LONGEST_LINES: u64 = 64 << 20;
+#[cfg(feature = "web")]
+const LONGEST_RECORDING: u64 = 1 << 30;
+
 #[derive(Debug, clap::Args)]
 pub(crate) struct Report {
     /// Records and recordings written by `ztl run-script --record`; several are compared. Or one recording of `ztl record`
@@ -34,8 +40,8 @@ impl Report {
         let mut drawings = Drawings::default();
         for path in &self.records {
             let (runs, found) = match is_recording(path) {
-                false => read(path)?,
-                true => match drawings.read(path, records.len())? {
+                false => read(path, false)?,
+                true => match drawings.read(path, records.len(), false)? {
                     Recorded::Run(runs, damage) => (runs, damage),
                     Recorded::Streams(html, damage) => {
                         return self.of_streams(path, &html, &damage);
@@ -57,11 +63,7 @@ impl Report {
                 page.with_extension("operator.csv"),
             ]);
         }
-        let drawings = drawings.below_overviews(&records);
-        let mut report = report::Report::new(records, damage);
-        for (run, html) in drawings {
-            report.add_drawing(run, &html);
-        }
+        let report = of(records, damage, drawings);
         let texts = [
             report::Report::html as fn(&report::Report) -> String,
             report::Report::tasks_csv,
@@ -110,6 +112,45 @@ impl Report {
     }
 }
 
+/// The page of the record of a run that goes on, in HTML.
+///
+/// # Errors
+/// Why there is none.
+#[cfg(feature = "web")]
+pub(crate) fn of_running(path: &Path) -> Result<String, String> {
+    let is_recording = is_recording(path);
+    let longest = match is_recording {
+        false => LONGEST_LINES,
+        true => LONGEST_RECORDING,
+    };
+    let length = std::fs::metadata(path).map_err(|error| error.to_string())?;
+    if length.len() > longest {
+        let most = longest >> 20;
+        return Err(format!(
+            "the record has more than {most} MiB: download it, and use `ztl report`"
+        ));
+    }
+    let mut drawings = Drawings::default();
+    let (records, damage) = match is_recording {
+        false => read(path, true)?,
+        true => match drawings.read(path, 0, true)? {
+            Recorded::Run(runs, damage) => (runs, damage),
+            Recorded::Streams(html, _) => return Ok(html),
+        },
+    };
+    Ok(of(records, damage, drawings).html())
+}
+
+/// The report of these records.
+fn of(records: Vec<Record>, damage: Vec<Damage>, drawings: Drawings) -> report::Report {
+    let drawings = drawings.below_overviews(&records);
+    let mut report = report::Report::new(records, damage);
+    for (run, html) in drawings {
+        report.add_drawing(run, &html);
+    }
+    report
+}
+
 /// What a recording has.
 #[cfg_attr(
     not(feature = "record"),
@@ -128,10 +169,13 @@ struct Drawings(Vec<(usize, ztl_record::Drawn)>);
 
 #[cfg(feature = "record")]
 impl Drawings {
-    fn read(&mut self, path: &Path, place: usize) -> Result<Recorded, String> {
+    fn read(&mut self, path: &Path, place: usize, goes_on: bool) -> Result<Recorded, String> {
         let name = path.display().to_string();
         let drawn = ztl_record::Drawn::read(path);
-        let drawn = drawn.map_err(|error| format!("cannot report {name}: {error}"))?;
+        let mut drawn = drawn.map_err(|error| format!("cannot report {name}: {error}"))?;
+        if goes_on {
+            drawn.damage.end = None;
+        }
         let mut damage = Vec::new();
         if drawn.damage.is_any() {
             damage.push(Damage {
@@ -143,7 +187,10 @@ impl Drawings {
         if drawn.run().is_empty() {
             return Ok(Recorded::Streams(drawn.page(), damage));
         }
-        let read = record::read(&name, drawn.run());
+        let read = match goes_on {
+            true => record::read_so_far(&name, drawn.run()),
+            false => record::read(&name, drawn.run()),
+        };
         let (runs, found) = read.map_err(|error| format!("cannot read {name}: {error}"))?;
         damage.extend(found);
         if !runs.is_empty() {
@@ -168,7 +215,7 @@ struct Drawings {}
 
 #[cfg(not(feature = "record"))]
 impl Drawings {
-    fn read(&mut self, path: &Path, _: usize) -> Result<Recorded, String> {
+    fn read(&mut self, path: &Path, _: usize, _: bool) -> Result<Recorded, String> {
         let path = path.display();
         Err(format!(
             "{path} is a recording, which this build cannot read (docs/dist.md)"
@@ -206,9 +253,13 @@ pub(crate) fn is_called_recording(path: &Path) -> bool {
     extension.is_some_and(|extension| extension == "mcap")
 }
 
-fn read(path: &Path) -> Result<(Vec<Record>, Vec<Damage>), String> {
+fn read(path: &Path, goes_on: bool) -> Result<(Vec<Record>, Vec<Damage>), String> {
     let name = path.display().to_string();
-    let file = File::open(path).and_then(|file| record::read(&name, BufReader::new(file)));
+    let file = File::open(path).map(BufReader::new);
+    let file = file.and_then(|file| match goes_on {
+        true => record::read_so_far(&name, file),
+        false => record::read(&name, file),
+    });
     file.map_err(|error| format!("cannot read {name}: {error}"))
 }
 

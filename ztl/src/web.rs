@@ -16,7 +16,7 @@ use ztl_script::PlayOptions;
 use ztl_script::event::StampedEvent;
 use ztl_std::keys::exposure;
 use ztl_std::{RemoteTask, Remotes};
-use ztl_web::{Options, Publisher, Robot, Show, ShowRecord, Tls, Tokens, serve};
+use ztl_web::{Options, Publisher, Record, Robot, Show, ShowRecord, Tls, Tokens, serve};
 
 use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::ConnectOptions;
@@ -26,7 +26,7 @@ use crate::remotes_options::RemotesOptions;
 use crate::run_script::{self, RunRecord};
 use crate::server_connection::connect;
 use crate::terminal::{drawn_line, error_line, is_live, line, size};
-use crate::{log, signals};
+use crate::{log, report, signals};
 
 /// The original's port.
 const PORT: u16 = 1060;
@@ -235,8 +235,12 @@ impl Web {
             None => None,
             // The show looks for warnings by itself.
             Some(path) => {
-                let record = RunRecord::create(path, (remotes, Default::default()), || {})?;
-                Some(Box::new(record) as Box<dyn ShowRecord>)
+                let events = RunRecord::create(path, (remotes, Default::default()), || {})?;
+                Some(Record {
+                    events: Box::new(events),
+                    file: path.clone(),
+                    report: report::of_running,
+                })
             }
         };
         let (end, ending) = channel();

@@ -201,3 +201,21 @@ fn joined_records_are_read_as_several_runs() {
         "{last:?}"
     );
 }
+
+#[test]
+fn that_a_run_goes_on_is_no_damage() {
+    let all = include_str!("../fixtures/evening.jsonl");
+    let lines: Vec<&str> = all.lines().take(20).collect();
+    let cut = format!("{}\n{{\"at_ms\":1", lines.join("\n"));
+    let (runs, damage) = read_so_far("run.jsonl", cut.as_bytes()).unwrap();
+    assert_eq!((runs.len(), damage), (1, Vec::new()));
+    assert_eq!(runs[0].events.len(), lines.len());
+    // Of two runs in a file, the first has ended.
+    let two = format!("{}\n{cut}", lines.join("\n"));
+    let (runs, damage) = read_so_far("run.jsonl", two.as_bytes()).unwrap();
+    let texts: Vec<&str> = damage.iter().map(|damage| damage.text.as_str()).collect();
+    let lack = "the end of run.jsonl is lacking: it is read as far as it goes";
+    assert_eq!((runs.len(), texts), (2, vec![lack]));
+    let (_, damage) = read_so_far("run.jsonl", &b"nonsense\n"[..]).unwrap();
+    assert_eq!(damage.len(), 1, "{damage:?}");
+}

@@ -17,7 +17,9 @@ impl Table {
         let mut out = format!("<div class=\"scroll\"><table class=\"{class}\"><thead><tr>");
         for column in columns {
             let (class, name) = column_class(column);
-            let _ = write!(out, "<th{class}>{}</th>", escape(name));
+            // A column without a name has no heading.
+            let cell = if name.is_empty() { "td" } else { "th" };
+            let _ = write!(out, "<{cell}{class}>{}</{cell}>", escape(name));
         }
         out.push_str("</tr></thead><tbody>\n");
         Self {

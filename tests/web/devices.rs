@@ -1,0 +1,105 @@
+//! The devices of a gateway on the page.
+
+use serde_json::{Map, Value, json};
+use ztl_tests::lab::{
+    PATIENCE, Process, SCOPE, Server, busy, reserve_port, simulated_gripper, ztl,
+};
+
+use crate::client::Client;
+use crate::console::{Console, drive, port, web};
+use crate::robot::{Scripted, listed, probed};
+
+/// The answer of a gateway with 53 devices whose texts are hostile.
+fn hostile() -> String {
+    let evil = "<img src=x onerror=alert(1)><script>alert(2)</script>\u{202e}";
+    let device = |number: usize| {
+        let report = json!({
+            "url": evil, "ready": number % 2 == 0, "problem": format!("{evil}{}", "W".repeat(400)),
+            "firmware": { "name": evil, "version": "v".repeat(400), "boot": 1, "uptime_ms": 0, "link_timeout_ms": 1 },
+            "components": [],
+            "link": {
+                "frames": 0, "damaged": u64::MAX, "truncated": u64::MAX, "too_long": 0, "not_understood": 0,
+                "repeats": u64::MAX, "duplicates": 0, "sessions": 1, "resets": u64::MAX, "lost": u64::MAX,
+                "round_trip_p50_us": u64::MAX, "round_trip_p99_us": u64::MAX, "queue": 0,
+            },
+        });
+        (format!("{evil}{number}{}", "W".repeat(100)), report)
+    };
+    let devices: Map<String, Value> = (0..53).map(device).collect();
+    json!({ SCOPE: devices }).to_string()
+}
+
+/// A gateway with a device at `link`, one inside of it, and one whose port there is not.
+fn gateway(port: u16, link: &str) -> Server {
+    let mut command = ztl();
+    command.args(["gateway", "-p", &port.to_string(), "-s", SCOPE]);
+    let arm = format!("arm=serial:{link}");
+    for device in [&arm, "gripper=sim:gripper", "wrist=serial:/no/such/port"] {
+        command.args(["--device", device]);
+    }
+    let process = Process::start(&mut command);
+    process.wait_for("Device 'arm' is ready");
+    Server { process, port }
+}
+
+#[test]
+fn devices_are_shown_with_their_links_and_since_when_one_is_silent() {
+    let _busy = busy();
+    let console = Console::of_one();
+    let link = console.files.path("arm").display().to_string();
+    let on = format!("pty:{link}");
+    let mut device = simulated_gripper(&on);
+    let mut gateway = gateway(reserve_port(), &link);
+    let evil = Scripted::with_devices(&hostile(), |request| match request {
+        "$ztl;2;-1;probe" => Some(probed(&[])),
+        _ => Some(listed()),
+    });
+    let robots = [
+        ("plain", console.robot.port),
+        ("lab", gateway.port),
+        ("evil", evil.port),
+    ];
+    let (_process, url) = web(0, &robots, &[]);
+    let mut driver = drive("devices", &url, &console);
+    driver.wait_for("do: kill the device");
+    device.kill();
+    driver.write_line("done");
+    driver.wait_for("do: start the device");
+    let _device = simulated_gripper(&on);
+    driver.write_line("done");
+    driver.wait_for("do: kill the gateway");
+    gateway.process.kill();
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
+    assert!(ended.stdout.contains("passed"), "{ended:?}");
+}
+
+#[test]
+fn a_client_hears_of_devices_and_a_server_without_them_has_none() {
+    let console = Console::of_one();
+    let gateway = Server::simulated();
+    let robots = [("plain", console.robot.port), ("lab", gateway.port)];
+    let (_process, url) = web(0, &robots, &[]);
+    let mut client = Client::open(port(&url));
+    client.subscribe("/ztl/robots");
+    // By name.
+    let told = client.topic("/ztl/robots", |told| {
+        let [lab, plain] = [0, 1].map(|at| &told["robots"][at]);
+        lab["devices"][1]["state"] == "up" && plain["health"] == "there"
+    });
+    let [lab, plain] = [0, 1].map(|at| &told["robots"][at]);
+    assert_eq!(
+        (&lab["name"], &plain["devices"]),
+        (&json!("lab"), &json!([]))
+    );
+    let gripper = &lab["devices"][0];
+    assert_eq!(
+        (&gripper["name"], &gripper["scope"]),
+        (&json!("gripper"), &json!(SCOPE))
+    );
+    assert!(
+        gripper["reset_ms"].is_u64() && gripper["lost"] == 0,
+        "{gripper}"
+    );
+    assert_eq!(lab["devices_text"], "");
+}
