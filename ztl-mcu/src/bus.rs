@@ -13,7 +13,7 @@
 //! ```
 //!
 //! The gateway asks each node in turn. A node answers with one frame, within [`TURN`]: call
-//! [`Pump::turn`](crate::pump::Pump::turn) at least every millisecond. [`DriverEnable`] switches the transceiver.
+//! [`Pump::turn`](crate::pump::Pump::turn) at least every millisecond. `DriverEnable` (feature `components`) switches the transceiver.
 
 use core::time::Duration;
 

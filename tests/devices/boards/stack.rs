@@ -137,7 +137,8 @@ fn stuffed(frame: &[u8]) -> Vec<u8> {
 
 /// The next frame.
 fn unstuffed(stream: &mut TcpStream) -> Vec<u8> {
-    let bytes = stream.bytes().map(|byte| byte.expect("an answer"));
+    let bytes = std::io::BufReader::with_capacity(1, stream).bytes();
+    let bytes = bytes.map(|byte| byte.expect("an answer"));
     let bytes: Vec<u8> = bytes.take_while(|byte| *byte != 0).collect();
     let mut frame = Vec::new();
     let mut rest = bytes.as_slice();
