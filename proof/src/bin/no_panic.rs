@@ -79,7 +79,6 @@ extern "C" fn main() -> ! {
     // Frames longer than a COBS block.
     let mut long_framed =
         Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), SLOT.component()));
-    let mut ready_node = Node::<_, 2, 128>::new(identity(), Described(ready_parts()));
     let tuned = Tuned::new(ready_parts()).with_firmware(Settings::default());
     let tuned = Described(tuned.load::<_, 5>(Eeprom));
     let mut ready_node = Node::<_, 2, 128>::new(identity(), tuned);
