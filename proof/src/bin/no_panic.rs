@@ -32,6 +32,7 @@ use ztl_core::spec::TaskSpec;
 use ztl_core::tasks::{Task, TaskRules, TaskTable, Tasks};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, base64, goal};
+use ztl_mcu::bus::OnBus;
 use ztl_mcu::components::{
     DigitalInput, DigitalInputConfig, DigitalOutput, DigitalOutputConfig, Servo, ServoConfig,
     StepMotor, Stepper, StepperConfig, Switch,
@@ -45,8 +46,8 @@ use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LatestReading, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Component, Components, Identity, Latest, Node, Queued, Reading, Refused, Report, Run,
-    parameters, parse_goal,
+    Acting, Component, Components, Identity, Latest, LongResults, Node, Queued, Reading, Refused,
+    Report, Run, parameters, parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
 
@@ -81,7 +82,8 @@ extern "C" fn main() -> ! {
         Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), SLOT.component()));
     let tuned = Tuned::new(ready_parts()).with_firmware(Settings::default());
     let tuned = Described(tuned.load::<_, 5>(Eeprom));
-    let mut ready_node = Node::<_, 2, 128>::new(identity(), tuned);
+    let acting = OnBus::new(LongResults(Acting::new(tuned)), 1 << 63, 7);
+    let mut ready_node = Node::<_, 2, 128>::new(identity(), acting);
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
     let mut ask = Connection::<Req, _>::new([0; 300]);
@@ -119,6 +121,12 @@ extern "C" fn main() -> ! {
         run_node(&mut node, input);
         run_node(&mut long_framed, input);
         run_node(&mut ready_node, input);
+        let text = core::str::from_utf8(input).unwrap_or_default();
+        if let Ok(task) = ready_node.start_here(now(), receive(), text) {
+            black_box(ready_node.abort_here(now(), task));
+        }
+        black_box(ready_node.report_event(now(), text));
+        black_box((ready_node.events_lost(), ready_node.components().address()));
         run_server(&mut server, input);
         let _ = black_box(zmtp_line.turn(&mut server, &mut &RECEIVED, &mut Line, now()));
         let _ = black_box(zmtp_line.turn(&mut server, &mut Line, &mut Line, now()));
