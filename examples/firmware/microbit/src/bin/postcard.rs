@@ -18,6 +18,7 @@ use embedded_hal::digital::OutputPin;
 use embedded_io::Write as _;
 use embedded_io_async_06::{ErrorType, Read, Write};
 use microbit::uart::Uart;
+// For its feature.
 use portable_atomic as _;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::server::impls::embedded_io_async_v0_6::{EioWireTx, WireStorage};
