@@ -1,7 +1,5 @@
 //! The actuator of `docs/firmware-guide.md`, and what it does on the host. Each of the guide's Rust blocks stands here.
 
-#![expect(clippy::unwrap_used, reason = "a test")]
-
 use core::convert::Infallible;
 use core::future::Future;
 use core::pin::pin;

@@ -30,7 +30,9 @@ use serde::{Deserialize, Serialize};
 /// What the lamp is to do.
 #[derive(Serialize, Deserialize, Schema)]
 pub struct Shine {
+    /// Whether it is to shine.
     pub on: bool,
+    /// For how long.
     pub millis: u32,
 }
 
@@ -111,6 +113,7 @@ define_dispatch! {
     };
 }
 
+/// The receiving half of the port.
 pub struct Receiver;
 
 impl ErrorType for Receiver {
@@ -127,6 +130,7 @@ impl Read for Receiver {
     }
 }
 
+/// The sending half of the port.
 pub struct Sender(Uart);
 
 impl ErrorType for Sender {
