@@ -379,7 +379,7 @@ impl Default for EndFlag {
 }
 
 /// The latest reading of a component, of at most `N` bytes, which an interrupt or an async driver sets:
-/// [`Latest`](crate::Latest) in a static.
+/// [`Latest`] in a static.
 pub struct LatestReading<const N: usize>(Mutex<RefCell<Latest<N>>>);
 
 impl<const N: usize> LatestReading<N> {

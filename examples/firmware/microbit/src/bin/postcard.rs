@@ -18,6 +18,7 @@ use embedded_hal::digital::OutputPin;
 use embedded_io::Write as _;
 use embedded_io_async_06::{ErrorType, Read, Write};
 use microbit::uart::Uart;
+// For its feature.
 use portable_atomic as _;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::server::impls::embedded_io_async_v0_6::{EioWireTx, WireStorage};
@@ -29,7 +30,9 @@ use serde::{Deserialize, Serialize};
 /// What the lamp is to do.
 #[derive(Serialize, Deserialize, Schema)]
 pub struct Shine {
+    /// Whether it is to shine.
     pub on: bool,
+    /// For how long.
     pub millis: u32,
 }
 
@@ -110,6 +113,7 @@ define_dispatch! {
     };
 }
 
+/// The receiving half of the port.
 pub struct Receiver;
 
 impl ErrorType for Receiver {
@@ -126,6 +130,7 @@ impl Read for Receiver {
     }
 }
 
+/// The sending half of the port.
 pub struct Sender(Uart);
 
 impl ErrorType for Sender {

@@ -22,7 +22,7 @@ fn main() -> ! {
     let mut node = node();
     let mut uart = Uart::start();
     let mut clock = SysTick::<16_000>::start(core.SYST);
-    let mut received = [0; 32];
+    let mut received = [0; 8];
     loop {
         // What a `Pump` does, without its errors, its log and its sleep.
         let now = clock.now();

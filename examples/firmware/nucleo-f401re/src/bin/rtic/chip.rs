@@ -10,7 +10,6 @@ pub(crate) const NVIC_PRIO_BITS: u8 = 4;
 /// The interrupts in use.
 #[derive(Clone, Copy)]
 #[expect(non_camel_case_types, reason = "as in a chip's crate")]
-#[expect(clippy::upper_case_acronyms, reason = "as in a chip's crate")]
 #[repr(u16)]
 pub(crate) enum Interrupt {
     DMA1_STREAM5 = 16,

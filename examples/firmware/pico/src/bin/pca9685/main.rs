@@ -56,10 +56,11 @@ async fn main(_spawner: Spawner) {
     config.serial_number = Some("head");
     config.max_packet_size_0 = 64;
     static STATE: StaticCell<State<'_>> = StaticCell::new();
-    static BUFFERS: StaticCell<([u8; 128], [u8; 16], [u8; 64], [u8; PACKET])> = StaticCell::new();
+    static BUFFERS: StaticCell<([u8; 128], [u8; 16], [u8; 64])> = StaticCell::new();
+    static PACKETS: StaticCell<[u8; PACKET]> = StaticCell::new();
     let state = STATE.init(State::new());
-    let (configuration, bos, control, packet) =
-        BUFFERS.init(([0; 128], [0; 16], [0; 64], [0; PACKET]));
+    let (configuration, bos, control) = BUFFERS.init(([0; 128], [0; 16], [0; 64]));
+    let packet = PACKETS.init([0; PACKET]);
     let driver = Driver::new(chip.USB, Interrupts);
     let mut builder =
         embassy_usb::Builder::new(driver, config, configuration, bos, &mut [], control);

@@ -1,0 +1,324 @@
+//! The actuator of `docs/firmware-guide.md`, and what it does on the host. Each of the guide's Rust blocks stands here.
+
+use core::convert::Infallible;
+use core::future::Future;
+use core::pin::pin;
+use core::task::{Context, Waker};
+use core::time::Duration;
+use std::cell::Cell;
+use std::rc::Rc;
+
+use embedded_hal::pwm::SetDutyCycle;
+use embedded_hal_async::delay::DelayNs;
+use embedded_hal_async::i2c::{self, I2c};
+use embedded_io::{Read, ReadReady, Write};
+use ztl_mcu::describe::{About, Describe, Described, GoalType};
+use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
+use ztl_mcu::link::Offer;
+use ztl_mcu::pump::Pump;
+use ztl_mcu::{
+    Component, Identity, Instant, Node, Reason, Refused, Report, Run, description, parse_goal,
+};
+
+const GUIDE: &str = include_str!("../../docs/firmware-guide.md");
+
+/// The goal in percent, or why not.
+fn opening(goal: &str, why: &mut Report<'_>) -> Result<f32, Refused> {
+    let percent: f32 = parse_goal(goal, why)?;
+    if !(0.0..=100.0).contains(&percent) {
+        why.text("valve opens 0 to 100 %");
+        return Err(Refused);
+    }
+    Ok(percent)
+}
+
+/// A valve on a PWM output. It opens by 50 % a second.
+struct Valve<P> {
+    pwm: P,
+    at: f32,
+    goal: f32,
+    tick: Instant,
+}
+
+const STEP: Duration = Duration::from_millis(20);
+
+impl<P: SetDutyCycle> Component for Valve<P> {
+    fn offer(&self) -> Offer<'_> {
+        Offer::new("valve").with_range(0.0, 100.0, "%")
+    }
+
+    fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        opening(goal, why).map(drop)
+    }
+
+    fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        self.goal = opening(goal, why)?;
+        self.tick = now + STEP;
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        if now >= self.tick {
+            self.tick = now + STEP;
+            self.at += (self.goal - self.at).clamp(-1.0, 1.0);
+        }
+        report.number(self.at, 0);
+        if self.pwm.set_duty_cycle_percent(self.at as u8).is_err() {
+            report.text(" %, output failed");
+            return Run::Failed;
+        }
+        match self.at == self.goal {
+            true => Run::Completed,
+            false => Run::Running,
+        }
+    }
+
+    fn abort(&mut self, _: Instant) {
+        self.goal = self.at;
+    }
+
+    fn make_safe(&mut self, _: Instant) {
+        self.goal = 0.0;
+    }
+
+    fn poll_timeout(&self, _: Instant) -> Instant {
+        self.tick
+    }
+
+    fn next_tick(&self) -> Instant {
+        match self.at == self.goal {
+            true => Instant::NEVER,
+            false => self.tick,
+        }
+    }
+}
+
+impl<P> Describe for Valve<P> {
+    const DESCRIPTION: &str = description!(About {
+        about: Some("opens a valve; it closes when the link is lost"),
+        examples: &["25"],
+        ..About::new(f32::GOAL)
+    });
+}
+
+#[expect(dead_code, reason = "firmware")]
+fn firmware(
+    pwm: impl SetDutyCycle,
+    mut uart: impl Read + ReadReady + Write,
+    boot: u32,
+    clock: fn() -> Instant,
+) -> ! {
+    let valve = Valve {
+        pwm,
+        at: 0.0,
+        goal: 0.0,
+        tick: Instant::ZERO,
+    };
+    let mut node =
+        Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", boot), Described((valve,)));
+    loop {
+        let _ = Pump::new().turn(&mut node, &mut uart, clock()); // a line error is expected; the node recovers
+    }
+}
+
+/// The valve's successor on an I2C bus: register 0 takes percents, register 1 tells them.
+struct BusValve<I, D> {
+    bus: I,
+    delay: D,
+}
+
+const VALVE: u8 = 0x2A;
+
+impl<I: I2c, D: DelayNs> BusValve<I, D> {
+    async fn go(&mut self, percent: u8, progress: Progress<'_>) -> Result<(), I::Error> {
+        self.bus.write(VALVE, &[0, percent]).await?;
+        let mut at = [0];
+        while at != [percent] {
+            self.delay.delay_ms(20).await;
+            self.bus.write_read(VALVE, &[1], &mut at).await?;
+            progress.write(|report| report.number(at[0].into(), 0));
+        }
+        Ok(())
+    }
+}
+
+impl<I: I2c, D: DelayNs> Driver for BusValve<I, D> {
+    fn check(goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
+        opening(goal, why).map(drop)
+    }
+
+    async fn run(&mut self, goal: &str, progress: Progress<'_>) -> Result<(), Failed> {
+        let percent = progress
+            .write(|why| opening(goal, why))
+            .map_err(|_| Failed)?;
+        if self.go(percent as u8, progress).await.is_err() {
+            progress.write(|report| report.text("valve does not answer"));
+            return Err(Failed);
+        }
+        Ok(())
+    }
+
+    async fn make_safe(&mut self) {
+        while self.bus.write(VALVE, &[0, 0]).await.is_err() {
+            self.delay.delay_ms(20).await;
+        }
+    }
+}
+
+/// The duty of an output, in percent.
+struct Pwm(Rc<Cell<u16>>);
+
+impl embedded_hal::pwm::ErrorType for Pwm {
+    type Error = Infallible;
+}
+
+impl SetDutyCycle for Pwm {
+    fn max_duty_cycle(&self) -> u16 {
+        100
+    }
+
+    fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Infallible> {
+        self.0.set(duty);
+        Ok(())
+    }
+}
+
+#[test]
+fn the_valve_opens_by_half_in_a_second() {
+    let duty = Rc::new(Cell::new(0));
+    let mut valve = Valve {
+        pwm: Pwm(duty.clone()),
+        at: 0.0,
+        goal: 0.0,
+        tick: Instant::ZERO,
+    };
+    let (mut text, mut now) = (Reason::new(), Instant::ZERO);
+    valve.start(now, "50", &mut Report::new(&mut text)).unwrap();
+    while valve.poll(now, &mut Report::new(&mut text)) == Run::Running {
+        now = valve.poll_timeout(now);
+    }
+    assert_eq!(
+        (now.as_millis(), duty.get(), text.as_str()),
+        (1000, 50, "50")
+    );
+}
+
+#[test]
+fn the_valve_closes_without_a_task() {
+    let duty = Rc::new(Cell::new(0));
+    let pwm = Pwm(duty.clone());
+    let valve = Valve {
+        pwm,
+        at: 30.0,
+        goal: 30.0,
+        tick: Instant::ZERO,
+    };
+    let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", 7), (valve,));
+    let mut now = Instant::ZERO;
+    node.stop_everything(now);
+    for _ in 0..100 {
+        now = now + STEP;
+        node.handle_timeout(now);
+    }
+    assert_eq!((node.components().0.at, duty.get()), (0.0, 0));
+}
+
+#[test]
+fn a_wrong_goal_is_refused_with_the_right_ones() {
+    let mut text = Reason::new();
+    for goal in ["101", "-1"] {
+        assert_eq!(opening(goal, &mut Report::new(&mut text)), Err(Refused));
+        assert_eq!(text.as_str(), "valve opens 0 to 100 %");
+    }
+    assert_eq!(opening("12.5", &mut Report::new(&mut text)), Ok(12.5));
+}
+
+/// A valve on a bus, which moves by 10 % each time that it is asked.
+struct Bus {
+    goal: Rc<Cell<u8>>,
+    at: u8,
+}
+
+impl i2c::ErrorType for Bus {
+    type Error = Infallible;
+}
+
+impl I2c for Bus {
+    async fn transaction(
+        &mut self,
+        _: u8,
+        operations: &mut [i2c::Operation<'_>],
+    ) -> Result<(), Infallible> {
+        for operation in operations {
+            match operation {
+                i2c::Operation::Write([0, goal]) => self.goal.set(*goal),
+                i2c::Operation::Read(bytes) => {
+                    self.at = self.goal.get().min(self.at + 10);
+                    bytes.fill(self.at);
+                }
+                i2c::Operation::Write(_) => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+struct NoDelay;
+
+impl DelayNs for NoDelay {
+    async fn delay_ns(&mut self, _: u32) {}
+}
+
+#[test]
+fn the_valve_on_the_bus_opens() {
+    let goal = Rc::new(Cell::new(9));
+    let bus = Bus {
+        goal: goal.clone(),
+        at: 0,
+    };
+    let mut valve = BusValve {
+        bus,
+        delay: NoDelay,
+    };
+    let slot = Slot::<BusValve<Bus, NoDelay>>::new(Offer::new("valve").with_range(0.0, 100.0, "%"));
+    let mut component = slot.component();
+    let clock = || Instant::ZERO;
+    let mut driver = pin!(slot.run(&mut valve, clock));
+    let mut turn = || {
+        let polled = driver
+            .as_mut()
+            .poll(&mut Context::from_waker(Waker::noop()));
+        assert!(polled.is_pending());
+    };
+    turn();
+    assert_eq!(goal.get(), 0, "safe before its first task");
+    let mut text = Reason::new();
+    component
+        .start(Instant::ZERO, "40", &mut Report::new(&mut text))
+        .unwrap();
+    turn();
+    let run = component.poll(Instant::ZERO, &mut Report::new(&mut text));
+    assert_eq!((run, text.as_str()), (Run::Completed, "40"));
+}
+
+/// Lines without their indentation and without empty ones.
+fn lines(text: &str) -> Vec<&str> {
+    let lines = text.lines().map(str::trim);
+    lines.filter(|line| !line.is_empty()).collect()
+}
+
+#[test]
+fn each_block_of_the_guide_stands_here() {
+    let source = lines(include_str!("guide.rs"));
+    let blocks: Vec<&str> = GUIDE.split("```rust\n").skip(1).collect();
+    assert!(blocks.len() >= 5);
+    for block in blocks {
+        let (code, _) = block.split_once("```").unwrap();
+        for part in code.split("// …\n") {
+            let part = lines(part);
+            let found = source.windows(part.len()).any(|window| window == part);
+            assert!(found, "not in guide.rs:\n{}", part.join("\n"));
+        }
+    }
+    assert!(GUIDE.lines().count() <= 150);
+}
