@@ -106,7 +106,8 @@ impl Session {
                 CallStage::Waiting { until, .. } if *until <= now => {
                     let directory = &self.options.directory;
                     let reason = match (&self.directory.reason, self.directory.ready) {
-                        (Some(reason), _) => format!("not connected to {directory}: {reason}"),
+                        // It begins with the endpoint.
+                        (Some(reason), _) => format!("not connected to {reason}"),
                         (None, false) => format!("not connected to {directory}"),
                         (None, true) => format!("{} did not answer in time", call.service),
                     };
