@@ -2,7 +2,6 @@
 
 mod sockets;
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::io;
 use std::sync::Arc;
@@ -16,6 +15,7 @@ use crate::meta_object::MetaObject;
 use crate::session::{
     Action, Call, CallError, CallId, Cancel, Event, Options, Session, SignalOf, SubscriptionId,
 };
+use crate::table::Table;
 use crate::value::Value;
 
 use sockets::{Found, Sockets};
@@ -98,10 +98,9 @@ impl Client {
             inbox,
             own: (commands, waker),
             on_event: Box::new(on_event),
-            calls: BTreeMap::new(),
-            handles: BTreeMap::new(),
-            descriptions: BTreeMap::new(),
-            subscriptions: BTreeMap::new(),
+            calls: Table::default(),
+            descriptions: Table::default(),
+            subscriptions: Table::default(),
         };
         let thread = std::thread::Builder::new().name("ztl-naoqi".to_owned());
         thread.spawn(move || worker.run())?;
@@ -195,10 +194,9 @@ struct Worker {
     /// For threads that look up names.
     own: (Sender<Command>, Arc<Waker>),
     on_event: Each,
-    calls: BTreeMap<CallId, (CallHandle, Done<Value>)>,
-    handles: BTreeMap<CallHandle, CallId>,
-    descriptions: BTreeMap<CallId, Done<Arc<MetaObject>>>,
-    subscriptions: BTreeMap<SubscriptionId, (SubscriptionHandle, Each)>,
+    calls: Table<CallId, (CallHandle, Done<Value>)>,
+    descriptions: Table<CallId, Done<Arc<MetaObject>>>,
+    subscriptions: Table<SubscriptionId, (SubscriptionHandle, Each)>,
 }
 
 impl Worker {
@@ -238,7 +236,6 @@ impl Worker {
                 Command::Call(handle, call, wait, done) => match self.session.call(call, wait, now)
                 {
                     Ok(call) => {
-                        self.handles.insert(handle, call);
                         self.calls.insert(call, (handle, done));
                     }
                     Err(error) => done(Err(error)),
@@ -254,8 +251,9 @@ impl Worker {
                     let _ = sender.send(services);
                 }
                 Command::Cancel(handle, told) => {
-                    let call = self.handles.get(&handle);
-                    told(call.map_or(Cancel::Ended, |call| self.session.cancel(*call)));
+                    let mut calls = self.calls.iter();
+                    let call = calls.find(|(_, (other, _))| *other == handle);
+                    told(call.map_or(Cancel::Ended, |(call, _)| self.session.cancel(*call)));
                 }
                 Command::Subscribe(handle, signal, each) => {
                     let id = self.session.subscribe(signal);
@@ -312,8 +310,7 @@ impl Worker {
     fn pass_on(&mut self, event: Event) {
         match event {
             Event::Ended { call, result } => {
-                if let Some((handle, done)) = self.calls.remove(&call) {
-                    self.handles.remove(&handle);
+                if let Some((_, done)) = self.calls.remove(&call) {
                     done(result);
                 }
             }

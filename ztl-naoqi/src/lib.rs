@@ -38,6 +38,7 @@ mod message;
 mod meta_object;
 mod session;
 mod signature;
+mod table;
 mod value;
 
 pub use client::{CallHandle, Client, SubscriptionHandle};

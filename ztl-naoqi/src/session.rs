@@ -11,7 +11,7 @@ mod links;
 mod services;
 mod signals;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,6 +20,7 @@ use crate::connection::Credentials;
 use crate::endpoint::Endpoint;
 use crate::limits::Limits;
 use crate::meta_object::{ArgumentError, MetaObject};
+use crate::table::Table;
 use crate::value::Value;
 
 use calls::PendingCall;
@@ -236,12 +237,12 @@ pub enum Cancel {
 pub struct Session {
     options: Options,
     directory: Directory,
-    links: BTreeMap<LinkId, Link>,
-    services: BTreeMap<String, Service>,
+    links: Table<LinkId, Link>,
+    services: Table<String, Service>,
     /// The services that the directory lists, with their numbers.
-    known: BTreeMap<String, u32>,
-    calls: BTreeMap<CallId, PendingCall>,
-    subscriptions: BTreeMap<SubscriptionId, Subscription>,
+    known: Table<String, u32>,
+    calls: Table<CallId, PendingCall>,
+    subscriptions: Table<SubscriptionId, Subscription>,
     actions: VecDeque<Action>,
     events: VecDeque<Event>,
     signals: VecDeque<QueuedSignal>,
@@ -256,11 +257,11 @@ impl Session {
         let mut session = Self {
             directory: Directory::new(options.directory.clone(), now),
             options,
-            links: BTreeMap::new(),
-            services: BTreeMap::new(),
-            known: BTreeMap::new(),
-            calls: BTreeMap::new(),
-            subscriptions: BTreeMap::new(),
+            links: Table::default(),
+            services: Table::default(),
+            known: Table::default(),
+            calls: Table::default(),
+            subscriptions: Table::default(),
             actions: VecDeque::new(),
             events: VecDeque::new(),
             signals: VecDeque::new(),

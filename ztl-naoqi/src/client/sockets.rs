@@ -1,6 +1,6 @@
 //! The sockets of a session.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::io::{self, Read as _, Write as _};
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::sync::Arc;
@@ -12,6 +12,7 @@ use mio::{Interest, Poll, Token, Waker};
 
 use crate::endpoint::Endpoint;
 use crate::session::{LinkId, Session};
+use crate::table::Table;
 
 use super::Command;
 
@@ -57,7 +58,7 @@ pub(super) fn look_up(
 
 #[derive(Default)]
 pub(super) struct Sockets {
-    sockets: BTreeMap<LinkId, Socket>,
+    sockets: Table<LinkId, Socket>,
     last_token: usize,
     buffer: Vec<u8>,
 }
@@ -131,7 +132,7 @@ impl Sockets {
     /// Finds out about sockets that are connecting.
     pub(super) fn connect_further(&mut self, poll: &Poll, session: &mut Session, now: Instant) {
         let mut failed = Vec::new();
-        for (link, socket) in &mut self.sockets {
+        for (link, socket) in self.sockets.iter_mut() {
             if socket.connected || !(socket.writable || socket.readable) {
                 continue;
             }
@@ -163,7 +164,7 @@ impl Sockets {
     pub(super) fn read(&mut self, session: &mut Session, now: Instant) {
         self.buffer.resize(64 << 10, 0);
         let mut closed = Vec::new();
-        for (link, socket) in &mut self.sockets {
+        for (link, socket) in self.sockets.iter_mut() {
             let mut taken = 0;
             while socket.connected && socket.readable && taken < TURN {
                 match socket.stream.read(&mut self.buffer) {
@@ -195,7 +196,7 @@ impl Sockets {
 
     /// Writes what the session sends.
     pub(super) fn write(&mut self, session: &mut Session) {
-        for (link, socket) in &mut self.sockets {
+        for (link, socket) in self.sockets.iter_mut() {
             while socket.connected && socket.writable {
                 let Some(output) = session.output(*link).filter(|output| !output.is_empty()) else {
                     break;

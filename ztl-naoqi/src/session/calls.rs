@@ -60,8 +60,7 @@ impl Session {
         let stage = CallStage::Waiting { method, until };
         let name = service.clone();
         self.calls.insert(call, PendingCall { service, stage });
-        let service = self.services.entry(name.clone()).or_default();
-        service.waiting.push(call);
+        self.services.get_or_default(&name).waiting.push(call);
         self.want(&name);
         Ok(call)
     }
@@ -102,12 +101,13 @@ impl Session {
 
     pub(super) fn calls_timeout(&mut self, now: Instant) {
         let mut ended = Vec::new();
-        for (id, call) in &self.calls {
+        for (id, call) in self.calls.iter() {
             match &call.stage {
                 CallStage::Waiting { until, .. } if *until <= now => {
                     let directory = &self.options.directory;
                     let reason = match (&self.directory.reason, self.directory.ready) {
-                        (Some(reason), _) => format!("not connected to {directory}: {reason}"),
+                        // It begins with the endpoint.
+                        (Some(reason), _) => format!("not connected to {reason}"),
                         (None, false) => format!("not connected to {directory}"),
                         (None, true) => format!("{} did not answer in time", call.service),
                     };

@@ -1,12 +1,13 @@
 //! Connections: from the first endpoint that is tried to the loss of the connection.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::net::IpAddr;
 use std::time::{Duration, Instant};
 
 use crate::connection::{Connection, Happened, OutputFull, error_text};
 use crate::endpoint::Endpoint;
 use crate::message::{Address, Kind, Message};
+use crate::table::Table;
 
 use super::services::{Process, ServiceState};
 use super::signals::Stage;
@@ -36,7 +37,7 @@ pub(super) struct Link {
     opened: Instant,
     heard: Instant,
     probed: Option<Instant>,
-    pub(super) pending: BTreeMap<u32, Pending>,
+    pub(super) pending: Table<u32, Pending>,
 }
 
 /// What an answer is for.
@@ -178,7 +179,7 @@ impl Session {
             opened: now,
             heard: now,
             probed: None,
-            pending: BTreeMap::new(),
+            pending: Table::default(),
         };
         self.links.insert(id, link);
         Ok(id)
@@ -297,13 +298,7 @@ impl Session {
         self.end_link(id, &reason, link.pending, now);
     }
 
-    fn end_link(
-        &mut self,
-        id: LinkId,
-        reason: &str,
-        pending: BTreeMap<u32, Pending>,
-        now: Instant,
-    ) {
+    fn end_link(&mut self, id: LinkId, reason: &str, pending: Table<u32, Pending>, now: Instant) {
         for pending in pending.into_values() {
             if let Pending::Call(call) = pending {
                 let reason = format!("the connection was lost: {reason}");

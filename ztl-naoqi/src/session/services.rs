@@ -106,8 +106,7 @@ impl Session {
 
     /// Finds out about a service that calls or subscriptions wait for, and goes on with them.
     pub(super) fn want(&mut self, name: &str) {
-        let service = self.services.entry(name.to_owned()).or_default();
-        match service.state {
+        match self.services.get_or_default(name).state {
             ServiceState::Unknown => {
                 if self.resolve(name)
                     && let Some(service) = self.services.get_mut(name)

@@ -225,7 +225,7 @@ impl Session {
             ..
         } = message;
         let mut queued = Vec::new();
-        for (id, subscription) in &self.subscriptions {
+        for (id, subscription) in self.subscriptions.iter() {
             if let Stage::Active {
                 link: other,
                 address: of,
