@@ -14,7 +14,7 @@ use crate::{capi, install, paths};
 use contents::Contents;
 
 /// Maximum size of a program in bytes.
-const MOST: u64 = 4 * 1024 * 1024;
+const MOST: u64 = 5 * 1024 * 1024;
 
 /// The features of a static program: all but libzmq, which needs a compiler for C++.
 const STATIC: [&str; 3] = ["--no-default-features", "--features", "static"];

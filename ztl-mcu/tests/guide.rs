@@ -15,9 +15,11 @@ use embedded_io::{Read, ReadReady, Write};
 use ztl_mcu::describe::{About, Describe, Described, GoalType};
 use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::Offer;
+use ztl_mcu::parameters::{Declaration, Tunable, Tuned, Value};
 use ztl_mcu::pump::Pump;
 use ztl_mcu::{
-    Component, Identity, Instant, Node, Reason, Refused, Report, Run, description, parse_goal,
+    Acting, Component, Identity, Instant, Node, Reason, Refused, Report, Run, description,
+    parameters, parse_goal,
 };
 
 const GUIDE: &str = include_str!("../../docs/firmware-guide.md");
@@ -38,6 +40,25 @@ struct Valve<P> {
     at: f32,
     goal: f32,
     tick: Instant,
+    calibration: Calibration,
+}
+
+parameters! {
+    struct Calibration {
+        speed: f32 = Parameter::<f32>::new(1.0).range(0.1, 5.0).unit("%/tick");
+    }
+}
+
+impl<P> Tunable for Valve<P> {
+    const PARAMETERS: &'static [Declaration] = Calibration::PARAMETERS;
+
+    fn value(&self, index: usize) -> Option<Value<'_>> {
+        self.calibration.value(index)
+    }
+
+    fn set(&mut self, index: usize, value: Value<'_>) {
+        self.calibration.set(index, value);
+    }
 }
 
 const STEP: Duration = Duration::from_millis(20);
@@ -60,7 +81,8 @@ impl<P: SetDutyCycle> Component for Valve<P> {
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         if now >= self.tick {
             self.tick = now + STEP;
-            self.at += (self.goal - self.at).clamp(-1.0, 1.0);
+            let speed = self.calibration.speed;
+            self.at += (self.goal - self.at).clamp(-speed, speed);
         }
         report.number(self.at, 0);
         if self.pwm.set_duty_cycle_percent(self.at as u8).is_err() {
@@ -107,16 +129,23 @@ fn firmware(
     mut uart: impl Read + ReadReady + Write,
     boot: u32,
     clock: fn() -> Instant,
+    is_pressed: fn() -> bool,
 ) -> ! {
     let valve = Valve {
         pwm,
         at: 0.0,
         goal: 0.0,
         tick: Instant::ZERO,
+        calibration: Calibration::default(),
     };
-    let mut node =
-        Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", boot), Described((valve,)));
+    let parts = Acting::new(Described(Tuned::new((valve,))));
+    let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", boot), parts);
     loop {
+        if is_pressed()
+            && let Err(reason) = node.start_here(clock(), 0, "100")
+        {
+            node.report_event(clock(), &reason);
+        }
         let _ = Pump::new().turn(&mut node, &mut uart, clock()); // a line error is expected; the node recovers
     }
 }
@@ -191,6 +220,7 @@ fn the_valve_opens_by_half_in_a_second() {
         at: 0.0,
         goal: 0.0,
         tick: Instant::ZERO,
+        calibration: Calibration::default(),
     };
     let (mut text, mut now) = (Reason::new(), Instant::ZERO);
     valve.start(now, "50", &mut Report::new(&mut text)).unwrap();
@@ -212,6 +242,7 @@ fn the_valve_closes_without_a_task() {
         at: 30.0,
         goal: 30.0,
         tick: Instant::ZERO,
+        calibration: Calibration::default(),
     };
     let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", 7), (valve,));
     let mut now = Instant::ZERO;
@@ -221,6 +252,30 @@ fn the_valve_closes_without_a_task() {
         node.handle_timeout(now);
     }
     assert_eq!((node.components().0.at, duty.get()), (0.0, 0));
+}
+
+#[test]
+fn a_button_opens_the_valve_only_with_a_gateway_and_at_its_own_speed() {
+    let duty = Rc::new(Cell::new(0));
+    let mut valve = Valve {
+        pwm: Pwm(duty.clone()),
+        at: 0.0,
+        goal: 0.0,
+        tick: Instant::ZERO,
+        calibration: Calibration::default(),
+    };
+    Tunable::set(&mut valve, 0, Value::F32(5.0));
+    let (mut text, mut now) = (Reason::new(), Instant::ZERO);
+    valve.start(now, "50", &mut Report::new(&mut text)).unwrap();
+    while valve.poll(now, &mut Report::new(&mut text)) == Run::Running {
+        now = valve.poll_timeout(now);
+    }
+    assert_eq!((now.as_millis(), duty.get()), (200, 50));
+    let parts = Acting::new(Described(Tuned::new((valve,))));
+    let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", 7), parts);
+    let refused = node.start_here(now, 0, "100").unwrap_err();
+    assert_eq!(refused.as_str(), "no link");
+    assert!(node.report_event(now, &refused));
 }
 
 #[test]
