@@ -14,7 +14,7 @@ fn hostile() -> String {
     let evil = "<img src=x onerror=alert(1)><script>alert(2)</script>\u{202e}";
     let device = |number: usize| {
         let report = json!({
-            "url": evil, "ready": number % 2 == 0, "problem": format!("{evil}{}", "W".repeat(400)),
+            "url": evil, "ready": number.is_multiple_of(2), "problem": format!("{evil}{}", "W".repeat(400)),
             "firmware": { "name": evil, "version": "v".repeat(400), "boot": 1, "uptime_ms": 0, "link_timeout_ms": 1 },
             "components": [],
             "link": {
