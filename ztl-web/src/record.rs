@@ -111,6 +111,6 @@ mod tests {
     fn the_name_of_a_record_ends_no_header() {
         let name = |path: &str| name(Path::new(path));
         assert_eq!(name("/tmp/run-2.jsonl"), "run-2.jsonl");
-        assert_eq!(name("a\"; x=\r\nü.mcap"), "a___x_____.mcap");
+        assert_eq!(name("a\"; x=\r\nü.mcap"), "a___x____.mcap");
     }
 }

@@ -268,3 +268,24 @@ fn same(one: &Path, other: &Path) -> bool {
     let real = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     real(one) == real(other)
 }
+
+#[cfg(all(test, feature = "web"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_that_takes_too_much_memory_is_not_read_while_the_run_goes_on() {
+        let path = std::env::temp_dir().join(format!("ztl-report-{}.jsonl", std::process::id()));
+        let file = File::create(&path).expect("a file");
+        // It has a length, and takes no room.
+        file.set_len(LONGEST_LINES + 1).expect("a length");
+        let made = of_running(&path);
+        std::fs::remove_file(&path).expect("it is there");
+        let why = made.expect_err("it is too long");
+        assert!(
+            why.starts_with("the record has more than 64 MiB: download it"),
+            "{why}"
+        );
+        assert!(of_running(&path).is_err(), "it is gone");
+    }
+}
