@@ -7,7 +7,7 @@
 //! task.
 //!
 //! ```
-//! use ztl_mcu::parameters;
+//! use ztl_mcu::{Component, Components, parameters};
 //! use ztl_mcu::parameters::{Declaration, Text, Tunable, Tuned, Value};
 //!
 //! parameters! {
@@ -38,9 +38,11 @@
 //!
 //! let finger = Finger { calibration: Calibration::default() };
 //! assert_eq!(finger.calibration.speed, 50.0);
-//! // Instead of `(finger,)`, for `Node::new`.
-//! let components = Tuned::new((finger,));
-//! # drop(components);
+//!
+//! fn components(finger: impl Component + Tunable) -> impl Components {
+//!     // Instead of `(finger,)`, for `Node::new`.
+//!     Tuned::new((finger,))
+//! }
 //! ```
 //!
 //! [`Tuned::load`] saves values in a [`Storage`]: with the feature `flash` in any NOR flash that implements
