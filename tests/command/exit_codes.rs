@@ -115,6 +115,7 @@ fn each_command_exits_with_the_documented_codes() {
         ("describe -p NOBODY", 1, "describe"),
         ("devices -p NOBODY", 1, "devices"),
         ("devices -p TESTS", 1, "devices"),
+        ("param list hand -p NOBODY", 1, "param"),
         ("doctor -p NOBODY", 1, "doctor"),
         ("gateway -d a=sim:gripper -p TAKEN -s /lab", 1, "gateway"),
         ("gateway wrong.yaml", 2, "gateway"),
