@@ -85,7 +85,9 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
     let end = remote.abort(id).expect("an answer");
     assert_eq!(end.state, State::Aborted);
     // The device forgets it when the gateway has acknowledged its end.
-    until("the task is forgotten", PATIENCE, || buttons.release().err());
+    until("the task is forgotten", PATIENCE, || {
+        buttons.release().err()
+    });
     gateway.process.wait_for("was started by the device");
 
     press(&buttons, "0");
@@ -96,6 +98,20 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
             .filter(|task| task["state"] == State::Completed.code());
         (done.count() == 1).then_some(())
     });
+}
+
+#[test]
+fn a_button_that_is_stuck_fills_no_journal() {
+    let (_running, buttons, url) = gripper();
+    let scratch = Scratch::new();
+    let _gateway = start_gateway(&url, &scratch, reserve_port());
+    let begin = std::time::Instant::now();
+    // 20 at once and then five a second; four more wait in the device.
+    for _ in 0..36 {
+        press(&buttons, "0");
+    }
+    let took = begin.elapsed();
+    assert!(took > std::time::Duration::from_secs(2), "{took:?}");
 }
 
 #[test]

@@ -122,6 +122,7 @@ impl OwnWork {
         }
         self.begun_due = now;
         self.event_due = now;
+        self.tries = 0;
         self.gone = None;
     }
 

@@ -16,6 +16,10 @@ use crate::time::now;
 /// At most so many lines about events at once, and then one in this time.
 const LINES: (u32, Duration) = (100, Duration::from_secs(1));
 
+/// At most so many tasks of the firmware are taken up at once, and then one in this time: no device may push the outcomes
+/// of others out of the journal. The rest wait in the device, which announces them again.
+pub(super) const STARTS: (u32, Duration) = (20, Duration::from_millis(200));
+
 /// The id for the next task of the firmware.
 #[derive(Debug, Default)]
 pub(super) enum NextId {
@@ -82,6 +86,10 @@ impl Worker {
             self.next_id = NextId::Reserved(id);
             return;
         };
+        if !self.starts.take(now()) {
+            self.next_id = NextId::Reserved(id);
+            return;
+        }
         // Before any client sees it: a restarted gateway must know the id.
         if !self.session.take_up(now(), id.id()) {
             self.next_id = NextId::Reserved(id);

@@ -17,7 +17,7 @@ use ztl_link::{LinkEvent, Session};
 
 use super::input::{DeviceRequest, Input};
 use super::line_reader::read_line;
-use super::own::{EventLog, NextId, OwnTasksCell};
+use super::own::{EventLog, NextId, OwnTasksCell, STARTS};
 use super::parameters::Parameters;
 use super::status::SharedStatus;
 use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
@@ -27,6 +27,7 @@ use crate::gateway::opener::Opener;
 use crate::gateway::rate_limited_log::{RateLimitedLog, Severity};
 use crate::gateway::readings::Observers;
 use crate::log_targets::GATEWAY;
+use crate::rate_limit::RateLimit;
 use crate::server::TaskReporter;
 use crate::task_request::TaskRequest;
 use crate::time::now;
@@ -85,6 +86,8 @@ pub(super) struct Worker {
     pub(super) tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
     pub(super) own_tasks: OwnTasksCell,
     pub(super) next_id: NextId,
+    /// Limits the tasks of the firmware.
+    pub(super) starts: RateLimit,
     parameters: Parameters,
     /// Tasks from before a restart that must be resumed before the line is opened.
     awaited: usize,
@@ -128,6 +131,7 @@ impl Worker {
             tasks: HashMap::new(),
             own_tasks,
             next_id: NextId::default(),
+            starts: RateLimit::new(STARTS.0, STARTS.1, now()),
             parameters: Parameters::default(),
             awaited,
             stopping: None,
