@@ -14,13 +14,12 @@ const SOON: Duration = Duration::from_secs(2);
 fn each_final_state_of_the_server_arrives_with_its_text_and_result() {
     let master = Master::shared();
     let name = unique("states");
-    let _robot = master.action(&name, &name);
+    let mut robot = master.action(&name, &name);
     let node = master.node();
     let action = node.action(&name, test_action()).unwrap();
 
     let done = Running::send(&action, 1);
     done.accepted();
-    assert_eq!(done.next(), GoalEvent::Feedback(vec![5, 0, 0, 0]));
     done.ends(EndState::Succeeded, "done", Some(10));
 
     let broken = Running::send(&action, 2);
@@ -28,6 +27,13 @@ fn each_final_state_of_the_server_arrives_with_its_text_and_result() {
     broken.ends(EndState::Aborted, "broken", Some(20));
 
     Running::send(&action, 3).ends(EndState::Rejected, "no", Some(30));
+
+    // Feedback has a connection of its own, which a result overtakes: this goal ends only after its feedback came.
+    let told = Running::send(&action, 4);
+    told.accepted();
+    assert_eq!(told.next(), GoalEvent::Feedback(vec![5, 0, 0, 0]));
+    robot.write_line("finish");
+    told.ends(EndState::Succeeded, "told", Some(7));
 }
 
 #[test]

@@ -22,8 +22,9 @@ def say(*words):
 
 
 class Action:
-    """Goals: 1 succeeds, 2 aborts, 3 is rejected, 4 runs until it is cancelled or told, 5 waits and is recalled,
-    6 loses its result, 7 is never seen; 1000 and more send as many feedbacks, one a millisecond."""
+    """Goals: 1 succeeds, 2 aborts, 3 is rejected, 4 gives feedback and runs until it is cancelled or told,
+    5 waits and is recalled, 6 loses its result, 7 is never seen;
+    1000 and more send as many feedbacks, one a millisecond."""
 
     def __init__(self, topic):
         self.held = {}
@@ -46,8 +47,9 @@ class Action:
             self.held[handle.get_goal_id().id] = handle
         if goal != 5:
             handle.set_accepted("yes")
-        if goal in (1, 6):
+        if goal == 4:
             handle.publish_feedback(TestFeedback(feedback=5))
+        if goal in (1, 6):
             handle.set_succeeded(result, "done")
         elif goal == 2:
             handle.set_aborted(result, "broken")
