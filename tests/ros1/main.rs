@@ -5,5 +5,6 @@ mod hostile;
 mod master;
 mod names;
 mod rig;
+mod robots;
 mod serve;
 mod topics;

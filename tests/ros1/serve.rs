@@ -51,39 +51,57 @@ impl Robot {
         connect(&self.server.endpoint()).with_timeout(PATIENCE)
     }
 
-    /// Runs a task and returns its outcome, or the reason of its rejection, once it is connected: on a busy machine that
-    /// may take longer than a task waits.
+    /// [`run`] of the handler `p`.
     #[track_caller]
-    fn run(&self, component: &str, goal: &str) -> Result<(State, String), String> {
-        const NOT_CONNECTED: [&str; 5] = [
-            "no node subscribes",
-            "no controller receives",
-            "no joint state",
-            "is not connected",
-            "no action server",
-        ];
-        until("it is connected", PATIENCE, || {
-            let ended = self.run_once(component, goal);
-            let is_early = |reason: &String| NOT_CONNECTED.iter().any(|part| reason.contains(part));
-            (!ended.as_ref().is_err_and(is_early)).then_some(ended)
-        })
+    fn run(&self, component: &str, goal: &str) -> Ended {
+        run(|| self.remote(), "p", component, goal)
     }
 
     /// The same at once.
     #[track_caller]
-    fn run_once(&self, component: &str, goal: &str) -> Result<(State, String), String> {
-        match self.remote().run("p", component, goal, Some(PATIENCE)) {
-            Ok(status) if status.state == Rejected => Err(status.text),
-            Ok(status) => Ok((status.state, status.text)),
-            Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => Err(reason),
-            Err(error) => panic!("{component}:{goal}: {error}"),
-        }
+    fn run_once(&self, component: &str, goal: &str) -> Ended {
+        run_once(&mut self.remote(), "p", component, goal)
     }
 
     fn twists(&self) -> Vec<String> {
         let lines = self.node.stdout();
         let lines = lines.lines().filter(|line| line.starts_with("twist"));
         lines.map(str::to_owned).collect()
+    }
+}
+
+/// A task's outcome, or the reason of its rejection.
+pub(crate) type Ended = Result<(State, String), String>;
+
+/// Runs a task once it is connected: on a busy machine that may take longer than a task waits.
+#[track_caller]
+pub(crate) fn run(
+    remote: impl Fn() -> RemoteTask,
+    handler: &str,
+    component: &str,
+    goal: &str,
+) -> Ended {
+    const NOT_CONNECTED: [&str; 5] = [
+        "no node subscribes",
+        "no controller receives",
+        "no joint state",
+        "is not connected",
+        "no action server",
+    ];
+    until("it is connected", PATIENCE, || {
+        let ended = run_once(&mut remote(), handler, component, goal);
+        let is_early = |reason: &String| NOT_CONNECTED.iter().any(|part| reason.contains(part));
+        (!ended.as_ref().is_err_and(is_early)).then_some(ended)
+    })
+}
+
+#[track_caller]
+fn run_once(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> Ended {
+    match remote.run(handler, component, goal, Some(PATIENCE)) {
+        Ok(status) if status.state == Rejected => Err(status.text),
+        Ok(status) => Ok((status.state, status.text)),
+        Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => Err(reason),
+        Err(error) => panic!("{handler}:{component}:{goal}: {error}"),
     }
 }
 
