@@ -15,6 +15,7 @@ pub mod message;
 pub mod naoqi;
 pub mod pickle;
 pub mod recording;
+pub mod ros1;
 mod script;
 pub mod spec;
 pub mod zmtp;

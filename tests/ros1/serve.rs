@@ -370,6 +370,79 @@ scopes: {{/test: {{p: {{
 }
 
 #[test]
+fn a_check_warns_of_definitions_that_the_robot_has_otherwise() {
+    let master = Master::shared();
+    let (action, robot) = (unique("defined"), unique("robot"));
+    let _action = master.action(&action, &action);
+    let mut python = master.debian_python();
+    python.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/ros1/stand_in.py"));
+    let node = Process::start(python.arg(&robot));
+    node.wait_for("ready");
+    let scratch = Scratch::new();
+    let packages = scratch.path("packages");
+    for (package, file, definition) in [
+        (
+            "actionlib",
+            "action/Test.action",
+            "int32 goal\n---\nint64 result\n---\nint32 feedback\n",
+        ),
+        (
+            "sensor_msgs",
+            "msg/BatteryState.msg",
+            "float32 percentage\n",
+        ),
+        (
+            "std_srvs",
+            "srv/SetBool.srv",
+            "bool data\nuint8 level\n---\nbool success\n",
+        ),
+    ] {
+        let path = std::path::Path::new(&packages).join(package);
+        std::fs::create_dir_all(path.join(file).parent().expect("a directory")).expect("to make");
+        std::fs::write(path.join("package.xml"), "<package/>").expect("to write");
+        std::fs::write(path.join(file), definition).expect("to write");
+    }
+    let path = scratch.path("robot.yaml");
+    let text = format!(
+        "ros1: {{master: 'http://127.0.0.1:{}'}}
+scopes: {{/test: {{p: {{
+    count: {{ros1-action: /{action}, type: actionlib/TestAction}},
+    light: {{ros1-service: /{robot}/light, type: std_srvs/SetBool}},
+    wrong: {{ros1-service: /{robot}/light, type: std_srvs/Trigger}},
+    drive: {{ros1-publish: /{robot}/cmd_vel, type: geometry_msgs/Twist}}}}}}}}
+streams: {{/test: {{
+    camera: {{ros1-topic: /{robot}/camera, type: sensor_msgs/CompressedImage}},
+    battery: {{ros1-topic: /{robot}/battery, type: sensor_msgs/BatteryState}}}}}}",
+        master.port
+    );
+    std::fs::write(&path, text).expect("to write");
+    let mut command = ztl();
+    command.env("ROS_PACKAGE_PATH", &packages);
+    command.arg("serve").arg(&path);
+    let ended = Process::run(command.args(["--check", "-p", "0", "--publish", "0"]));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    for part in [
+        format!(
+            "robot.yaml:3:26: warning: topic /{action}/result has another definition of actionlib/TestActionResult than this machine: its MD5 sum is 3d669e3a63aa986c667ea7b0f46ce85e, not "
+        ),
+        format!(
+            "robot.yaml:4:27: warning: service /{robot}/light has another definition of std_srvs/SetBool than this machine: its MD5 sum is 09fb03525b03e7ea1fd3992bafd87e16, not "
+        ),
+        format!(
+            "robot.yaml:5:27: warning: service /{robot}/light is of the type std_srvs/SetBool, not std_srvs/Trigger; write type: std_srvs/SetBool"
+        ),
+        format!(
+            "robot.yaml:9:27: warning: topic /{robot}/battery has another definition of sensor_msgs/BatteryState than this machine"
+        ),
+        "copy the robot's std_srvs package to a directory of ROS_PACKAGE_PATH".to_owned(),
+    ] {
+        assert!(ended.stderr.contains(&part), "{part}: {}", ended.stderr);
+    }
+    let count = ended.stderr.matches("warning: ").count();
+    assert_eq!(count, 4, "{}", ended.stderr);
+}
+
+#[test]
 fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     let mut master = Master::start();
     let _action = master.action("arm", "move");

@@ -6,6 +6,7 @@ mod action;
 #[cfg(test)]
 mod damage;
 mod http;
+mod live_type;
 pub mod message;
 mod node;
 mod survey;

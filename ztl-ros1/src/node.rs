@@ -28,6 +28,7 @@ pub use rpc::CallError;
 pub use service::ServiceError;
 use topics::Consumer;
 pub use topics::TypeConflict;
+pub(crate) use topics::read_offer;
 
 /// How long the master or a node may take to answer a question of the owner.
 const ANSWER: Duration = Duration::from_secs(5);
@@ -529,7 +530,7 @@ fn host_towards(master: &Address) -> Result<String, StartError> {
 }
 
 /// The address of a host, preferably of IPv4, which all of ROS 1 speaks. May block.
-fn resolve(host: &str) -> Option<IpAddr> {
+pub(crate) fn resolve(host: &str) -> Option<IpAddr> {
     if let Some(address) = resolve_literal(host) {
         return Some(address);
     }

@@ -13,6 +13,8 @@ pub struct Survey {
     pub topics: BTreeMap<String, String>,
     /// Actions with their types, such as `control_msgs/FollowJointTrajectoryAction`.
     pub actions: BTreeMap<String, String>,
+    /// The names of the nodes that publish a topic.
+    pub publishers: BTreeMap<String, Vec<String>>,
     /// Services.
     pub services: Vec<String>,
     /// Nodes with the addresses of their APIs, and what is wrong with each: its host name cannot be resolved here, or
@@ -31,30 +33,18 @@ impl Node {
         let published = pairs(&self.ask_master("getPublishedTopics", &["".into()])?);
         let state = self.ask_master("getSystemState", &[])?;
         let parts = state.as_array().unwrap_or_default();
+        let lists: Vec<_> = parts.iter().map(lists).collect();
         let mut nodes = BTreeMap::new();
-        for row in parts
-            .iter()
-            .flat_map(|part| part.as_array().unwrap_or_default())
-        {
-            let [_, names] = row.as_array().unwrap_or_default() else {
-                continue;
-            };
-            for name in names
-                .as_array()
-                .unwrap_or_default()
-                .iter()
-                .filter_map(Value::as_str)
-            {
-                nodes
-                    .entry(name.to_owned())
-                    .or_insert_with(|| self.look_at(name));
-            }
+        for name in lists.iter().flat_map(BTreeMap::values).flatten() {
+            nodes
+                .entry(name.clone())
+                .or_insert_with(|| self.look_at(name));
         }
-        let services = parts.get(2).and_then(Value::as_array).unwrap_or_default();
-        let name = |row: &Value| row.as_array()?.first()?.as_str().map(str::to_owned);
+        let list = |index: usize| lists.get(index).cloned().unwrap_or_default();
         Ok(Survey {
             actions: actions(&published),
-            services: services.iter().filter_map(name).collect(),
+            publishers: list(0),
+            services: list(2).into_keys().collect(),
             topics,
             nodes,
         })
@@ -69,6 +59,20 @@ impl Node {
         let wrong = self.ask(&uri, "getPid", &[]).err();
         (uri, wrong.map(|error| error.to_string()))
     }
+}
+
+/// Reads a list of topics or services, each with a list of nodes.
+fn lists(value: &Value) -> BTreeMap<String, Vec<String>> {
+    let row = |row: &Value| match row.as_array()? {
+        [name, nodes] => {
+            let nodes = nodes.as_array()?.iter();
+            let nodes = nodes.filter_map(|node| node.as_str().map(str::to_owned));
+            Some((name.as_str()?.to_owned(), nodes.collect()))
+        }
+        _ => None,
+    };
+    let rows = value.as_array().unwrap_or_default();
+    rows.iter().filter_map(row).collect()
 }
 
 /// Reads a list of pairs.

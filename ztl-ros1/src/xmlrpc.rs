@@ -7,8 +7,8 @@ mod write;
 
 use std::fmt;
 
-pub(crate) use read::{parse_call, parse_response};
-pub(crate) use write::{call, fault, response};
+pub use read::{parse_call, parse_response};
+pub use write::{call, fault, response};
 
 /// The deepest nesting of a value.
 const DEPTH: usize = 64;

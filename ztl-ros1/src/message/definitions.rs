@@ -164,7 +164,8 @@ impl Definitions {
     /// Why the type is not known.
     pub fn service(&mut self, name: &str) -> Result<ServiceType, DefinitionError> {
         let (package, short) = split(name)?;
-        let source = self.source(package, "srv", short);
+        let source = self.source(package, &[("srv", short)]);
+        let source = source.map(|(_, source)| source);
         let source = source.ok_or_else(|| unknown(name))?.map_err(|it| *it)?;
         let [request, response] = halves(&source.text);
         let mut half = |end: &str, text| {
@@ -310,54 +311,59 @@ impl Definitions {
         package: &str,
         name: &str,
     ) -> Option<Result<Source, Box<DefinitionError>>> {
-        if let Some(source) = self.source(package, "msg", name) {
-            return Some(source);
-        }
+        // Some packages have the action, some what was made of it; the first package that has either is meant.
+        let mut files = vec![("msg", name)];
+        let mut ends = Vec::new();
         for end in PARTS {
-            let Some(action) = name.strip_suffix(end).filter(|action| is_name(action)) else {
-                continue;
-            };
-            let Some(source) = self.source(package, "action", action) else {
-                continue;
-            };
-            return Some(source.and_then(|source| {
-                let text = part_of_action(action, end, &source.text);
-                let place = source.place.clone();
-                match text {
-                    Ok(text) => Ok(Source { text, place }),
-                    Err(message) => {
-                        let name = format!("{package}/{action}Action");
-                        Err(Box::new(source.invalid(&name, message)))
-                    }
-                }
-            }));
+            if let Some(action) = name.strip_suffix(end).filter(|action| is_name(action)) {
+                files.push(("action", action));
+                ends.push(end);
+            }
         }
-        None
+        let (which, source) = self.source(package, &files)?;
+        let Some(end) = which.checked_sub(1).and_then(|index| ends.get(index)) else {
+            return Some(source);
+        };
+        let action = name.strip_suffix(end).unwrap_or(name);
+        Some(source.and_then(|source| {
+            let text = part_of_action(action, end, &source.text);
+            let place = source.place.clone();
+            match text {
+                Ok(text) => Ok(Source { text, place }),
+                Err(message) => {
+                    let name = format!("{package}/{action}Action");
+                    Err(Box::new(source.invalid(&name, message)))
+                }
+            }
+        }))
     }
 
-    /// The text of a definition in a file of this kind: the robot's, or else the carried one.
+    /// The text of the first of these files, kind and name, that there is, and which it is: the robot's, or else the
+    /// carried one.
     fn source(
         &mut self,
         package: &str,
-        kind: &str,
-        name: &str,
-    ) -> Option<Result<Source, Box<DefinitionError>>> {
-        if let Some((path, text)) = self.packages.read(package, kind, name) {
+        files: &[(&str, &str)],
+    ) -> Option<(usize, Result<Source, Box<DefinitionError>>)> {
+        if let Some((which, path, text)) = self.packages.read(package, files) {
             let place = path.display().to_string();
-            return Some(match text {
+            let (_, name) = files.get(which)?;
+            let source = match text {
                 Ok(text) => Ok(Source { text, place }),
                 Err(message) => Err(Box::new(DefinitionError::Invalid {
                     name: format!("{package}/{name}"),
                     place,
                     message,
                 })),
-            });
+            };
+            return Some((which, source));
         }
-        let text = carried::text(package, kind, name)?;
-        Some(Ok(Source {
-            text: text.to_owned(),
-            place: "built in".to_owned(),
-        }))
+        let mut files = files.iter().enumerate();
+        files.find_map(|(which, (kind, name))| {
+            let text = carried::text(package, kind, name)?.to_owned();
+            let place = "built in".to_owned();
+            Some((which, Ok(Source { text, place })))
+        })
     }
 }
 

@@ -48,19 +48,22 @@ impl Packages {
         Self::new(roots)
     }
 
-    /// The text of `directory/name.ending` in a package, and where it is. `None` if there is no such file.
+    /// The text of the first of these files, kind and name, in the first directory of the package that has one: which
+    /// it is, where it is, and its text. `None` if there is none.
     pub(super) fn read(
         &mut self,
         package: &str,
-        kind: &str,
-        name: &str,
-    ) -> Option<(PathBuf, Result<String, String>)> {
-        let file = format!("{name}.{kind}");
+        files: &[(&str, &str)],
+    ) -> Option<(usize, PathBuf, Result<String, String>)> {
         let directories = self.found().get(package)?.iter();
-        let mut files = directories.map(|directory| directory.join(kind).join(&file));
-        let path = files.find(|path| path.is_file())?;
+        let (which, path) = directories
+            .flat_map(|directory| {
+                let path = |(kind, name)| directory.join(kind).join(format!("{name}.{kind}"));
+                files.iter().copied().map(path).enumerate()
+            })
+            .find(|(_, path)| path.is_file())?;
         let text = read(&path);
-        Some((path, text))
+        Some((which, path, text))
     }
 
     /// The names of all files of this kind, as `package/Name`.

@@ -579,7 +579,7 @@ impl Engine {
 }
 
 /// Reads `["TCPROS", host, port]`.
-fn read_offer(value: &Value) -> Option<Address> {
+pub(crate) fn read_offer(value: &Value) -> Option<Address> {
     let [protocol, host, port] = value.as_array()? else {
         return None;
     };

@@ -3,7 +3,10 @@
 use super::{DEPTH, ReadError, Value};
 
 /// Reads a call: its method and parameters.
-pub(crate) fn parse_call(bytes: &[u8]) -> Result<(String, Vec<Value>), ReadError> {
+///
+/// # Errors
+/// Where the bytes are not a call.
+pub fn parse_call(bytes: &[u8]) -> Result<(String, Vec<Value>), ReadError> {
     let mut reader = Reader::new(bytes)?;
     reader.open("methodCall")?;
     reader.open("methodName")?;
@@ -22,7 +25,10 @@ pub(crate) fn parse_call(bytes: &[u8]) -> Result<(String, Vec<Value>), ReadError
 }
 
 /// Reads a response: its value, or the text of a fault.
-pub(crate) fn parse_response(bytes: &[u8]) -> Result<Result<Value, String>, ReadError> {
+///
+/// # Errors
+/// Where the bytes are not a response.
+pub fn parse_response(bytes: &[u8]) -> Result<Result<Value, String>, ReadError> {
     let mut reader = Reader::new(bytes)?;
     reader.open("methodResponse")?;
     if reader.opens("fault") {

@@ -2,8 +2,9 @@
 
 use super::Value;
 
-/// A call.
-pub(crate) fn call(method: &str, params: &[Value]) -> String {
+/// A call of this method with these parameters.
+#[must_use]
+pub fn call(method: &str, params: &[Value]) -> String {
     let mut text = "<?xml version=\"1.0\"?><methodCall><methodName>".to_owned();
     escape(method, &mut text);
     text.push_str("</methodName><params>");
@@ -16,16 +17,18 @@ pub(crate) fn call(method: &str, params: &[Value]) -> String {
     text
 }
 
-/// A response.
-pub(crate) fn response(result: &Value) -> String {
+/// A response with this value.
+#[must_use]
+pub fn response(result: &Value) -> String {
     let mut text = "<?xml version=\"1.0\"?><methodResponse><params><param>".to_owned();
     value(result, &mut text);
     text.push_str("</param></params></methodResponse>");
     text
 }
 
-/// The response to a call that could not be understood.
-pub(crate) fn fault(reason: &str) -> String {
+/// The response to a call that could not be understood: a fault with this text.
+#[must_use]
+pub fn fault(reason: &str) -> String {
     let fault = Value::Struct(vec![
         ("faultCode".to_owned(), Value::Int(1)),
         ("faultString".to_owned(), reason.into()),

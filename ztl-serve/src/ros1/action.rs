@@ -12,7 +12,6 @@ use ztl_yaml::{Fields, Node};
 use super::Event;
 use super::connection::{Connection, wire};
 use super::message::{MessageTemplate, rule_of_goals};
-use super::names::NameKind;
 use super::shown::ShownMessage;
 use super::trajectory::{MOVE_BASE, MoveBase, TRAJECTORY_ACTION, Trajectory};
 use crate::call::Call;
@@ -61,7 +60,7 @@ pub(crate) fn read<'d>(
     let result = fields.optional("result");
     let trajectory = joints.and_then(|node| Trajectory::read(reader, node, fields));
     let types = types?;
-    reader.uses_name(node, name.as_ref(), NameKind::Action(types.name.clone()));
+    reader.uses_action(node, name.as_ref(), &types);
     let short_forms = [
         (joints, "joints", TRAJECTORY_ACTION),
         (frame, "frame", MOVE_BASE),

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use ztl_ros1::Survey;
+use ztl_ros1::message::{ActionType, MessageType, ServiceType};
+use ztl_ros1::{Node as RosNode, Survey};
 use ztl_yaml::{Diagnostic, Node, closest};
 
 use super::connection::Connection;
@@ -15,51 +16,108 @@ pub(crate) struct UsedName {
     place: Diagnostic,
     name: String,
     kind: NameKind,
+    /// Its type, as the file has it.
+    ty: String,
+    /// The definitions that this machine has for it.
+    known: Vec<Known>,
 }
 
-/// What the name is of.
-#[derive(Debug, Clone)]
-pub(crate) enum NameKind {
-    /// An action of this type.
-    Action(String),
-    /// A topic of this type.
-    Topic(String),
+/// What a name is of.
+#[derive(Debug, Clone, Copy)]
+enum NameKind {
+    Action,
+    Topic,
     Service,
 }
 
+/// A definition that this machine has for a topic or service.
+#[derive(Debug, Clone)]
+struct Known {
+    /// What follows the used name.
+    suffix: &'static str,
+    ty: String,
+    md5: String,
+}
+
+impl Known {
+    fn of(suffix: &'static str, message: &MessageType) -> Self {
+        Self {
+            suffix,
+            ty: message.name().to_owned(),
+            md5: message.md5().to_owned(),
+        }
+    }
+}
+
 impl<'d> ConfigReader<'d> {
-    /// Notes a name that the file uses.
-    pub(crate) fn uses_name(&mut self, node: &'d Node, name: Option<&String>, kind: NameKind) {
+    /// Notes an action that the file uses.
+    pub(crate) fn uses_action(&mut self, node: &'d Node, name: Option<&String>, ty: &ActionType) {
+        let known = vec![
+            Known::of("/result", &ty.action_result),
+            Known::of("/feedback", &ty.action_feedback),
+        ];
+        self.uses(node, name, NameKind::Action, &ty.name, known);
+    }
+
+    /// Notes a topic that the file uses.
+    pub(crate) fn uses_topic(&mut self, node: &'d Node, name: Option<&String>, ty: &MessageType) {
+        let known = vec![Known::of("", ty)];
+        self.uses(node, name, NameKind::Topic, ty.name(), known);
+    }
+
+    /// Notes a service that the file uses.
+    pub(crate) fn uses_service(&mut self, node: &'d Node, name: Option<&String>, ty: &ServiceType) {
+        let known = vec![Known {
+            suffix: "",
+            ty: ty.name.clone(),
+            md5: ty.md5.clone(),
+        }];
+        self.uses(node, name, NameKind::Service, &ty.name, known);
+    }
+
+    fn uses(
+        &mut self,
+        node: &'d Node,
+        name: Option<&String>,
+        kind: NameKind,
+        ty: &str,
+        known: Vec<Known>,
+    ) {
         if let Some(name) = name {
             self.ros1.names.push(UsedName {
                 place: self.yaml.mistake(node, ""),
                 name: name.clone(),
                 kind,
+                ty: ty.to_owned(),
+                known,
             });
         }
     }
 }
 
-/// Asks the master for these names. Returns what is not there, or why nobody can tell; blocks for some seconds if nodes
-/// do not answer.
+/// Asks the master for these names. Returns what is not there or is of another type, or why nobody can tell; blocks for
+/// some seconds if nodes do not answer.
 pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<Diagnostic> {
     let Some(first) = names.first() else {
         return Vec::new();
     };
-    let survey = connection.node().and_then(|node| {
+    let surveyed = connection.node().and_then(|node| {
         let survey = node.survey();
-        survey.map_err(|error| {
+        let survey = survey.map_err(|error| {
             format!(
                 "no answer from the master {}: {error}",
                 connection.config.master
             )
-        })
+        });
+        Ok((survey?, node))
     });
-    match survey {
-        Ok(survey) => {
-            let wrong = names
-                .iter()
-                .filter_map(|name| Some((name, name.mistake(&survey)?)));
+    match surveyed {
+        Ok((survey, node)) => {
+            let wrong = |name: &UsedName| {
+                let known = name.mistake(&survey);
+                known.or_else(|| name.other_definition(&survey, &node))
+            };
+            let wrong = names.iter().filter_map(|name| Some((name, wrong(name)?)));
             wrong
                 .map(|(name, (mistake, help))| name.warning(mistake, Some(help)))
                 .collect()
@@ -82,16 +140,17 @@ impl UsedName {
     /// What is wrong with the name, and a remedy.
     fn mistake(&self, survey: &Survey) -> Option<(String, String)> {
         let name = &self.name;
-        let (there, what, needed) = match &self.kind {
-            NameKind::Action(needed) => (survey.actions.get(name), "action", needed.as_str()),
-            NameKind::Topic(needed) => (survey.topics.get(name), "topic", needed.as_str()),
+        let (there, what) = match self.kind {
+            NameKind::Action => (survey.actions.get(name), "action"),
+            NameKind::Topic => (survey.topics.get(name), "topic"),
+            // The master does not know the types of services.
             NameKind::Service if survey.services.contains(name) => return None,
-            NameKind::Service => (None, "service", ""),
+            NameKind::Service => (None, "service"),
         };
         let Some(there) = there else {
             let known: Vec<&String> = match self.kind {
-                NameKind::Action(_) => survey.actions.keys().collect(),
-                NameKind::Topic(_) => survey.topics.keys().collect(),
+                NameKind::Action => survey.actions.keys().collect(),
+                NameKind::Topic => survey.topics.keys().collect(),
                 NameKind::Service => survey.services.iter().collect(),
             };
             let known = known.iter().map(|name| name.as_str());
@@ -102,15 +161,41 @@ impl UsedName {
             return Some((format!("the master knows no {what} {name}"), help));
         };
         // A node may subscribe to any type.
-        if there == needed || there == "*" {
-            return None;
-        }
-        let help = format!("write type: {there}");
-        Some((
-            format!("{what} {name} is of the type {there}, not {needed}"),
-            help,
-        ))
+        let fits = *there == self.ty || there == "*";
+        (!fits).then(|| other_type(what, name, there, &self.ty))
     }
+
+    /// Whether the robot has another definition of its type, and a remedy. Asks the nodes that publish or serve it.
+    fn other_definition(&self, survey: &Survey, node: &RosNode) -> Option<(String, String)> {
+        self.known.iter().find_map(|known| {
+            let name = format!("{}{}", self.name, known.suffix);
+            let (what, there) = match self.kind {
+                NameKind::Service => ("service", node.service_type(&name)?),
+                _ => ("topic", node.topic_type(survey, &name)?),
+            };
+            let Known { ty, md5, .. } = known;
+            if there.name != *ty {
+                return Some(other_type(what, &name, &there.name, ty));
+            }
+            let mistake = format!(
+                "{what} {name} has another definition of {ty} than this machine: its MD5 sum is {}, not {md5}",
+                there.md5
+            );
+            let help = format!(
+                "copy the robot's {} package to a directory of ROS_PACKAGE_PATH",
+                ty.split('/').next().unwrap_or(ty)
+            );
+            (there.md5 != *md5).then_some((mistake, help))
+        })
+    }
+}
+
+/// A name is of a type that the file does not expect.
+fn other_type(what: &str, name: &str, there: &str, needed: &str) -> (String, String) {
+    (
+        format!("{what} {name} is of the type {there}, not {needed}"),
+        format!("write type: {there}"),
+    )
 }
 
 #[cfg(test)]
@@ -134,38 +219,37 @@ mod tests {
             ..Survey::default()
         };
         let document = Document::parse("robot.yaml", b"x: 1").expect("YAML");
-        let said = |name: &str, kind| {
+        let said = |name: &str, kind, ty: &str| {
             let place = document.mistake(document.root().span, "");
             let used = UsedName {
                 place,
                 name: name.to_owned(),
                 kind,
+                ty: ty.to_owned(),
+                known: Vec::new(),
             };
             let (mistake, help) = used.mistake(&survey)?;
             Some(used.warning(mistake, Some(help)).sentence())
         };
-        let twist = || NameKind::Topic("geometry_msgs/Twist".to_owned());
-        assert_eq!(said("/cmd_vel", twist()), None);
-        assert_eq!(said("/odd", twist()), None);
-        assert_eq!(said("/dock", NameKind::Service), None);
+        let twist = "geometry_msgs/Twist";
+        let trigger = "std_srvs/Trigger";
+        assert_eq!(said("/cmd_vel", NameKind::Topic, twist), None);
+        assert_eq!(said("/odd", NameKind::Topic, twist), None);
+        assert_eq!(said("/dock", NameKind::Service, trigger), None);
         assert_eq!(
-            said("/cmdvel", twist()).as_deref(),
+            said("/cmdvel", NameKind::Topic, twist).as_deref(),
             Some(
                 "robot.yaml:1:1: warning: the master knows no topic /cmdvel; did you mean '/cmd_vel'?"
             ),
         );
         assert_eq!(
-            said("/undock_now", NameKind::Service).as_deref(),
+            said("/undock_now", NameKind::Service, trigger).as_deref(),
             Some(
                 "robot.yaml:1:1: warning: the master knows no service /undock_now; `ztl doctor --ros1` says what is there"
             ),
         );
         assert_eq!(
-            said(
-                "/move_base",
-                NameKind::Action("actionlib/TestAction".to_owned())
-            )
-            .as_deref(),
+            said("/move_base", NameKind::Action, "actionlib/TestAction").as_deref(),
             Some(
                 "robot.yaml:1:1: warning: action /move_base is of the type move_base_msgs/MoveBaseAction, not actionlib/TestAction; write type: move_base_msgs/MoveBaseAction"
             ),

@@ -11,7 +11,6 @@ use ztl_yaml::{Fields, Node, NodeValue};
 
 use super::connection::{Connection, wire};
 use super::message::{MessageTemplate, goal_part, rule_of_goals};
-use super::names::NameKind;
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
@@ -94,8 +93,7 @@ pub(crate) fn read<'d>(
         }
     }
     let message_type = message_type?;
-    let kind = NameKind::Topic(message_type.name().to_owned());
-    reader.uses_name(node, topic.as_ref(), kind);
+    reader.uses_topic(node, topic.as_ref(), &message_type);
     let message = match message {
         Some(node) => reader.message_template(node, &message_type, context.rule),
         None => MessageTemplate::of_goal(&message_type),

@@ -11,7 +11,6 @@ use ztl_yaml::{Fields, Node};
 
 use super::connection::Connection;
 use super::message::{MessageTemplate, rule_of_goals};
-use super::names::NameKind;
 use super::shown::ShownMessage;
 use super::{Event, Refusal};
 use crate::call::Call;
@@ -52,7 +51,7 @@ pub(crate) fn read<'d>(
     let limit = fields.optional("limit");
     let limit = limit.and_then(|node| reader.time(node, LONGEST_LIMIT));
     let service = service?;
-    reader.uses_name(node, name.as_ref(), NameKind::Service);
+    reader.uses_service(node, name.as_ref(), &service);
     let request = match message {
         Some(node) => reader.message_template(node, &service.request, context.rule),
         None => MessageTemplate::of_goal(&service.request),

@@ -9,7 +9,6 @@ use ztl_ros1::message::{MessageType, Value};
 use ztl_yaml::{Fields, Node};
 
 use super::connection::{Connection, wire};
-use super::names::NameKind;
 use super::shown::has;
 use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
 use crate::reader::ConfigReader;
@@ -38,8 +37,7 @@ impl<'d> ConfigReader<'d> {
         let field = fields.optional("field");
         let path = field.and_then(|node| self.yaml.text(node, "a field, as data"));
         let message = message?;
-        let kind = NameKind::Topic(message.name().to_owned());
-        self.uses_name(node, name.as_ref(), kind);
+        self.uses_topic(node, name.as_ref(), &message);
         if let (Some(node), Some(path)) = (field, path)
             && let Err(mistake) = has(&message, path)
         {

@@ -11,7 +11,6 @@ use ztl_yaml::{Fields, Node};
 use super::connection::{Connection, wire};
 use super::fit::fit;
 use super::motion::{Action, Motion, STOP_TIME, Seen, Target};
-use super::names::NameKind;
 use crate::call::Call;
 use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
@@ -352,7 +351,9 @@ pub(crate) fn read<'d>(
             None
         }
     });
-    reader.uses_name(node, topic.as_ref(), NameKind::Topic(TRAJECTORY.to_owned()));
+    if let Some(message) = &message {
+        reader.uses_topic(node, topic.as_ref(), message);
+    }
     Some(Arc::new(Controller {
         connection: Arc::clone(&reader.ros1.connection),
         topic: topic?,
