@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_ros1::message::{ServiceType, Value};
-use ztl_ros1::{MessageType, ServiceError};
+use ztl_ros1::{ServiceError, WireType};
 use ztl_std::describe::GoalRule;
 use ztl_yaml::{Fields, Node};
 
@@ -123,7 +123,7 @@ impl Kind for Service {
             Ok(started) => started,
             Err(reason) => return Start::Ended(Outcome::Rejected(reason)),
         };
-        let service_type = MessageType {
+        let service_type = WireType {
             name: self.service.name.clone(),
             md5: self.service.md5.clone(),
             definition: String::new(),
