@@ -11,7 +11,6 @@ use ztl_yaml::{Fields, Node, NodeValue};
 
 use super::connection::{Connection, wire};
 use super::message::{MessageTemplate, goal_part, rule_of_goals};
-use super::names::NameKind;
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
@@ -69,9 +68,12 @@ pub(crate) fn read<'d>(
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
-    let topic = reader.ros1_name(node, "/cmd_vel");
-    let type_node = fields.required("type", "type: geometry_msgs/Twist");
-    let message_type = type_node.and_then(|node| reader.ros1_message(node));
+    let (topic, message_type) = reader.ros1_typed_name::<Arc<MessageType>>(
+        node,
+        fields,
+        "/cmd_vel",
+        "type: geometry_msgs/Twist",
+    );
     let message = fields.optional("message");
     let stop = fields.optional("stop");
     let rate = fields.optional("rate");
@@ -94,12 +96,7 @@ pub(crate) fn read<'d>(
         }
     }
     let message_type = message_type?;
-    let kind = NameKind::Topic(message_type.name().to_owned());
-    reader.uses_name(node, topic.as_ref(), kind);
-    let message = match message {
-        Some(node) => reader.message_template(node, &message_type, context.rule),
-        None => MessageTemplate::of_goal(&message_type),
-    };
+    let message = reader.message_or_goal(message, &message_type, context.rule);
     let stop = stop.map(|node| reader.message_template(node, &message_type, context.rule));
     let repeat = Repeat {
         interval,

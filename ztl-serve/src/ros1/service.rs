@@ -11,7 +11,6 @@ use ztl_yaml::{Fields, Node};
 
 use super::connection::Connection;
 use super::message::{MessageTemplate, rule_of_goals};
-use super::names::NameKind;
 use super::shown::ShownMessage;
 use super::{Event, Refusal};
 use crate::call::Call;
@@ -44,19 +43,14 @@ pub(crate) fn read<'d>(
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
-    let name = reader.ros1_name(node, "/dock");
-    let service = fields.required("type", "type: std_srvs/Trigger");
-    let service = service.and_then(|node| reader.ros1_service(node));
+    let example = "type: std_srvs/Trigger";
+    let (name, service) = reader.ros1_typed_name::<ServiceType>(node, fields, "/dock", example);
     let message = fields.optional("message");
     let result = fields.optional("result");
     let limit = fields.optional("limit");
     let limit = limit.and_then(|node| reader.time(node, LONGEST_LIMIT));
     let service = service?;
-    reader.uses_name(node, name.as_ref(), NameKind::Service);
-    let request = match message {
-        Some(node) => reader.message_template(node, &service.request, context.rule),
-        None => MessageTemplate::of_goal(&service.request),
-    };
+    let request = reader.message_or_goal(message, &service.request, context.rule);
     let result = result.and_then(|node| reader.shown_message(node, "response", &service.response));
     Some(Arc::new(Service {
         connection: Arc::clone(&reader.ros1.connection),
