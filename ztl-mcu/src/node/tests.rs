@@ -261,6 +261,23 @@ fn desk<'n, C, const TASKS: usize>(
     }
 }
 
+/// What a node says to a gateway that asks for its components only, and for nothing that came later.
+fn play_older_gateway<C: Components>(mut desk: Desk<'_, C, 2>) -> Grown<String> {
+    let mut heard = desk.pass(300);
+    heard.extend(desk.hello(5, 1));
+    let count = desk.node.components().count() as u8;
+    for index in 0..count {
+        heard.extend(desk.command(index + 1, Body::Describe { index }));
+    }
+    heard.extend(desk.start(count + 1, 1, 0, "50"));
+    heard.extend(desk.command(count + 2, Body::Ping));
+    heard.extend(desk.command(count + 3, Body::Abort { task: LinkId(1) }));
+    heard.extend(desk.pass(100));
+    heard.extend(desk.hello(6, 1));
+    heard.extend(desk.pass(5000));
+    heard
+}
+
 #[track_caller]
 fn assert_said(heard: Grown<String>, expected: &[&str]) {
     assert_eq!(heard, expected);
