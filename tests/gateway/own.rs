@@ -1,7 +1,7 @@
 //! Tasks that devices start themselves, their events, and long results.
 
 use ztl_mcu::link::Offer;
-use ztl_mcu::{Component, Instant, LongResults, Refused, Report, Run};
+use ztl_mcu::{Component, Instant, Refused, Report, Run};
 use ztl_sim::{Buttons, Device, Kind, Running};
 use ztl_std::gateway::Gateway;
 use ztl_std::{RemoteTask, State, TaskId};
@@ -233,10 +233,10 @@ impl Component for Speller {
 
 #[test]
 fn a_client_gets_a_result_of_500_bytes() {
-    let firmware = Firmware::start(LongResults((Speller {
+    let firmware = Firmware::start((Speller {
         spelled: String::new(),
         wanted: 0,
-    },)));
+    },));
     let mut gateway = Gateway::new();
     let url = format!("tcp:{}", firmware.address);
     gateway

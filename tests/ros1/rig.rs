@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use ztl_ros1::{
-    ActionClient, ActionTypes, Config, EndState, Goal, GoalEnd, GoalEvent, MessageType, Node,
+    ActionClient, ActionTypes, Config, EndState, Goal, GoalEnd, GoalEvent, Node, WireType,
 };
 use ztl_tests::lab::{PATIENCE, Process, Scratch, reserve_port, until};
 
@@ -125,19 +125,19 @@ pub(crate) fn unique(name: &str) -> String {
     format!("{name}{}", NEXT.fetch_add(1, Ordering::Relaxed))
 }
 
-pub(crate) fn of(name: &str, md5: &str) -> MessageType {
-    MessageType {
+pub(crate) fn of(name: &str, md5: &str) -> WireType {
+    WireType {
         name: name.to_owned(),
         md5: md5.to_owned(),
         definition: String::new(),
     }
 }
 
-pub(crate) fn string() -> MessageType {
+pub(crate) fn string() -> WireType {
     of("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1")
 }
 
-pub(crate) fn trigger() -> MessageType {
+pub(crate) fn trigger() -> WireType {
     of("std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522")
 }
 

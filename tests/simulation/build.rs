@@ -64,7 +64,7 @@ fn main() -> io::Result<()> {
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
          mod acting;\npub mod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\n\
          pub use acting::{{Acting, OwnWork}};\n\
-         pub use component::{{Component, Components, LongResults, Reading, Refused, Report, Run}};\n\
+         pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\
          /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",

@@ -71,6 +71,10 @@ const goalOf = (page) => page.locator('#goal:visible, #fields input:not([type]):
 const ready = (page) => page.locator('#start[aria-disabled=false]').waitFor();
 const isOff = async (page) => await page.locator('#start').getAttribute('aria-disabled') === 'true';
 
+// Waits until the show says this of itself, and until a press counts again after it has changed.
+const showState = (page, text) => page.locator('#show-state', { hasText: text }).waitFor();
+const settle = (page) => page.waitForTimeout(700);
+
 const saying = (page, list, text) => page.locator(`${list} .card`, { hasText: text });
 
 // Stop lies within the screen of a phone, and nothing is wider than it.
@@ -186,18 +190,16 @@ const scenarios = {
       await page.emulateMedia({ colorScheme: name === 'phone' ? 'dark' : 'light' });
       await page.locator('#show').waitFor();
       await page.locator('#show-missing li', { hasText: 'gone: MISSING' }).waitFor();
-      const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
-      const settle = () => page.waitForTimeout(700);
       // Chosen by tap; what is played is what is shown.
-      await settle();
+      await settle(page);
       await page.locator('#show-scenes button', { hasText: 'second' }).click();
       await page.locator('#show-play', { hasText: 'Play: second' }).waitFor();
-      await settle();
+      await settle(page);
       const where = () => page.locator('#show-play').evaluate((it) => it.getBoundingClientRect().top + scrollY);
       const place = await where();
       // Two impatient presses play once.
       await page.locator('#show-play').dblclick();
-      await state('Plays: second');
+      await showState(page, 'Plays: second');
       await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
       await page.locator('#show-cues button', { hasText: 'say' }).click();
       await page.locator('#show-cues li', { hasText: 'test:echo:hello completed' }).waitFor();
@@ -211,7 +213,7 @@ const scenarios = {
       if (name === 'desk') {
         // As a remote desktop repeats a held key: each time pressed and let go.
         const cues = () => page.sent.filter((message) => message.service === '/ztl/show/cue').length;
-        await settle();
+        await settle(page);
         const before = cues();
         for (let repeat = 0; repeat < 10; repeat += 1) {
           await page.keyboard.press('s');
@@ -225,43 +227,43 @@ const scenarios = {
       assert.equal(await where(), place, 'Play has moved');
       await check(page, `show-${name}`);
       await page.locator('#show-stop').click();
-      await state('Next: second');
+      await showState(page, 'Next: second');
       await page.locator('#show-stopped li', { hasText: 'stopped: test:mark:two' }).waitFor();
       await saying(page, '#running', 'test:mark:cue').waitFor();
-      await settle();
+      await settle(page);
       await page.locator('#show-play').click();
-      await state('Plays: second');
+      await showState(page, 'Plays: second');
       await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
-      await settle();
+      await settle(page);
       // A double tap pauses, and does not go on at once.
       const pauses = page.locator('#show-commands [data-do=pause]');
       await pauses.click();
       await pauses.getByText('Go on after pause').waitFor();
       await pauses.click();
       await page.getByText('NOT SENT: the show changed as you pressed').waitFor();
-      await state('a pause follows this step');
+      await showState(page, 'a pause follows this step');
       await page.keyboard.press('Escape');
       await page.getByText('Stopped: every robot has confirmed').waitFor();
-      await state('Next: second');
+      await showState(page, 'Next: second');
       await check(page, `show-${name}-stopped`);
       await page.locator('#stopped-close').click();
       // A question of the script is answered by a tap.
-      await settle();
+      await settle(page);
       await page.locator('#show-scenes button', { hasText: 'ask' }).click();
       await page.locator('#show-play', { hasText: 'Play: ask' }).waitFor();
       const cut = await page.locator('#show-play').evaluate((it) => it.scrollWidth > it.clientWidth || it.scrollHeight > it.clientHeight);
       assert.equal(cut, false, 'the name on Play is cut');
-      await settle();
+      await settle(page);
       await page.locator('#show-play').click();
-      await state('DECIDE: a task failed');
-      await settle();
+      await showState(page, 'DECIDE: a task failed');
+      await settle(page);
       await page.emulateMedia({ colorScheme: name === 'phone' ? 'light' : 'dark' });
       await check(page, `show-${name}-asks`);
       await page.getByRole('button', { name: 'Go on anyway' }).click();
-      await state('The last scene is over.');
-      await settle();
+      await showState(page, 'The last scene is over.');
+      await settle(page);
       await page.getByRole('button', { name: 'Restart' }).click();
-      await state('Next: first');
+      await showState(page, 'Next: first');
       await page.close();
     }
   },
@@ -326,46 +328,48 @@ const scenarios = {
   // Skip, Pause, Go on, Replay and Retry.
   async commands() {
     const page = await open();
-    const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
-    const settle = () => page.waitForTimeout(700);
     const press = async (name) => {
-      await settle();
+      await settle(page);
       await page.locator('#show-commands').getByRole('button', { name }).click();
     };
     const play = async () => {
-      await settle();
+      await settle(page);
       await page.locator('#show-play').click();
+    };
+    const pause = async () => {
+      await press('Pause after step');
+      await showState(page, 'a pause follows this step');
+    };
+    const goOn = async () => {
+      await press('Go on after pause');
+      await showState(page, 'Next: flaky');
     };
     const step = (text) => page.locator('#show-steps li', { hasText: text }).first().waitFor();
     const scene = (text) => page.locator('#show-scenes button', { hasText: text }).waitFor();
     await page.getByText('The show is not recorded. Started with --record').waitFor();
     assert.equal(await page.locator('#record-links').isVisible(), false);
-    await state('Next: skipped');
+    await showState(page, 'Next: skipped');
     await press('Skip');
-    await state('Next: played');
+    await showState(page, 'Next: played');
     await scene('− 1 skipped');
     await play();
     await step('test:sleep:2 accepted');
-    await press('Pause after step');
-    await state('a pause follows this step');
-    await state('PAUSE: played');
+    await pause();
+    await showState(page, 'PAUSE: played');
     await step('test:echo:said planned');
     await check(page, 'show-pause');
-    await press('Go on after pause');
-    await state('Next: flaky');
+    await goOn();
     await scene('✓ 2 played');
     await press('Replay last');
-    await state('Plays: played');
+    await showState(page, 'Plays: played');
     // A pause that was ordered is taken back.
-    await press('Pause after step');
-    await state('a pause follows this step');
-    await press('Go on after pause');
-    await state('Next: flaky');
+    await pause();
+    await goOn();
     await play();
-    await state('DECIDE: a task failed');
+    await showState(page, 'DECIDE: a task failed');
     await step('test:flaky:1 failed');
     await press('Retry failed');
-    await state('The last scene is over.');
+    await showState(page, 'The last scene is over.');
     await scene('✓ 3 flaky');
     await page.locator('#goals-box').waitFor({ state: 'hidden' });
     await page.locator('#idle').waitFor();
@@ -374,25 +378,23 @@ const scenarios = {
   // A scene is stopped and played again while its robot hangs.
   async stuck() {
     const page = await open();
-    const state = (text) => page.locator('#show-state', { hasText: text }).waitFor();
-    const settle = () => page.waitForTimeout(700);
-    await settle();
+    await settle(page);
     await page.locator('#show-scenes button', { hasText: 'second' }).click();
     await page.locator('#show-play', { hasText: 'Play: second' }).waitFor();
-    await settle();
+    await settle(page);
     await page.locator('#show-play').click();
     await saying(page, '#running', 'test:mark:two').waitFor();
     await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
     await outside('suspend the robot');
     await page.locator('#show-stop').click();
-    await state('Stopping: second');
+    await showState(page, 'Stopping: second');
     assert.equal(await page.locator('#show-play').getAttribute('aria-disabled'), 'true');
     await page.locator('#show-stopped li', { hasText: 'NOT CONFIRMED: test:mark:two' }).waitFor();
-    await state('Next: second');
+    await showState(page, 'Next: second');
     await check(page, 'show-stuck');
-    await settle();
+    await settle(page);
     await page.locator('#show-play').click();
-    await state('Plays: second');
+    await showState(page, 'Plays: second');
     await outside('continue the robot');
     // What was stopped ends, and what was played then runs.
     await page.locator('#show-steps li', { hasText: 'test:mark:two accepted' }).first().waitFor();
@@ -400,7 +402,7 @@ const scenarios = {
     await saying(page, '#ended', 'test:mark:two').getByText('ABORTED').waitFor();
     assert.equal(await saying(page, '#running', 'test:mark:two').count(), 1);
     await page.locator('#show-stop').click();
-    await state('Next: second');
+    await showState(page, 'Next: second');
     await page.locator('#idle').waitFor();
   },
 

@@ -127,7 +127,7 @@ pub trait Component {
     }
 
     /// The result of the last completed task, if it is longer than a report of 48 bytes; empty, the default, if the
-    /// report says all. The node asks only components in [`LongResults`].
+    /// report says all.
     ///
     /// The component keeps it unchanged until its next `start`, which the node delays until a gateway has the result: to
     /// the node the component is busy until then. A result longer than
@@ -216,9 +216,6 @@ pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
 
-    /// Whether the node asks them for [long results](Component::result). If not, it has no code for that.
-    const LONG_RESULTS: bool = false;
-
     /// Whether the firmware starts tasks itself and reports events. If not, the node has no code for that.
     const ACTING: bool = false;
 
@@ -249,6 +246,12 @@ pub trait Components {
     fn next_tick(&self, index: usize) -> Instant {
         self.component(index)
             .map_or(Instant::NEVER, Component::next_tick)
+    }
+
+    /// The [long result](Component::result) of the component with this index, or nothing. An implementation that knows the
+    /// components' types calls them directly: firmware without long results then has no code for them.
+    fn result(&self, index: usize) -> &str {
+        self.component(index).map_or("", Component::result)
     }
 
     /// What a component says of itself, in JSON (`docs/protocol.md` [11.7]); empty if it says nothing.
@@ -296,6 +299,10 @@ impl<T: Component> Components for [T] {
     fn next_tick(&self, index: usize) -> Instant {
         self.get(index).map_or(Instant::NEVER, T::next_tick)
     }
+
+    fn result(&self, index: usize) -> &str {
+        self.get(index).map_or("", T::result)
+    }
 }
 
 impl<T: Component, const N: usize> Components for [T; N] {
@@ -314,11 +321,14 @@ impl<T: Component, const N: usize> Components for [T; N] {
     fn next_tick(&self, index: usize) -> Instant {
         self.as_slice().next_tick(index)
     }
+
+    fn result(&self, index: usize) -> &str {
+        self.as_slice().result(index)
+    }
 }
 
 impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
-    const LONG_RESULTS: bool = C::LONG_RESULTS;
     const ACTING: bool = C::ACTING;
     const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
 
@@ -336,6 +346,10 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn next_tick(&self, index: usize) -> Instant {
         C::next_tick(self, index)
+    }
+
+    fn result(&self, index: usize) -> &str {
+        C::result(self, index)
     }
 
     fn description(&self, index: usize) -> &str {
@@ -391,6 +405,10 @@ macro_rules! forward {
         fn next_tick(&self, index: usize) -> Instant {
             self.$field.next_tick(index)
         }
+
+        fn result(&self, index: usize) -> &str {
+            self.$field.result(index)
+        }
     };
     (@descriptions $field:tt) => {
         const DESCRIBED: bool = C::DESCRIBED;
@@ -398,9 +416,6 @@ macro_rules! forward {
         fn description(&self, index: usize) -> &str {
             self.$field.description(index)
         }
-    };
-    (@results $field:tt) => {
-        const LONG_RESULTS: bool = C::LONG_RESULTS;
     };
     (@bus $field:tt) => {
         fn bus(&self) -> Option<&BusState> {
@@ -436,16 +451,6 @@ macro_rules! forward {
 }
 pub(crate) use forward;
 
-/// Components some of which report [results](Component::result) of more than 48 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub struct LongResults<C>(pub C);
-
-impl<C: Components> Components for LongResults<C> {
-    const LONG_RESULTS: bool = true;
-
-    forward!(0: parts descriptions bus own_work parameters);
-}
-
 macro_rules! tuples {
     ($($count:literal: $($name:ident $index:tt),+;)+) => {
         $(impl<$($name: Component),+> Components for ($($name,)+) {
@@ -471,6 +476,13 @@ macro_rules! tuples {
                 match index {
                     $($index => self.$index.next_tick(),)+
                     _ => Instant::NEVER,
+                }
+            }
+
+            fn result(&self, index: usize) -> &str {
+                match index {
+                    $($index => self.$index.result(),)+
+                    _ => "",
                 }
             }
         })+

@@ -34,7 +34,7 @@ use ztl_core::link::parameter::NO_COMPONENT;
 
 use crate::acting::{Acting, OwnWork};
 use crate::bus::BusState;
-use crate::component::{Component, Components, LongResults, forward};
+use crate::component::{Component, Components, forward};
 use crate::parameters::Tuning;
 
 pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
@@ -58,10 +58,6 @@ pub trait DescribeAll {
 
 impl<T: Describe, const N: usize> DescribeAll for [T; N] {
     const DESCRIPTIONS: &'static [&'static str] = &[T::DESCRIPTION; N];
-}
-
-impl<C: DescribeAll> DescribeAll for LongResults<C> {
-    const DESCRIPTIONS: &'static [&'static str] = C::DESCRIPTIONS;
 }
 
 impl<C: DescribeAll> DescribeAll for Acting<C> {
@@ -109,7 +105,7 @@ impl<C: Components + DescribeAll> Components for Described<C> {
         true
     };
 
-    forward!(0: parts results bus own_work parameters);
+    forward!(0: parts bus own_work parameters);
 
     fn description(&self, index: usize) -> &str {
         C::DESCRIPTIONS.get(index).copied().unwrap_or_default()

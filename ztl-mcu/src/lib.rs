@@ -65,7 +65,7 @@
 //! | learn whether a gateway is there | [`Node::link`] | |
 //! | start tasks from a button, report events | [`Acting`], [`Node::start_here`], [`Node::report_event`] | |
 //! | report results as structs | [`Report`]`::value` | `serde` (default) |
-//! | report results longer than 48 bytes | [`Component::result`], [`LongResults`] | |
+//! | report results longer than 48 bytes | [`Component::result`] | |
 //! | publish readings | [`Component::poll_reading`], [`Latest`], [`Queued`] | |
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
 //! | use a port of a HAL on `embedded-io` 0.6 | `pump::Io06` | `embedded-io-06` |
@@ -102,7 +102,7 @@ pub mod shared;
 pub mod zmtp;
 
 pub use acting::{Acting, OwnWork};
-pub use component::{Component, Components, LongResults, Reading, Refused, Report, Run};
+pub use component::{Component, Components, Reading, Refused, Report, Run};
 #[cfg(feature = "serde")]
 pub use goal::parse_goal;
 pub use node::{Counters, Identity, LinkUp, Node, Reason};

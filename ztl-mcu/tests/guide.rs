@@ -123,6 +123,16 @@ impl<P> Describe for Valve<P> {
     });
 }
 
+fn closed_valve<P>(pwm: P) -> Valve<P> {
+    Valve {
+        pwm,
+        at: 0.0,
+        goal: 0.0,
+        tick: Instant::ZERO,
+        calibration: Calibration::default(),
+    }
+}
+
 #[expect(dead_code, reason = "firmware")]
 fn firmware(
     pwm: impl SetDutyCycle,
@@ -131,13 +141,7 @@ fn firmware(
     clock: fn() -> Instant,
     is_pressed: fn() -> bool,
 ) -> ! {
-    let valve = Valve {
-        pwm,
-        at: 0.0,
-        goal: 0.0,
-        tick: Instant::ZERO,
-        calibration: Calibration::default(),
-    };
+    let valve = closed_valve(pwm);
     let parts = Acting::new(Described(Tuned::new((valve,))));
     let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", boot), parts);
     loop {
@@ -212,21 +216,22 @@ impl SetDutyCycle for Pwm {
     }
 }
 
-#[test]
-fn the_valve_opens_by_half_in_a_second() {
-    let duty = Rc::new(Cell::new(0));
-    let mut valve = Valve {
-        pwm: Pwm(duty.clone()),
-        at: 0.0,
-        goal: 0.0,
-        tick: Instant::ZERO,
-        calibration: Calibration::default(),
-    };
+/// When a task that starts at zero has opened the valve by half, and its result.
+#[expect(clippy::unwrap_used, reason = "a helper of tests may panic")]
+fn open_by_half(valve: &mut Valve<Pwm>) -> (Instant, Reason) {
     let (mut text, mut now) = (Reason::new(), Instant::ZERO);
     valve.start(now, "50", &mut Report::new(&mut text)).unwrap();
     while valve.poll(now, &mut Report::new(&mut text)) == Run::Running {
         now = valve.poll_timeout(now);
     }
+    (now, text)
+}
+
+#[test]
+fn the_valve_opens_by_half_in_a_second() {
+    let duty = Rc::new(Cell::new(0));
+    let mut valve = closed_valve(Pwm(duty.clone()));
+    let (now, text) = open_by_half(&mut valve);
     assert_eq!(
         (now.as_millis(), duty.get(), text.as_str()),
         (1000, 50, "50")
@@ -236,14 +241,8 @@ fn the_valve_opens_by_half_in_a_second() {
 #[test]
 fn the_valve_closes_without_a_task() {
     let duty = Rc::new(Cell::new(0));
-    let pwm = Pwm(duty.clone());
-    let valve = Valve {
-        pwm,
-        at: 30.0,
-        goal: 30.0,
-        tick: Instant::ZERO,
-        calibration: Calibration::default(),
-    };
+    let mut valve = closed_valve(Pwm(duty.clone()));
+    (valve.at, valve.goal) = (30.0, 30.0);
     let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", 7), (valve,));
     let mut now = Instant::ZERO;
     node.stop_everything(now);
@@ -257,19 +256,9 @@ fn the_valve_closes_without_a_task() {
 #[test]
 fn a_button_opens_the_valve_only_with_a_gateway_and_at_its_own_speed() {
     let duty = Rc::new(Cell::new(0));
-    let mut valve = Valve {
-        pwm: Pwm(duty.clone()),
-        at: 0.0,
-        goal: 0.0,
-        tick: Instant::ZERO,
-        calibration: Calibration::default(),
-    };
+    let mut valve = closed_valve(Pwm(duty.clone()));
     Tunable::set(&mut valve, 0, Value::F32(5.0));
-    let (mut text, mut now) = (Reason::new(), Instant::ZERO);
-    valve.start(now, "50", &mut Report::new(&mut text)).unwrap();
-    while valve.poll(now, &mut Report::new(&mut text)) == Run::Running {
-        now = valve.poll_timeout(now);
-    }
+    let (now, _) = open_by_half(&mut valve);
     assert_eq!((now.as_millis(), duty.get()), (200, 50));
     let parts = Acting::new(Described(Tuned::new((valve,))));
     let mut node = Node::<_, 2, 128>::new(Identity::new("boiler", "1.0.0", 7), parts);

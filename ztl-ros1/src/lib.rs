@@ -23,7 +23,7 @@ pub use survey::Survey;
 
 /// A type of messages, as the wire needs it: bodies are bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct MessageType {
+pub struct WireType {
     /// Such as `std_msgs/String`; `*` for any.
     pub name: String,
     /// The MD5 sum of the definition, 32 hexadecimal digits; `*` for any.
@@ -36,9 +36,9 @@ pub struct MessageType {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ActionTypes {
     /// Such as `control_msgs/FollowJointTrajectoryActionGoal`.
-    pub goal: MessageType,
+    pub goal: WireType,
     /// Such as `control_msgs/FollowJointTrajectoryActionFeedback`.
-    pub feedback: MessageType,
+    pub feedback: WireType,
     /// Such as `control_msgs/FollowJointTrajectoryActionResult`.
-    pub result: MessageType,
+    pub result: WireType,
 }

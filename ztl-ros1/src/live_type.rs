@@ -8,7 +8,7 @@ use crate::node::{Node, read_offer, resolve};
 use crate::tcpros::{Frames, Header, LONGEST_HEADER};
 use crate::uri::Address;
 use crate::xmlrpc::Value;
-use crate::{MessageType, Survey};
+use crate::{Survey, WireType};
 
 /// How long each step may take.
 const ANSWER: Duration = Duration::from_secs(2);
@@ -20,7 +20,7 @@ impl Node {
     /// The type that a topic really has, asked of the first of its publishers that answers. Blocks for up to some
     /// seconds for each that does not. Nothing is received.
     #[must_use]
-    pub fn topic_type(&self, survey: &Survey, topic: &str) -> Option<MessageType> {
+    pub fn topic_type(&self, survey: &Survey, topic: &str) -> Option<WireType> {
         let name = survey.topics.get(topic)?;
         let publishers = survey.publishers.get(topic)?;
         publishers.iter().find_map(|publisher| {
@@ -44,7 +44,7 @@ impl Node {
 
     /// The type that a service really has. Blocks for up to some seconds if it does not answer. Calls nothing.
     #[must_use]
-    pub fn service_type(&self, service: &str) -> Option<MessageType> {
+    pub fn service_type(&self, service: &str) -> Option<WireType> {
         let uri = self.ask_master("lookupService", &[service.into()]).ok()?;
         let address = Address::parse(uri.as_str()?, "rosrpc")?;
         let fields = [
@@ -58,7 +58,7 @@ impl Node {
 }
 
 /// Sends a header, and reads the type from that of the answer.
-fn ask_type(address: &Address, fields: &[(&str, &str)]) -> Option<MessageType> {
+fn ask_type(address: &Address, fields: &[(&str, &str)]) -> Option<WireType> {
     let resolved = (resolve(&address.host)?, address.port).into();
     let mut stream = TcpStream::connect_timeout(&resolved, ANSWER).ok()?;
     stream.set_write_timeout(Some(ANSWER)).ok()?;
@@ -80,7 +80,7 @@ fn ask_type(address: &Address, fields: &[(&str, &str)]) -> Option<MessageType> {
         }
     };
     let of = |name: &str| Some(answer.get(name).to_owned()).filter(|value| !value.is_empty());
-    Some(MessageType {
+    Some(WireType {
         name: of("type")?,
         md5: of("md5sum")?,
         definition: answer.get("message_definition").to_owned(),

@@ -20,7 +20,7 @@ use crate::action::GoalEvent;
 use crate::action::machine::GoalKey;
 use crate::uri::Address;
 use crate::xmlrpc::Value;
-use crate::{ActionTypes, MessageType};
+use crate::{ActionTypes, WireType};
 use engine::{Engine, Identity};
 pub use net::NetError;
 use net::{Net, Wake};
@@ -216,7 +216,7 @@ impl Node {
     pub fn publisher(
         &self,
         topic: &str,
-        ty: MessageType,
+        ty: WireType,
         latching: bool,
     ) -> Result<Publisher, OpenError> {
         let topic = absolute(topic);
@@ -236,7 +236,7 @@ impl Node {
     pub fn subscribe(
         &self,
         topic: &str,
-        ty: MessageType,
+        ty: WireType,
         on_message: impl FnMut(&str, &[u8]) + Send + 'static,
     ) -> Result<Subscription, OpenError> {
         let topic = absolute(topic);
@@ -258,7 +258,7 @@ impl Node {
     pub fn call(
         &self,
         service: &str,
-        ty: MessageType,
+        ty: WireType,
         request: Vec<u8>,
         limit: Duration,
         then: impl FnOnce(Result<Vec<u8>, ServiceError>) + Send + 'static,

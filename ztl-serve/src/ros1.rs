@@ -3,7 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `connection` | the node that all share, and `ros1` at the top of the file |
-//! | `types` | types by their names in the file |
+//! | `types` | types by their names in the file, and the names in ROS that have them |
 //! | `message`, `fit` | messages with placeholders, read from YAML and filled with a goal |
 //! | `names` | what of these is not there |
 //! | `shown` | texts with parts of a received message |

@@ -37,16 +37,16 @@ use ztl_mcu::components::{
     DigitalInput, DigitalInputConfig, DigitalOutput, DigitalOutputConfig, Servo, ServoConfig,
     StepMotor, Stepper, StepperConfig, Switch,
 };
-use ztl_mcu::describe::{DescribeAll, Described};
+use ztl_mcu::describe::{Describe, DescribeAll, Described};
 use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::{Busy, GoalShape, Loss, Offer};
 use ztl_mcu::log::LogSource;
-use ztl_mcu::parameters::{SaveError, Storage, Text, TuneAll, Tuned};
+use ztl_mcu::parameters::{SaveError, Storage, Text, Tunable, TuneAll, Tuned};
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LatestReading, LogQueue, ReceiveQueue, StopFlag};
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Peer, Rep, Req, Server, Socket};
 use ztl_mcu::{
-    Acting, Component, Components, Identity, Latest, LongResults, Node, Queued, Reading, Refused,
+    Acting, Component, Components, Identity, Latest, Node, Queued, Reading, Refused,
     Report, Run, parameters, parse_goal,
 };
 use ztl_proof::{AnyPin, FIRST, now, receive, send};
@@ -82,7 +82,7 @@ extern "C" fn main() -> ! {
         Node::<_, 1, 600>::new(identity(), (Part::new(), Part::new(), SLOT.component()));
     let tuned = Tuned::new(ready_parts()).with_firmware(Settings::default());
     let tuned = Described(tuned.load::<_, 5>(Eeprom));
-    let acting = OnBus::new(LongResults(Acting::new(tuned)), 1 << 63, 7);
+    let acting = OnBus::new(Acting::new(tuned), 1 << 63, 7);
     let mut ready_node = Node::<_, 2, 128>::new(identity(), acting);
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
@@ -427,7 +427,7 @@ impl Storage for Eeprom {
     }
 }
 
-/// The ready components, with arbitrary settings. A check requires every one of them here.
+/// The ready components, with arbitrary settings, and one with long results. A check requires every one of them here.
 fn ready_parts() -> impl Components + DescribeAll + TuneAll {
     let slide = black_box(StepperConfig::DEFAULT);
     let motor = StepMotor::new(AnyPin, AnyPin, &slide)
@@ -439,6 +439,7 @@ fn ready_parts() -> impl Components + DescribeAll + TuneAll {
         Stepper::new("slide", motor, slide),
         DigitalOutput::new("lamp", AnyPin, black_box(DigitalOutputConfig::DEFAULT)),
         DigitalInput::new("button", AnyPin, black_box(DigitalInputConfig::DEFAULT)),
+        Part::new(),
     )
 }
 
@@ -602,6 +603,10 @@ impl Driver for Motor {
 
 static SPEED: LatestReading<16> = LatestReading::new();
 
+impl Describe for Part {}
+
+impl Tunable for Part {}
+
 impl Component for Part {
     fn offer(&self) -> Offer<'_> {
         Offer {
@@ -647,6 +652,10 @@ impl Component for Part {
 
     fn next_tick(&self) -> Instant {
         black_box(now())
+    }
+
+    fn result(&self) -> &str {
+        black_box("result")
     }
 
     fn poll_reading(&mut self, _now: Instant, buffer: &mut [u8]) -> Option<Reading> {

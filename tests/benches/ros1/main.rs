@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
-use ztl_ros1::{ActionClient, ActionTypes, Config, GoalEvent, MessageType, Node};
+use ztl_ros1::{ActionClient, ActionTypes, Config, GoalEvent, Node, WireType};
 use ztl_tests::lab::{
     PATIENCE, Process, Scratch, process_status, processor_time, reserve_port, until,
 };
@@ -176,7 +176,7 @@ impl Running {
 
 /// `actionlib/TestAction`
 fn types() -> ActionTypes {
-    let of = |part: &str, md5: &str| MessageType {
+    let of = |part: &str, md5: &str| WireType {
         name: format!("actionlib/TestAction{part}"),
         md5: md5.to_owned(),
         definition: String::new(),

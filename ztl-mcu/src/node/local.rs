@@ -4,7 +4,7 @@ use ztl_core::link::LinkId;
 use ztl_core::{Instant, State, TaskId};
 
 use super::refusal::Refusal;
-use super::runner::TaskRunner;
+use super::runner::{TaskRunner, kept_result};
 use crate::component::Components;
 
 impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
@@ -37,15 +37,14 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         for task in self.tasks.held_mut().filter(|task| task.is_due()) {
             task.changed = false;
             let end = task.end();
-            let keeps = task.is_kept();
+            let kept = kept_result(&self.components, task);
             if end.is_some() {
                 task.forget();
             }
             // The text of a waiting task is its goal.
             let mut text = if task.waits() { "" } else { task.text.as_str() };
-            if C::LONG_RESULTS && keeps {
-                let component = self.components.component(task.component.into());
-                text = component.map_or(text, |component| component.result());
+            if let Some(result) = kept {
+                text = result;
             }
             if let Some(id) = TaskId::new(task.id.0) {
                 report(id, end.unwrap_or(State::Accepted), text);

@@ -4,7 +4,7 @@ use ztl_core::Instant;
 use ztl_core::link::{Busy, LinkId, Loss};
 
 use super::refusal::{EMERGENCY_STOP, Reason, Refusal};
-use super::tasks::{Stage, TEXT, Table, TaskText};
+use super::tasks::{Stage, TEXT, Table, Task, TaskText};
 use crate::component::{Component, Components, Refused, Report, Run};
 
 const LINK_LOST: &str = "link was lost";
@@ -108,18 +108,15 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 _ => (end, ""),
             };
             task.set_end(end, now, why);
-            let component = self.components.component(index);
-            let is_long = |component: &dyn Component| !component.result().is_empty();
-            if C::LONG_RESULTS && end == Stage::Completed && component.is_some_and(is_long) {
+            if end == Stage::Completed && !self.components.result(index).is_empty() {
                 task.keep_result();
             }
         }
         // The loop terminates: each pass starts or fails one waiting task.
-        while let Some(task) = if C::LONG_RESULTS {
-            self.tasks.next_in_turn::<true>()
-        } else {
-            self.tasks.next_in_turn::<false>()
-        } {
+        while let Some(task) = self
+            .tasks
+            .next_in_turn(|task| kept_result(&self.components, task).is_some())
+        {
             let goal = core::mem::take(&mut task.text);
             let mut why = Report::new(&mut task.text);
             let component = self.components.component_mut(usize::from(task.component));
@@ -197,6 +194,8 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         if self.stopped {
             return Err(Refusal::EmergencyStop);
         }
+        // Constant if no component has long results.
+        let has_result = !self.components.result(component.into()).is_empty();
         let Some(part) = self.components.component_mut(usize::from(component)) else {
             return Err(Refusal::NoSuchComponent);
         };
@@ -205,7 +204,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             if known.is_free() {
                 free = free.min(index);
             } else if known.component == component
-                && (known.is_open() || C::LONG_RESULTS && known.is_kept())
+                && (known.is_open() || has_result && known.is_kept())
             {
                 open += 1;
             }
@@ -302,6 +301,13 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         self.stopped = true;
         self.make_safe(now, true);
     }
+}
+
+/// The result of an ended task, if its component keeps it.
+pub(super) fn kept_result<'c, C: Components>(components: &'c C, task: &Task) -> Option<&'c str> {
+    // Constant, and so the rest absent, if no component has long results.
+    let result = components.result(task.component.into());
+    (!result.is_empty() && task.is_kept()).then_some(result)
 }
 
 /// Whether a component goes to the safe state: all do, or it does not carry on without a link.

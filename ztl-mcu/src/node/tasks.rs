@@ -157,12 +157,15 @@ impl<const N: usize> Table<N> {
         self.0.iter_mut().filter(|task| task.is_open())
     }
 
-    /// A task that may begin: its component is free, and no task for it with a lower id waits. With `LONG`, a component that
+    /// A task that may begin: its component is free, and no task for it with a lower id waits. A component that
     /// keeps a result is not free.
-    pub(super) fn next_in_turn<const LONG: bool>(&mut self) -> Option<&mut Task> {
+    pub(super) fn next_in_turn(
+        &mut self,
+        keeps_result: impl Fn(&Task) -> bool,
+    ) -> Option<&mut Task> {
         let is_next = |task: &Task| {
             let before = |other: &Task| {
-                other.runs() || LONG && other.is_kept() || other.waits() && other.id < task.id
+                other.runs() || keeps_result(other) || other.waits() && other.id < task.id
             };
             let mut others = self.0.iter();
             task.waits() && !others.any(|other| other.component == task.component && before(other))

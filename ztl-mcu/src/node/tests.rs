@@ -8,6 +8,7 @@ mod policies;
 mod readings;
 mod refusals;
 mod safety;
+mod sessions;
 mod ticks;
 
 use super::*;
@@ -261,55 +262,26 @@ fn desk<'n, C, const TASKS: usize>(
     }
 }
 
+/// What a node says to a gateway that asks for its components only, and for nothing that came later.
+fn play_older_gateway<C: Components>(mut desk: Desk<'_, C, 2>) -> Grown<String> {
+    let mut heard = desk.pass(300);
+    heard.extend(desk.hello(5, 1));
+    let count = desk.node.components().count() as u8;
+    for index in 0..count {
+        heard.extend(desk.command(index + 1, Body::Describe { index }));
+    }
+    heard.extend(desk.start(count + 1, 1, 0, "50"));
+    heard.extend(desk.command(count + 2, Body::Ping));
+    heard.extend(desk.command(count + 3, Body::Abort { task: LinkId(1) }));
+    heard.extend(desk.pass(100));
+    heard.extend(desk.hello(6, 1));
+    heard.extend(desk.pass(5000));
+    heard
+}
+
 #[track_caller]
 fn assert_said(heard: Grown<String>, expected: &[&str]) {
     assert_eq!(heard, expected);
-}
-
-#[test]
-fn a_node_sends_awake_and_ignores_commands_until_a_hello() {
-    with_node(|desk, _| {
-        assert_said(desk.pass(0), &["Awake 77"]);
-        assert_said(desk.pass(1), &[]);
-        assert_said(desk.pass(250), &["Awake 77"]);
-        assert_said(desk.command(1, Body::Ping), &[]);
-        assert_said(
-            desk.hello(5, 1),
-            &["Welcome boot 77 replaces 0 highest 0 []"],
-        );
-        assert_said(
-            desk.hello(5, 1),
-            &["Welcome boot 77 replaces 0 highest 0 []"],
-        );
-        assert_said(
-            desk.command(1, Body::Describe { index: 2 }),
-            &["1 Component 2 c"],
-        );
-        assert_said(
-            desk.command(2, Body::Describe { index: 3 }),
-            &["2 Refused no such component"],
-        );
-        assert_said(desk.pass(300), &[]);
-    });
-}
-
-#[test]
-fn a_hello_with_an_invalid_session_is_ignored() {
-    with_node(|desk, _| {
-        for number in [0, u32::MAX] {
-            assert_said(
-                desk.hello(number, 1),
-                &["Awake 77"][..usize::from(number == 0)],
-            );
-        }
-        // With the boot id this would make a session of ones.
-        assert_ne!(session_key(!77, 77), u32::MAX);
-        assert_said(
-            desk.hello(!77, 1),
-            &["Welcome boot 77 replaces 0 highest 0 []"],
-        );
-        assert_said(desk.command(1, Body::Ping), &["1 Pong 0"]);
-    });
 }
 
 #[test]
@@ -481,61 +453,6 @@ fn a_holding_component_becomes_safe_and_its_task_fails() {
 }
 
 #[test]
-fn a_new_session_keeps_and_lists_the_tasks() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "500");
-        assert_said(
-            desk.hello(6, 1),
-            &["Welcome boot 77 replaces 5 highest 9 [9]", "Progress 9 "],
-        );
-        // A command of the session before fails its check.
-        assert_said(desk.send(key(5), 2, Body::Abort { task: LinkId(9) }), &[]);
-        assert_said(desk.command(1, Body::Ping), &["1 Pong 1"]);
-    });
-}
-
-#[test]
-fn another_gateway_is_rejected_during_a_session() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        desk.command(1, Body::Ping);
-        desk.pass(999);
-        assert_said(
-            desk.hello(6, 2),
-            &["0 Refused another gateway holds this device"],
-        );
-        assert_said(desk.command(2, Body::Ping), &["2 Pong 0"]);
-        desk.pass(1000);
-        assert_said(
-            desk.hello(6, 2),
-            &["Welcome boot 77 replaces 5 highest 1 []"],
-        );
-    });
-}
-
-#[test]
-fn repeated_gateway_takeovers_use_up_few_task_numbers() {
-    with_node(|desk, _| {
-        desk.hello(1, 1);
-        for takeover in 2..70_000u32 {
-            desk.now = desk.now + Duration::from_secs(1);
-            let heard = desk.hello(takeover, takeover.into());
-            assert!(heard[0].starts_with("Welcome"), "{heard:?}");
-        }
-        // Each takeover uses one number: that of a `Start` that never arrived.
-        let number = 70_000 - 2;
-        let again = "a task of this or a later id was started already";
-        assert_said(
-            desk.start(1, number, 0, "5"),
-            &[&format!("1 Refused {again}")],
-        );
-        let next = number + 1;
-        assert_said(desk.start(2, next, 0, "5"), &[&format!("2 Started {next}")]);
-    });
-}
-
-#[test]
 fn an_emergency_stop_is_latched() {
     with_node(|desk, trace| {
         desk.hello(5, 1);
@@ -549,53 +466,6 @@ fn an_emergency_stop_is_latched() {
         assert_said(desk.start(2, 10, 0, "5"), &["2 Refused emergency stop"]);
         desk.node.clear_stop();
         assert_said(desk.start(3, 10, 0, "5"), &["3 Started 10"]);
-    });
-}
-
-#[test]
-fn a_node_accepts_a_hello_after_any_bytes() {
-    with_node(|desk, _| {
-        // A small generator, so that the test needs no dependency and always plays the same.
-        let mut seed = 1u32;
-        for _ in 0..20_000 {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let byte = (seed >> 24) as u8;
-            desk.node.handle_bytes(desk.now, &[byte]);
-        }
-        desk.node.handle_bytes(desk.now, &[0]);
-        said(desk.node, desk.now, 0);
-        let heard = desk.hello(5, 1).join(",").to_string();
-        assert!(heard.starts_with("Welcome"), "{heard}");
-    });
-}
-
-#[test]
-fn firmware_learns_whether_the_link_is_up_since_when_and_to_which_gateway() {
-    with_node(|desk, _| {
-        let link = |desk: &Desk<'_, [Motor<'_>; 3], 2>| {
-            let link = desk.node.link(desk.now);
-            link.map(|link| (link.gateway, link.since.as_millis()))
-        };
-        desk.hello(5, 1);
-        assert_eq!(link(desk), None, "no command yet");
-        desk.command(1, Body::Ping);
-        assert_eq!(link(desk), Some((1, 10_000)));
-        desk.pass(999);
-        // A restarted gateway.
-        desk.hello(6, 1);
-        desk.command(1, Body::Ping);
-        assert_eq!(link(desk), Some((1, 10_000)));
-        desk.now = desk.now + Duration::from_millis(1000);
-        assert_eq!(link(desk), None, "also before the next turn");
-        // Another one, also before the next turn.
-        desk.hello(7, 2);
-        assert_eq!(link(desk), None);
-        desk.command(1, Body::Ping);
-        assert_eq!(link(desk), Some((2, 11_999)));
-        desk.pass(1000);
-        assert_eq!(link(desk), None);
-        desk.command(2, Body::Ping);
-        assert_eq!(link(desk), Some((2, 12_999)));
     });
 }
 

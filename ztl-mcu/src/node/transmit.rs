@@ -11,6 +11,7 @@ use super::frame_out::longest;
 use super::link_state::{Answer, LinkState};
 use super::own::is_listed;
 use super::refusal::Refusal;
+use super::runner::kept_result;
 use super::tasks::Task;
 use crate::component::{Component, Components};
 use crate::describe::{has_parts, part};
@@ -151,13 +152,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 PROGRESS_INTERVAL
             };
         let mut text = if waits { WAITS } else { slot.text.as_str() };
-        if C::LONG_RESULTS && slot.is_kept() {
-            let component = self.runner.components.component(slot.component.into());
-            text = component.map_or(text, |component| component.result());
+        let kept = kept_result(&self.runner.components, slot);
+        if let Some(result) = kept {
+            text = result;
         }
         self.frame_out
             .encode(address, self.session, NO_SEQ, |frame| match end {
-                Some(state) if C::LONG_RESULTS => put_ended(task, state, text, FRAME, frame),
+                Some(state) if kept.is_some() => put_ended(task, state, text, FRAME, frame),
                 Some(state) => Body::Ended {
                     task,
                     state,

@@ -59,8 +59,6 @@ pub use flash::Flash;
 pub use tuned::{SaveError, Storage, Tuned, Tuning};
 pub use ztl_core::link::parameter::{Domain, Kept, Unfit, Value};
 
-use crate::component::LongResults;
-
 /// A part with parameters: a struct of [`parameters!`](crate::parameters!), or a component that has one.
 pub trait Tunable {
     /// Its parameters. Must not change from one version of the firmware to the next except by intention: saved values
@@ -118,18 +116,6 @@ impl<T: Tunable, const N: usize> TuneAll for [T; N] {
         if let Some(component) = self.get_mut(component) {
             component.set(index, value);
         }
-    }
-}
-
-impl<C: TuneAll> TuneAll for LongResults<C> {
-    const PARAMETERS: &'static [&'static [Declaration]] = C::PARAMETERS;
-
-    fn value(&self, component: usize, index: usize) -> Option<Value<'_>> {
-        self.0.value(component, index)
-    }
-
-    fn set(&mut self, component: usize, index: usize, value: Value<'_>) {
-        self.0.set(component, index, value);
     }
 }
 

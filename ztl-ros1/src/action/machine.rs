@@ -256,11 +256,10 @@ impl Machine {
         content: &[u8],
         effects: &mut Vec<Effect>,
     ) {
-        let key = self.find(&status.id);
-        let Some((key, goal)) = key.and_then(|key| Some((key, self.goals.get_mut(&key)?))) else {
+        let Some((key, goal)) = self.find_at(from, &status.id) else {
             return;
         };
-        if *goal.server != *from || matches!(goal.phase, Phase::Final { .. }) {
+        if matches!(goal.phase, Phase::Final { .. }) {
             return;
         }
         // A status from before the goal may arrive after this.
@@ -280,13 +279,9 @@ impl Machine {
         content: &[u8],
         effects: &mut Vec<Effect>,
     ) {
-        let key = self.find(&status.id);
-        let Some((key, goal)) = key.and_then(|key| Some((key, self.goals.get_mut(&key)?))) else {
+        let Some((key, goal)) = self.find_at(from, &status.id) else {
             return;
         };
-        if *goal.server != *from {
-            return;
-        }
         match final_state(status.status) {
             Some(state) => {
                 if was_active(state) {
@@ -400,6 +395,13 @@ impl Machine {
             .get(&key)
             .filter(|goal| goal.id == id)
             .map(|_| key)
+    }
+
+    /// The goal with this id, if this node is its action server.
+    fn find_at(&mut self, node: &str, id: &str) -> Option<(GoalKey, &mut Goal)> {
+        let key = self.find(id)?;
+        let goal = self.goals.get_mut(&key)?;
+        (*goal.server == *node).then_some((key, goal))
     }
 
     fn send_waiting(&mut self, now: Instant, effects: &mut Vec<Effect>) {

@@ -2,11 +2,11 @@
 
 use std::borrow::Cow;
 
-use crate::MessageType;
+use crate::WireType;
 
 /// `actionlib_msgs/GoalID`, the type of the topic `cancel`.
-pub(crate) fn cancel_type() -> MessageType {
-    MessageType {
+pub(crate) fn cancel_type() -> WireType {
+    WireType {
         name: "actionlib_msgs/GoalID".to_owned(),
         md5: "302881f31927c1df708a2dbab0e80ee8".to_owned(),
         definition: "time stamp\nstring id\n".to_owned(),
@@ -14,8 +14,8 @@ pub(crate) fn cancel_type() -> MessageType {
 }
 
 /// `actionlib_msgs/GoalStatusArray`, the type of the topic `status`.
-pub(crate) fn status_type() -> MessageType {
-    MessageType {
+pub(crate) fn status_type() -> WireType {
+    WireType {
         name: STATUS_TYPE.to_owned(),
         md5: "8b2b82f13216d0a8ea88bd3af735e619".to_owned(),
         definition: String::new(),

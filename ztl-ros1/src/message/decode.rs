@@ -5,7 +5,7 @@ use std::{error, fmt};
 
 use super::definition::Primitive;
 use super::message_type::{Count, Element, FieldType, MOST_VALUES, MessageType};
-use super::value::Value;
+use super::value::{Value, path_within};
 
 /// For how many items of a list there is room at first.
 const FIRST_ITEMS: usize = 1024;
@@ -63,10 +63,7 @@ impl error::Error for DecodeError {}
 impl DecodeError {
     /// The same error, seen from the value that has this field.
     fn within(mut self, part: &str) -> Self {
-        self.field = match self.field.as_str() {
-            "" => part.to_owned(),
-            inner => format!("{part}.{inner}"),
-        };
+        self.field = path_within(part, &self.field);
         self
     }
 }

@@ -4,7 +4,7 @@ use std::{error, fmt};
 
 use super::definition::Primitive;
 use super::message_type::{Count, Element, FieldType, MessageType};
-use super::value::Value;
+use super::value::{Value, path_within};
 
 /// Why a value is not one of a type.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,10 +35,7 @@ impl EncodeError {
     }
 
     fn within(mut self, part: &str) -> Self {
-        self.field = match self.field.as_str() {
-            "" => part.to_owned(),
-            inner => format!("{part}.{inner}"),
-        };
+        self.field = path_within(part, &self.field);
         self
     }
 }

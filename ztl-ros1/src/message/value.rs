@@ -102,6 +102,14 @@ impl Value {
     }
 }
 
+/// The path of `part`, or of a value within it.
+pub(super) fn path_within(part: &str, inner: &str) -> String {
+    match inner {
+        "" => part.to_owned(),
+        inner => format!("{part}.{inner}"),
+    }
+}
+
 impl MessageType {
     /// A message in which each number is zero, each text is empty, and each array of any length, too.
     #[must_use]

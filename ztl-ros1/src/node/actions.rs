@@ -12,7 +12,7 @@ use crate::action::machine::{Effect, GoalKey, Links, Machine};
 use crate::action::wire::{self, RosTime};
 use crate::survey;
 use crate::xmlrpc::Value;
-use crate::{ActionTypes, MessageType};
+use crate::{ActionTypes, WireType};
 
 /// How long the master may take to say what exists, for the reason why a goal was not sent.
 const EXPLAIN: Duration = Duration::from_millis(400);
@@ -363,7 +363,7 @@ impl Engine {
         }
         self.clock.simulated = Some(RosTime::default());
         let topic: Arc<str> = Arc::from("/clock");
-        let ty = MessageType {
+        let ty = WireType {
             name: "rosgraph_msgs/Clock".to_owned(),
             md5: "a9c97c1d230cfc112e270351a944ee47".to_owned(),
             definition: "time clock\n".to_owned(),

@@ -8,7 +8,7 @@ use super::engine::{Engine, Role};
 use super::net::{ConnectionId, NetError};
 use super::rpc::CallError;
 use super::topics::fits;
-use crate::MessageType;
+use crate::WireType;
 use crate::tcpros::{FrameError, Frames, Header, LONGEST_HEADER, frame};
 use crate::uri::Address;
 use crate::xmlrpc::Value;
@@ -97,7 +97,7 @@ impl Engine {
         &mut self,
         now: Instant,
         service: &str,
-        ty: MessageType,
+        ty: WireType,
         request: Vec<u8>,
         limit: Duration,
         then: OnResponse,

@@ -9,7 +9,7 @@ use super::actions::Part;
 use super::engine::{Engine, Role};
 use super::net::ConnectionId;
 use super::rpc::CallError;
-use crate::MessageType;
+use crate::WireType;
 use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
 use crate::uri::Address;
 use crate::xmlrpc::Value;
@@ -32,7 +32,7 @@ pub(crate) type OnMessage = Box<dyn FnMut(&str, &[u8]) + Send>;
 
 /// A topic that the node publishes.
 pub(crate) struct Publication {
-    pub(crate) ty: MessageType,
+    pub(crate) ty: WireType,
     pub(crate) registered: bool,
     /// Nodes that receive it.
     pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
@@ -46,7 +46,7 @@ pub(crate) struct Publication {
 
 /// A topic that the node subscribes to.
 pub(crate) struct Subscription {
-    pub(crate) ty: MessageType,
+    pub(crate) ty: WireType,
     pub(crate) registered: bool,
     consumers: Vec<(u32, Consumer)>,
     /// Publishers by the addresses of their APIs.
@@ -161,7 +161,7 @@ pub(crate) fn fits(ours: &str, theirs: &str) -> bool {
     ours == theirs || ours == "*" || theirs == "*"
 }
 
-fn conflict(topic: &str, used: &MessageType, wanted: &MessageType) -> Result<(), TypeConflict> {
+fn conflict(topic: &str, used: &WireType, wanted: &WireType) -> Result<(), TypeConflict> {
     match used.name == wanted.name && used.md5 == wanted.md5 {
         true => Ok(()),
         false => Err(TypeConflict {
@@ -177,7 +177,7 @@ impl Engine {
     pub(crate) fn advertise(
         &mut self,
         topic: &Arc<str>,
-        ty: MessageType,
+        ty: WireType,
         latching: bool,
         action: Option<Arc<str>>,
     ) -> Result<(), TypeConflict> {
@@ -234,7 +234,7 @@ impl Engine {
     pub(crate) fn subscribe(
         &mut self,
         topic: &Arc<str>,
-        ty: MessageType,
+        ty: WireType,
         id: u32,
         consumer: Consumer,
     ) -> Result<(), TypeConflict> {

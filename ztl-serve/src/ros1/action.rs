@@ -50,9 +50,9 @@ pub(crate) fn read<'d>(
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
-    let name = reader.ros1_name(node, "/arm_controller/follow_joint_trajectory");
-    let types = fields.required("type", "type: move_base_msgs/MoveBaseAction");
-    let types = types.and_then(|node| reader.ros1_action(node));
+    let name = "/arm_controller/follow_joint_trajectory";
+    let example = "type: move_base_msgs/MoveBaseAction";
+    let (name, types) = reader.ros1_typed_name::<ActionType>(node, fields, name, example);
     let message = fields.optional("message");
     let joints = fields.optional("joints");
     let frame = fields.optional("frame");
@@ -60,7 +60,6 @@ pub(crate) fn read<'d>(
     let result = fields.optional("result");
     let trajectory = joints.and_then(|node| Trajectory::read(reader, node, fields));
     let types = types?;
-    reader.uses_action(node, name.as_ref(), &types);
     let short_forms = [
         (joints, "joints", TRAJECTORY_ACTION),
         (frame, "frame", MOVE_BASE),
@@ -72,14 +71,11 @@ pub(crate) fn read<'d>(
         }
     }
     let goal = match (message, joints) {
-        (Some(node), _) => {
-            GoalSource::Message(reader.message_template(node, &types.goal, context.rule))
-        }
         (None, Some(_)) => GoalSource::Trajectory(trajectory?),
         (None, None) if types.name == MOVE_BASE => {
             GoalSource::MoveBase(MoveBase::read(reader, frame)?)
         }
-        (None, None) => GoalSource::Message(MessageTemplate::of_goal(&types.goal)),
+        _ => GoalSource::Message(reader.message_or_goal(message, &types.goal, context.rule)),
     };
     let progress = progress.map(|node| reader.shown_message(node, "feedback", &types.feedback));
     let result = result.map(|node| reader.shown_message(node, "result", &types.result));

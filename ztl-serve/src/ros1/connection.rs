@@ -79,8 +79,8 @@ impl Drop for Connection {
 }
 
 /// The type as the wire needs it.
-pub(crate) fn wire(message: &MessageType) -> ztl_ros1::MessageType {
-    ztl_ros1::MessageType {
+pub(crate) fn wire(message: &MessageType) -> ztl_ros1::WireType {
+    ztl_ros1::WireType {
         name: message.name().to_owned(),
         md5: message.md5().to_owned(),
         definition: message.full_text(),

@@ -37,7 +37,7 @@ enum Part {
 
 impl MessageTemplate {
     /// The goal as the message; nothing of it, if the message has no fields.
-    pub(crate) fn of_goal(message: &Arc<MessageType>) -> Self {
+    fn of_goal(message: &Arc<MessageType>) -> Self {
         let root = match message.fields() {
             [] => Part::Fixed(message.zero()),
             _ => Part::Goal {
@@ -188,6 +188,19 @@ fn one(message: &Arc<MessageType>) -> FieldType {
 }
 
 impl<'d> ConfigReader<'d> {
+    /// The message in `node`, or else the goal as the message.
+    pub(crate) fn message_or_goal(
+        &mut self,
+        node: Option<&'d Node>,
+        message: &Arc<MessageType>,
+        rule: &GoalRule,
+    ) -> MessageTemplate {
+        match node {
+            Some(node) => self.message_template(node, message, rule),
+            None => MessageTemplate::of_goal(message),
+        }
+    }
+
     /// Reads a message of this type for goals of this rule. After a mistake the message is not used.
     pub(crate) fn message_template(
         &mut self,

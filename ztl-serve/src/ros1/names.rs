@@ -15,8 +15,14 @@ pub(crate) struct UsedName {
     /// Where the file has it; its message is still to be written.
     place: Diagnostic,
     name: String,
+    of: UsedType,
+}
+
+/// The type of a used name.
+#[derive(Debug, Clone)]
+pub(crate) struct UsedType {
     kind: NameKind,
-    /// Its type, as the file has it.
+    /// As the file has it.
     ty: String,
     /// The definitions that this machine has for it.
     known: Vec<Known>,
@@ -49,47 +55,48 @@ impl Known {
     }
 }
 
-impl<'d> ConfigReader<'d> {
-    /// Notes an action that the file uses.
-    pub(crate) fn uses_action(&mut self, node: &'d Node, name: Option<&String>, ty: &ActionType) {
-        let known = vec![
-            Known::of("/result", &ty.action_result),
-            Known::of("/feedback", &ty.action_feedback),
-        ];
-        self.uses(node, name, NameKind::Action, &ty.name, known);
+impl UsedType {
+    pub(crate) fn action(ty: &ActionType) -> Self {
+        Self {
+            kind: NameKind::Action,
+            ty: ty.name.clone(),
+            known: vec![
+                Known::of("/result", &ty.action_result),
+                Known::of("/feedback", &ty.action_feedback),
+            ],
+        }
     }
 
-    /// Notes a topic that the file uses.
-    pub(crate) fn uses_topic(&mut self, node: &'d Node, name: Option<&String>, ty: &MessageType) {
-        let known = vec![Known::of("", ty)];
-        self.uses(node, name, NameKind::Topic, ty.name(), known);
+    pub(crate) fn topic(ty: &MessageType) -> Self {
+        Self {
+            kind: NameKind::Topic,
+            ty: ty.name().to_owned(),
+            known: vec![Known::of("", ty)],
+        }
     }
 
-    /// Notes a service that the file uses.
-    pub(crate) fn uses_service(&mut self, node: &'d Node, name: Option<&String>, ty: &ServiceType) {
-        let known = vec![Known {
+    pub(crate) fn service(ty: &ServiceType) -> Self {
+        let known = Known {
             suffix: "",
             ty: ty.name.clone(),
             md5: ty.md5.clone(),
-        }];
-        self.uses(node, name, NameKind::Service, &ty.name, known);
+        };
+        Self {
+            kind: NameKind::Service,
+            ty: ty.name.clone(),
+            known: vec![known],
+        }
     }
+}
 
-    fn uses(
-        &mut self,
-        node: &'d Node,
-        name: Option<&String>,
-        kind: NameKind,
-        ty: &str,
-        known: Vec<Known>,
-    ) {
+impl<'d> ConfigReader<'d> {
+    /// Notes a name that the file uses.
+    pub(crate) fn uses_name(&mut self, node: &'d Node, name: Option<&String>, of: UsedType) {
         if let Some(name) = name {
             self.ros1.names.push(UsedName {
                 place: self.yaml.mistake(node, ""),
                 name: name.clone(),
-                kind,
-                ty: ty.to_owned(),
-                known,
+                of,
             });
         }
     }
@@ -140,7 +147,7 @@ impl UsedName {
     /// What is wrong with the name, and a remedy.
     fn mistake(&self, survey: &Survey) -> Option<(String, String)> {
         let name = &self.name;
-        let (there, what) = match self.kind {
+        let (there, what) = match self.of.kind {
             NameKind::Action => (survey.actions.get(name), "action"),
             NameKind::Topic => (survey.topics.get(name), "topic"),
             // The master does not know the types of services.
@@ -148,7 +155,7 @@ impl UsedName {
             NameKind::Service => (None, "service"),
         };
         let Some(there) = there else {
-            let known: Vec<&String> = match self.kind {
+            let known: Vec<&String> = match self.of.kind {
                 NameKind::Action => survey.actions.keys().collect(),
                 NameKind::Topic => survey.topics.keys().collect(),
                 NameKind::Service => survey.services.iter().collect(),
@@ -161,15 +168,15 @@ impl UsedName {
             return Some((format!("the master knows no {what} {name}"), help));
         };
         // A node may subscribe to any type.
-        let fits = *there == self.ty || there == "*";
-        (!fits).then(|| other_type(what, name, there, &self.ty))
+        let fits = *there == self.of.ty || there == "*";
+        (!fits).then(|| other_type(what, name, there, &self.of.ty))
     }
 
     /// Whether the robot has another definition of its type, and a remedy. Asks the nodes that publish or serve it.
     fn other_definition(&self, survey: &Survey, node: &RosNode) -> Option<(String, String)> {
-        self.known.iter().find_map(|known| {
+        self.of.known.iter().find_map(|known| {
             let name = format!("{}{}", self.name, known.suffix);
-            let (what, there) = match self.kind {
+            let (what, there) = match self.of.kind {
                 NameKind::Service => ("service", node.service_type(&name)?),
                 _ => ("topic", node.topic_type(survey, &name)?),
             };
@@ -224,9 +231,11 @@ mod tests {
             let used = UsedName {
                 place,
                 name: name.to_owned(),
-                kind,
-                ty: ty.to_owned(),
-                known: Vec::new(),
+                of: UsedType {
+                    kind,
+                    ty: ty.to_owned(),
+                    known: Vec::new(),
+                },
             };
             let (mistake, help) = used.mistake(&survey)?;
             Some(used.warning(mistake, Some(help)).sentence())

@@ -68,9 +68,12 @@ pub(crate) fn read<'d>(
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
-    let topic = reader.ros1_name(node, "/cmd_vel");
-    let type_node = fields.required("type", "type: geometry_msgs/Twist");
-    let message_type = type_node.and_then(|node| reader.ros1_message(node));
+    let (topic, message_type) = reader.ros1_typed_name::<Arc<MessageType>>(
+        node,
+        fields,
+        "/cmd_vel",
+        "type: geometry_msgs/Twist",
+    );
     let message = fields.optional("message");
     let stop = fields.optional("stop");
     let rate = fields.optional("rate");
@@ -93,11 +96,7 @@ pub(crate) fn read<'d>(
         }
     }
     let message_type = message_type?;
-    reader.uses_topic(node, topic.as_ref(), &message_type);
-    let message = match message {
-        Some(node) => reader.message_template(node, &message_type, context.rule),
-        None => MessageTemplate::of_goal(&message_type),
-    };
+    let message = reader.message_or_goal(message, &message_type, context.rule);
     let stop = stop.map(|node| reader.message_template(node, &message_type, context.rule));
     let repeat = Repeat {
         interval,

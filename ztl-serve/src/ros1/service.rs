@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_ros1::message::{ServiceType, Value};
-use ztl_ros1::{MessageType, ServiceError};
+use ztl_ros1::{ServiceError, WireType};
 use ztl_std::describe::GoalRule;
 use ztl_yaml::{Fields, Node};
 
@@ -43,19 +43,14 @@ pub(crate) fn read<'d>(
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
-    let name = reader.ros1_name(node, "/dock");
-    let service = fields.required("type", "type: std_srvs/Trigger");
-    let service = service.and_then(|node| reader.ros1_service(node));
+    let example = "type: std_srvs/Trigger";
+    let (name, service) = reader.ros1_typed_name::<ServiceType>(node, fields, "/dock", example);
     let message = fields.optional("message");
     let result = fields.optional("result");
     let limit = fields.optional("limit");
     let limit = limit.and_then(|node| reader.time(node, LONGEST_LIMIT));
     let service = service?;
-    reader.uses_service(node, name.as_ref(), &service);
-    let request = match message {
-        Some(node) => reader.message_template(node, &service.request, context.rule),
-        None => MessageTemplate::of_goal(&service.request),
-    };
+    let request = reader.message_or_goal(message, &service.request, context.rule);
     let result = result.and_then(|node| reader.shown_message(node, "response", &service.response));
     Some(Arc::new(Service {
         connection: Arc::clone(&reader.ros1.connection),
@@ -122,7 +117,7 @@ impl Kind for Service {
             Ok(started) => started,
             Err(reason) => return Start::Ended(Outcome::Rejected(reason)),
         };
-        let service_type = MessageType {
+        let service_type = WireType {
             name: self.service.name.clone(),
             md5: self.service.md5.clone(),
             definition: String::new(),

@@ -31,13 +31,12 @@ pub(crate) struct Topic {
 impl<'d> ConfigReader<'d> {
     /// Reads a topic as a stream: its name, `type` and `field`.
     pub(crate) fn ros1_topic(&mut self, node: &'d Node, fields: &mut Fields<'d>) -> Option<Topic> {
-        let name = self.ros1_name(node, "/joint_states");
-        let message = fields.required("type", "type: sensor_msgs/JointState");
-        let message = message.and_then(|node| self.ros1_message(node));
+        let example = "type: sensor_msgs/JointState";
+        let (name, message) =
+            self.ros1_typed_name::<Arc<MessageType>>(node, fields, "/joint_states", example);
         let field = fields.optional("field");
         let path = field.and_then(|node| self.yaml.text(node, "a field, as data"));
         let message = message?;
-        self.uses_topic(node, name.as_ref(), &message);
         if let (Some(node), Some(path)) = (field, path)
             && let Err(mistake) = has(&message, path)
         {

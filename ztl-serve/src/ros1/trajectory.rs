@@ -11,6 +11,7 @@ use ztl_yaml::{Fields, Node};
 use super::connection::{Connection, wire};
 use super::fit::fit;
 use super::motion::{Action, Motion, STOP_TIME, Seen, Target};
+use super::names::UsedType;
 use crate::call::Call;
 use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
@@ -352,7 +353,7 @@ pub(crate) fn read<'d>(
         }
     });
     if let Some(message) = &message {
-        reader.uses_topic(node, topic.as_ref(), message);
+        reader.uses_name(node, topic.as_ref(), UsedType::topic(message));
     }
     Some(Arc::new(Controller {
         connection: Arc::clone(&reader.ros1.connection),

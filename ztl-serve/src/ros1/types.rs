@@ -3,43 +3,85 @@
 use std::sync::Arc;
 
 use ztl_ros1::message::{ActionType, DefinitionError, Definitions, MessageType, ServiceType};
-use ztl_yaml::{Node, closest};
+use ztl_yaml::{Fields, Node, closest};
 
+use super::names::UsedType;
 use crate::reader::ConfigReader;
 
+/// A type that the file names.
+pub(crate) trait NamedType: Sized {
+    /// Such as `std_srvs/Trigger`.
+    const EXAMPLE: &'static str;
+
+    /// All that are known.
+    const NAMES: fn(&mut Definitions) -> Vec<String>;
+
+    const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError>;
+
+    /// What has this type, and its definitions.
+    fn used(&self) -> UsedType;
+}
+
+impl NamedType for Arc<MessageType> {
+    const EXAMPLE: &'static str = "geometry_msgs/Twist";
+    const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::message_names;
+    const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::message;
+
+    fn used(&self) -> UsedType {
+        UsedType::topic(self)
+    }
+}
+
+impl NamedType for ServiceType {
+    const EXAMPLE: &'static str = "std_srvs/Trigger";
+    const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::service_names;
+    const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::service;
+
+    fn used(&self) -> UsedType {
+        UsedType::service(self)
+    }
+}
+
+impl NamedType for ActionType {
+    const EXAMPLE: &'static str = "move_base_msgs/MoveBaseAction";
+    const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::action_names;
+    const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::action;
+
+    fn used(&self) -> UsedType {
+        UsedType::action(self)
+    }
+}
+
 impl<'d> ConfigReader<'d> {
-    /// A message's type, by its name in `node`.
-    pub(crate) fn ros1_message(&mut self, node: &'d Node) -> Option<Arc<MessageType>> {
-        let names = Definitions::message_names;
-        self.ros1_type(node, "geometry_msgs/Twist", names, Definitions::message)
-    }
-
-    pub(crate) fn ros1_service(&mut self, node: &'d Node) -> Option<ServiceType> {
-        let names = Definitions::service_names;
-        self.ros1_type(node, "std_srvs/Trigger", names, Definitions::service)
-    }
-
-    pub(crate) fn ros1_action(&mut self, node: &'d Node) -> Option<ActionType> {
-        let example = "move_base_msgs/MoveBaseAction";
-        let names = Definitions::action_names;
-        self.ros1_type(node, example, names, Definitions::action)
-    }
-
-    fn ros1_type<T>(
+    /// Reads the name of a topic, a service or an action from `node`, and its `type` from `fields`. Both are noted for
+    /// `--check`.
+    pub(crate) fn ros1_typed_name<T: NamedType>(
         &mut self,
         node: &'d Node,
-        example: &str,
-        names: impl FnOnce(&mut Definitions) -> Vec<String>,
-        find: impl FnOnce(&mut Definitions, &str) -> Result<T, DefinitionError>,
-    ) -> Option<T> {
-        let text = self.yaml.text(node, &format!("a type, as {example}"))?;
+        fields: &mut Fields<'d>,
+        name_example: &str,
+        type_example: &'static str,
+    ) -> (Option<String>, Option<T>) {
+        let name = self.ros1_name(node, name_example);
+        let named_type = fields.required("type", type_example);
+        let named_type = named_type.and_then(|node| self.ros1_type::<T>(node));
+        if let Some(named_type) = &named_type {
+            self.uses_name(node, name.as_ref(), named_type.used());
+        }
+        (name, named_type)
+    }
+
+    fn ros1_type<T: NamedType>(&mut self, node: &'d Node) -> Option<T> {
+        let text = self
+            .yaml
+            .text(node, &format!("a type, as {}", T::EXAMPLE))?;
         let definitions = self.ros1.definitions();
-        let error = match find(definitions, text) {
+        let error = match (T::FIND)(definitions, text) {
             Ok(found) => return Some(found),
             Err(error) => error,
         };
         let help = matches!(error, DefinitionError::Unknown { .. }).then(|| {
-            let names = names(definitions);
+            let names = (T::NAMES)(definitions);
             // The name of an action is often written without its ending.
             let whole = format!("{text}Action");
             let whole = names

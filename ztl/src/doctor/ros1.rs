@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde_json::json;
 use ztl_ros1::message::{Definitions, Value};
-use ztl_ros1::{Config, MessageType, Node, Survey};
+use ztl_ros1::{Config, Node, Survey, WireType};
 
 use super::finding::Finding;
 
@@ -89,7 +89,7 @@ fn actions(survey: &Survey) -> impl Iterator<Item = Finding> {
 fn clock(node: &Node, survey: &Survey) -> Option<Finding> {
     let action = survey.actions.keys().next()?;
     let status = Definitions::carried().message(STATUS).ok()?;
-    let wire = MessageType {
+    let wire = WireType {
         name: STATUS.to_owned(),
         md5: status.md5().to_owned(),
         definition: String::new(),

@@ -6,53 +6,23 @@
 #![no_std]
 #![no_main]
 
+mod board;
 mod pins;
 mod uart;
 
 use core::panic::PanicInfo;
 
-use app::Pins;
-use board_support::board::Clock;
 use board_support::boots;
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-use ztl_mcu::Instant;
 
-use pins::{Input, Output, Servo};
+use board::Board;
 use uart::Uart;
 
 #[cfg(feature = "defmt")]
-defmt::timestamp!("{=u64:us}", clock::micros());
-
-/// 16 MHz.
-const CYCLES: u32 = 16_000;
-
-struct Board {
-    uart: Uart,
-    clock: SysTick<CYCLES>,
-}
-
-impl app::Board for Board {
-    type Port = Uart;
-
-    fn port(&mut self) -> &mut Uart {
-        &mut self.uart
-    }
-
-    fn now(&mut self) -> Instant {
-        self.clock.now()
-    }
-
-    fn may_resume(&mut self) -> bool {
-        !Input::STOP.is_pressed() && Input::RESUME.is_pressed()
-    }
-
-    fn sleep(&mut self) {
-        self.clock.sleep();
-    }
-}
+defmt::timestamp!("{=u64:us}", board_support::clock::micros());
 
 #[entry]
 fn main() -> ! {
@@ -60,27 +30,17 @@ fn main() -> ! {
         SCB::sys_reset()
     };
     pins::start();
-    let pins = Pins {
-        gripper: Servo,
-        step: Output::STEP,
-        direction: Output::DIRECTION,
-        limit: Input::LIMIT,
-        lamp: Output::LAMP,
-    };
     let mut board = Board {
-        uart: Uart::start(),
+        port: Uart::start(),
         clock: SysTick::start(core.SYST),
     };
-    app::run(boots::count(), pins, &mut board)
+    app::run(boots::count(), board::pins(), &mut board)
 }
 
 /// Each millisecond.
 #[exception]
 fn SysTick() {
-    clock::tick();
-    if Input::STOP.is_pressed() {
-        app::STOP.raise();
-    }
+    board::tick();
 }
 
 /// Resets the board, so that the gateway can report the tasks that were running.

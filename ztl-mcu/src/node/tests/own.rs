@@ -1,7 +1,6 @@
 //! Tasks that the firmware starts itself, its events, and long results.
 
 use super::*;
-use crate::component::LongResults;
 use crate::{Acting, Reason};
 
 type Own<'t> = Acting<[Motor<'t>; 3]>;
@@ -318,18 +317,16 @@ impl Component for Teller {
     }
 }
 
-fn with_teller<C: Components>(
-    wrapped: impl FnOnce(Acting<[Teller; 1]>) -> C,
-    busy: Busy,
-    next: &str,
-    play: impl FnOnce(&mut Desk<'_, C, 2>),
-) {
-    let teller = Teller {
+fn teller(busy: Busy, next: &str) -> Teller {
+    Teller {
         told: String::new(),
         next: next.to_string(),
         busy,
-    };
-    let components = wrapped(Acting::new([teller]));
+    }
+}
+
+fn with_teller(busy: Busy, next: &str, play: impl FnOnce(&mut Desk<'_, Acting<[Teller; 1]>, 2>)) {
+    let components = Acting::new([teller(busy, next)]);
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), components);
     let mut desk = desk(&mut node);
     desk.hello(5, 1);
@@ -339,7 +336,7 @@ fn with_teller<C: Components>(
 #[test]
 fn a_long_result_is_the_same_until_it_is_acknowledged_and_delays_the_next_task() {
     let long = "0123456789".repeat(8);
-    with_teller(LongResults, Busy::Queue(1), &long, |desk| {
+    with_teller(Busy::Queue(1), &long, |desk| {
         desk.start(1, 1, 0, "x");
         let ended = format!("Ended 1 COMPLETED {long}");
         assert_eq!(desk.pass(0), [ended.as_str()]);
@@ -354,7 +351,7 @@ fn a_long_result_is_the_same_until_it_is_acknowledged_and_delays_the_next_task()
         assert_eq!(desk.pass(0), ["Progress 2 "]);
         assert_eq!(desk.pass(0), [format!("Ended 2 COMPLETED {long}")]);
     });
-    with_teller(LongResults, Busy::Refuse, &long, |desk| {
+    with_teller(Busy::Refuse, &long, |desk| {
         desk.start(1, 1, 0, "x");
         desk.pass(0);
         assert_eq!(
@@ -375,7 +372,7 @@ fn a_result_longer_than_a_frame_is_cut_at_a_character_and_marked() {
         ("ä".repeat(most), "ä".repeat((most - 3) / 2) + "…"),
         (String::new(), "short".to_string()),
     ] {
-        with_teller(LongResults, Busy::Refuse, &text, |desk| {
+        with_teller(Busy::Refuse, &text, |desk| {
             desk.start(1, 1, 0, "x");
             assert_eq!(desk.pass(0), [format!("Ended 1 COMPLETED {told}")]);
         });
@@ -383,17 +380,34 @@ fn a_result_longer_than_a_frame_is_cut_at_a_character_and_marked() {
 }
 
 #[test]
-fn other_components_report_at_most_48_bytes_and_wait_for_nothing() {
-    with_teller(
-        |it| it,
-        Busy::Refuse,
-        "a long one",
-        |desk| {
-            desk.start(1, 1, 0, "x");
-            assert_eq!(desk.pass(0), ["Ended 1 COMPLETED short"]);
-            assert_eq!(desk.start(2, 2, 0, "x")[0], "2 Started 2");
-        },
-    );
+fn components_without_a_long_result_wait_for_nothing() {
+    with_teller(Busy::Refuse, "", |desk| {
+        desk.start(1, 1, 0, "x");
+        assert_eq!(desk.pass(0), ["Ended 1 COMPLETED short"]);
+        assert_eq!(desk.start(2, 2, 0, "x")[0], "2 Started 2");
+    });
+}
+
+#[test]
+fn components_of_any_collection_have_long_results() {
+    #[track_caller]
+    fn assert_long(components: impl Components) {
+        let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), components);
+        let mut desk = desk(&mut node);
+        desk.hello(5, 1);
+        desk.start(1, 1, 0, "x");
+        assert_eq!(desk.pass(0), ["Ended 1 COMPLETED long"]);
+        let refused = "2 Refused busy with another task";
+        assert_eq!(desk.start(2, 2, 0, "x")[0], refused);
+    }
+    let long = || teller(Busy::Refuse, "long");
+    assert_long([long(), long()]);
+    assert_long((long(), long()));
+    assert_long(&mut [long()]);
+    assert_long((&mut long(), long()));
+    let (mut one, mut other) = (long(), long());
+    let mut list: [&mut dyn Component; 2] = [&mut one, &mut other];
+    assert_long(list.as_mut_slice());
 }
 
 #[test]

@@ -365,21 +365,7 @@ fn an_older_gateway_notices_nothing_of_parameters() {
     let (trace, other, kept) = (Trace::default(), Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
     let mut plain = super::parameters::node(pair(&other));
-    fn play<C: Components>(mut desk: Desk<'_, C, 2>) -> Grown<String> {
-        let mut heard = desk.pass(300);
-        heard.extend(desk.hello(5, 1));
-        for index in 0..2 {
-            heard.extend(desk.command(index + 1, Body::Describe { index }));
-        }
-        heard.extend(desk.start(3, 1, 0, "50"));
-        heard.extend(desk.command(4, Body::Ping));
-        heard.extend(desk.command(5, Body::Abort { task: LinkId(1) }));
-        heard.extend(desk.pass(100));
-        heard.extend(desk.hello(6, 1));
-        heard.extend(desk.pass(5000));
-        heard
-    }
-    let heard = play(desk(&mut node));
+    let heard = play_older_gateway(desk(&mut node));
     assert!(heard.len() > 10, "{heard:?}");
-    assert_eq!(heard, play(desk(&mut plain)));
+    assert_eq!(heard, play_older_gateway(desk(&mut plain)));
 }

@@ -7,6 +7,8 @@
 #![no_std]
 #![no_main]
 
+#[path = "../../board.rs"]
+mod board;
 mod chip;
 mod dma;
 #[path = "../../pins.rs"]
@@ -18,17 +20,11 @@ use cortex_m::peripheral::SCB;
 
 #[rtic::app(device = crate::chip, peripherals = false)]
 mod robot {
-    use app::Pins;
-    use board_support::board::Clock;
     use board_support::boots;
-    use board_support::clock::{self, SysTick};
-    use ztl_mcu::Instant;
+    use board_support::clock::SysTick;
 
+    use crate::board::{self, Board};
     use crate::dma::{Receiver, Sender};
-    use crate::pins::{Input, Output, Servo, start};
-
-    /// 16 MHz.
-    const CYCLES: u32 = 16_000;
 
     #[shared]
     struct Shared {
@@ -39,53 +35,21 @@ mod robot {
 
     #[local]
     struct Local {
-        board: Board,
-    }
-
-    pub(crate) struct Board {
-        sender: Sender,
-        clock: SysTick<CYCLES>,
-    }
-
-    impl app::Board for Board {
-        type Port = Sender;
-
-        fn port(&mut self) -> &mut Sender {
-            &mut self.sender
-        }
-
-        fn now(&mut self) -> Instant {
-            self.clock.now()
-        }
-
-        fn may_resume(&mut self) -> bool {
-            !Input::STOP.is_pressed() && Input::RESUME.is_pressed()
-        }
-
-        fn sleep(&mut self) {
-            self.clock.sleep();
-        }
+        board: Board<Sender>,
     }
 
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
-        start();
-        let (receiver, sender) = crate::dma::start();
+        crate::pins::start();
+        let (receiver, port) = crate::dma::start();
         let clock = SysTick::start(context.core.SYST);
-        let board = Board { sender, clock };
+        let board = Board { port, clock };
         (Shared { receiver }, Local { board })
     }
 
     #[idle(local = [board])]
     fn idle(context: idle::Context) -> ! {
-        let pins = Pins {
-            gripper: Servo,
-            step: Output::STEP,
-            direction: Output::DIRECTION,
-            limit: Input::LIMIT,
-            lamp: Output::LAMP,
-        };
-        app::run(boots::count(), pins, context.local.board)
+        app::run(boots::count(), board::pins(), context.local.board)
     }
 
     #[task(binds = DMA1_STREAM5, priority = 2, shared = [receiver])]
@@ -101,10 +65,7 @@ mod robot {
     /// Each millisecond.
     #[task(binds = SysTick, priority = 1)]
     fn tick(_: tick::Context) {
-        clock::tick();
-        if Input::STOP.is_pressed() {
-            app::STOP.raise();
-        }
+        board::tick();
     }
 }
 
