@@ -75,8 +75,7 @@ fn a_parameter_is_set_at_once_and_survives_a_restart_when_it_is_saved() {
     ] {
         assert!(journal.contains(entry), "{journal}");
     }
-    let log = gateway.process.stderr();
-    assert!(log.contains("finger.speed is 2.5, was 1"), "{log}");
+    gateway.process.wait_for("finger.speed is 2.5, was 1");
 }
 
 #[test]

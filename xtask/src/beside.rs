@@ -83,8 +83,7 @@ impl Drop for Beside {
 #[cfg(test)]
 mod tests {
     use std::fs;
-    use std::thread;
-    use std::time::Duration;
+    use std::io::Read as _;
 
     use super::*;
 
@@ -109,26 +108,20 @@ mod tests {
 
     #[test]
     fn dropping_it_ends_all_that_it_has_started() {
-        let beside = start("sleep 600 & echo $!; wait");
+        let fifo = env::temp_dir().join(format!("ztl-beside-{}", std::process::id()));
+        let made = Command::new("mkfifo").arg(&fifo).status();
+        assert!(made.unwrap().success());
+        let fifo_shown = fifo.display();
+        // A line is written only if it lives longer than this test.
+        let beside = start(&format!("(sleep 60; echo alive) > '{fifo_shown}' & wait"));
+        // Opens when the other end does; is at its end when all that have the other end are over.
+        let mut started = File::open(&fifo).unwrap();
         let log = beside.log.clone();
-        let started = loop {
-            if let Ok(number) = fs::read_to_string(&log).unwrap().trim().parse::<u32>() {
-                break number;
-            }
-            thread::sleep(Duration::from_millis(10));
-        };
-        // `sleep`, in parentheses, and its state; Z is left of an ended program until somebody asks for its result.
-        let runs = || {
-            let stat = fs::read_to_string(format!("/proc/{started}/stat"));
-            stat.is_ok_and(|stat| stat.contains("(sleep) S"))
-        };
-        while !runs() {
-            thread::sleep(Duration::from_millis(10));
-        }
         drop(beside);
-        while runs() {
-            thread::sleep(Duration::from_millis(10));
-        }
+        let mut said = String::new();
+        started.read_to_string(&mut said).unwrap();
+        assert_eq!(said, "");
         fs::remove_file(log).unwrap();
+        fs::remove_file(fifo).unwrap();
     }
 }
