@@ -97,7 +97,7 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
     );
     let end = remote.abort(id).expect("an answer");
     assert_eq!(end.state, State::Aborted);
-    // The device forgets it when the gateway has acknowledged its end.
+    // The device forgets the task when the gateway has acknowledged its end.
     until("the task is forgotten", PATIENCE, || {
         buttons.release().err()
     });

@@ -127,7 +127,7 @@ fn mistakes_are_told_with_what_would_be_right() {
         ),
         (
             &["list", "room"],
-            "room: the firmware of 'room' has no parameters, or is older than they are",
+            "room: the firmware of 'room' has no parameters, or is older than parameters",
         ),
         (&["list", "desk"], "no device 'desk'; there are: hand, room"),
     ] {

@@ -29,7 +29,7 @@ fn hostile() -> String {
     json!({ SCOPE: devices }).to_string()
 }
 
-/// A gateway with a device at `link`, one inside of it, and one whose port there is not.
+/// A gateway with a device at `link`, one inside of it, and one whose port does not exist.
 fn gateway(port: u16, link: &str) -> Server {
     let mut command = ztl();
     command.args(["gateway", "-p", &port.to_string(), "-s", SCOPE]);

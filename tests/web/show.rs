@@ -357,7 +357,7 @@ fn a_cue_that_a_killed_console_started_is_not_started_again() {
     runs(&mut client, "test:mark:cue");
     let (done, why) = told(&mut client, "/ztl/show/cue", &hold);
     assert!(
-        !done && why.contains("test:mark:cue runs since before"),
+        !done && why.contains("test:mark:cue still runs from before"),
         "{why}"
     );
     client.call("/ztl/stop", &json!({}));

@@ -216,13 +216,13 @@ pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
 
-    /// Whether the node asks them for [long results](Component::result). If not, it has no code for that.
+    /// Whether the node asks the components for [long results](Component::result). If not, it contains no code for long results.
     const LONG_RESULTS: bool = false;
 
-    /// Whether the firmware starts tasks itself and reports events. If not, the node has no code for that.
+    /// Whether the firmware starts tasks itself and reports events. If not, the node contains no code for either.
     const ACTING: bool = false;
 
-    /// Number of parameters that clients may set. If there are none, the node has no code for them.
+    /// Number of parameters that clients may set. With 0, the node contains no code for parameters.
     const PARAMETER_COUNT: u8 = 0;
 
     /// Number of components; the first 255 are used.
@@ -436,7 +436,7 @@ macro_rules! forward {
 }
 pub(crate) use forward;
 
-/// Components some of which report [results](Component::result) of more than 48 bytes.
+/// Components of which at least one reports [results](Component::result) of more than 48 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct LongResults<C>(pub C);
 

@@ -48,7 +48,7 @@ impl Packages {
         Self::new(roots)
     }
 
-    /// The text of `directory/name.ending` in a package, and where it is. `None` if there is no such file.
+    /// The text of `directory/name.ending` in a package, and its path. `None` if there is no file of this name.
     pub(super) fn read(
         &mut self,
         package: &str,

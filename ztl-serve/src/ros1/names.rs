@@ -40,7 +40,7 @@ impl<'d> ConfigReader<'d> {
     }
 }
 
-/// Asks the master for these names. Returns what is not there, or why nobody can tell; blocks for some seconds if nodes
+/// Asks the master for these names. Returns the missing names, or why they cannot be checked; blocks for some seconds if nodes
 /// do not answer.
 pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<Diagnostic> {
     let Some(first) = names.first() else {
