@@ -201,7 +201,7 @@ fn clauses_are_numbered_consecutively() {
         };
         let (section, number) = clause.split_once('.').unwrap();
         let here: (u32, u32) = (section.parse().unwrap(), number.parse().unwrap());
-        // The section of the examples has none.
+        // The section of the examples has no clauses.
         let follows = here == (last.0, last.1 + 1) || here.0 > last.0 && here.1 == 1;
         assert!(follows, "[{clause}] after {last:?}");
         last = here;

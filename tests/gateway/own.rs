@@ -37,10 +37,12 @@ fn ps(gateway: &Server, options: &[&str]) -> String {
     ended.stdout
 }
 
-/// The tasks that it lists.
+/// The tasks that it lists, without those of `ztl param`.
 fn listed(gateway: &Server) -> Vec<serde_json::Value> {
     let list: serde_json::Value = serde_json::from_str(&ps(gateway, &["--json"])).expect("JSON");
-    list["tasks"].as_array().cloned().unwrap_or_default()
+    let mut tasks = list["tasks"].as_array().cloned().unwrap_or_default();
+    tasks.retain(|task| !task["task"].to_string().contains("$param"));
+    tasks
 }
 
 /// The id of the only task that the device has started.
@@ -62,6 +64,15 @@ fn press(buttons: &Buttons, goal: &str) {
     until("the button works", PATIENCE, || buttons.press(goal).ok());
 }
 
+/// Sets how fast the gripper moves, as a factor.
+#[track_caller]
+fn set_speed(gateway: &Server, factor: &str) {
+    let port = gateway.port.to_string();
+    let words = ["param", "set", "gripper", "speed", factor, "-p", &port];
+    let ended = Process::run(ztl().args(words));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
 fn state(remote: &mut RemoteTask, id: TaskId) -> State {
     remote.status(id).expect("an answer").state
 }
@@ -73,6 +84,8 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
     let scratch = Scratch::new();
     let gateway = start_gateway(&url, &scratch, reserve_port());
     let mut remote = connect(&gateway.endpoint());
+    // It takes 20 s then, so it still runs when it is aborted.
+    set_speed(&gateway, "0.1");
     press(&buttons, "100");
     let id = only_id(&gateway);
     assert_eq!(listed(&gateway)[0]["task"], "gripper:finger:100");
@@ -84,12 +97,13 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
     );
     let end = remote.abort(id).expect("an answer");
     assert_eq!(end.state, State::Aborted);
-    // The device forgets it when the gateway has acknowledged its end.
+    // The device forgets the task when the gateway has acknowledged its end.
     until("the task is forgotten", PATIENCE, || {
         buttons.release().err()
     });
     gateway.process.wait_for("was started by the device");
 
+    set_speed(&gateway, "4");
     press(&buttons, "0");
     until("the second end", PATIENCE, || {
         let all = listed(&gateway);
@@ -122,7 +136,7 @@ fn a_restarted_gateway_keeps_the_id_and_a_reset_device_fails_the_task() {
     press(&buttons, "100");
     buttons.release().expect("it runs");
     let id = only_id(&gateway);
-    // Too short for the device to lose the link is not needed: the end is journaled.
+    // Whether or not the device loses the link meanwhile.
     gateway.process.kill();
     drop(gateway);
     let gateway = start_gateway(&url, &scratch, port);
@@ -133,6 +147,8 @@ fn a_restarted_gateway_keeps_the_id_and_a_reset_device_fails_the_task() {
     });
     assert_eq!(end.state, State::Aborted, "{end:?}");
 
+    // It takes 20 s then, so it still runs when the device is reset.
+    set_speed(&gateway, "0.1");
     press(&buttons, "100");
     let second = until("the next task", PATIENCE, || {
         let all = listed(&gateway);

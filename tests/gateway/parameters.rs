@@ -75,8 +75,7 @@ fn a_parameter_is_set_at_once_and_survives_a_restart_when_it_is_saved() {
     ] {
         assert!(journal.contains(entry), "{journal}");
     }
-    let log = gateway.process.stderr();
-    assert!(log.contains("finger.speed is 2.5, was 1"), "{log}");
+    gateway.process.wait_for("finger.speed is 2.5, was 1");
 }
 
 #[test]
@@ -128,7 +127,7 @@ fn mistakes_are_told_with_what_would_be_right() {
         ),
         (
             &["list", "room"],
-            "room: the firmware of 'room' has no parameters, or is older than they are",
+            "room: the firmware of 'room' has no parameters, or is older than parameters",
         ),
         (&["list", "desk"], "no device 'desk'; there are: hand, room"),
     ] {

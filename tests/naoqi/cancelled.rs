@@ -3,7 +3,7 @@
 use std::sync::mpsc::channel;
 
 use ztl_naoqi::{CallError, CallHandle, Cancel, Value};
-use ztl_tests::lab::PATIENCE;
+use ztl_tests::lab::{PATIENCE, reserve_port};
 
 use crate::robot::{Connected, Robot, next, nothing};
 
@@ -47,9 +47,7 @@ fn a_call_that_ignores_its_cancellation_ends_as_it_does() {
 
 #[test]
 fn a_call_that_waits_for_its_robot_is_cancelled_at_once() {
-    let robot = Robot::start(&[]);
-    let endpoint = robot.endpoint.clone();
-    drop(robot);
+    let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
     let nao = Connected::with(crate::robot::options(&endpoint));
     let (call, result) = nao.begin("ALTextToSpeech", "say", "[hello]");
     assert_eq!(cancel(&nao, call), Cancel::Ended);

@@ -104,10 +104,7 @@ fn a_directory_that_is_restarted_is_found_again() {
 
 #[test]
 fn a_robot_that_is_not_there_is_told_once() {
-    let robot = Robot::start(&[]);
-    let endpoint = robot.endpoint.clone();
-    drop(robot);
-    let nao = Connected::with(options(&endpoint));
+    let nao = Connected::with(options(&format!("tcp://127.0.0.1:{}", reserve_port())));
     let told = nao.wait_for(|event| matches!(event, Event::Disconnected { .. }));
     let Event::Disconnected { reason } = told else {
         unreachable!("it was one");

@@ -3,12 +3,14 @@
 use std::time::Duration;
 
 use ztl_ros1::{EndState, GoalEvent};
-use ztl_tests::lab::PATIENCE;
+use ztl_tests::lab::{PATIENCE, Process, in_time};
 
-use crate::rig::{Master, Running, test_action, unique, wait, within};
+use crate::rig::{
+    Master, Running, connected, not_sent, test_action, unique, wait_for_server, within,
+};
 
-/// An answer is due within this time, for a machine that is not busy.
-const SOON: Duration = Duration::from_secs(2);
+/// An answer after the 1.5 s for which a goal waits is due within this time.
+const SOON: Duration = Duration::from_secs(5);
 
 #[test]
 fn each_final_state_of_the_server_arrives_with_its_text_and_result() {
@@ -16,7 +18,7 @@ fn each_final_state_of_the_server_arrives_with_its_text_and_result() {
     let name = unique("states");
     let mut robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
 
     let done = Running::send(&action, 1);
     done.accepted();
@@ -42,7 +44,7 @@ fn a_cancel_preempts_or_recalls() {
     let name = unique("cancels");
     let robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
 
     let running = Running::send(&action, 4);
     running.accepted();
@@ -72,7 +74,7 @@ fn a_goal_that_another_client_preempts_is_told_as_preempted() {
     let name = unique("preempted");
     let mut robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     let running = Running::send(&action, 4);
     running.accepted();
     robot.write_line("preempt");
@@ -85,7 +87,7 @@ fn a_lost_result_leaves_the_true_state() {
     let name = unique("lossy");
     let _robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     Running::send(&action, 6).ends(EndState::Succeeded, "done", None);
 }
 
@@ -95,7 +97,7 @@ fn a_goal_that_the_server_never_shows_has_an_unknown_outcome() {
     let name = unique("deaf");
     let _robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     let end = Running::send(&action, 7).end();
     assert_eq!(end.state, EndState::Unknown);
     assert!(
@@ -106,23 +108,17 @@ fn a_goal_that_the_server_never_shows_has_an_unknown_outcome() {
 }
 
 #[test]
-fn a_wrong_name_is_answered_within_two_seconds_with_those_that_exist() {
+fn a_wrong_name_is_answered_soon_with_those_that_exist() {
     let master = Master::shared();
     let name = unique("right");
     let _robot = master.action(&name, &name);
     let node = master.node();
     let action = node.action("/wrong", test_action()).unwrap();
-    let end = ztl_tests::lab::in_time(SOON, || Running::send(&action, 1).end());
-    assert_eq!(end.state, EndState::NotSent);
     let there = format!("/{name} (actionlib/TestAction)");
-    assert!(
-        end.text
-            .starts_with("no action server has the name /wrong; there are: "),
-        "{}",
-        end.text
-    );
-    assert!(end.text.contains(&there), "{}", end.text);
-    assert!(!end.text.contains("/wrong ("), "{}", end.text);
+    let told = "no action server has the name /wrong; there are: ";
+    let text = in_time(SOON, || not_sent(&action, &[told, &there]));
+    assert!(text.starts_with(told), "{text}");
+    assert!(!text.contains("/wrong ("), "{text}");
     assert!(!node.survey().unwrap().actions.contains_key("/wrong"));
 }
 
@@ -135,15 +131,9 @@ fn another_definition_of_the_goal_is_named() {
     let mut types = test_action();
     types.result.md5 = "0123456789abcdef0123456789abcdef".to_owned();
     let action = node.action(&name, types).unwrap();
-    let end = Running::send(&action, 1).end();
-    assert_eq!(end.state, EndState::NotSent);
     let told = format!("the action server /{name} of /{name} is not connected to result: ");
-    assert!(end.text.starts_with(&told), "{}", end.text);
-    assert!(
-        end.text.contains("3d669e3a63aa986c667ea7b0f46ce85e"),
-        "{}",
-        end.text
-    );
+    let text = not_sent(&action, &[&told, "3d669e3a63aa986c667ea7b0f46ce85e"]);
+    assert!(text.starts_with(&told), "{text}");
 }
 
 #[test]
@@ -155,14 +145,13 @@ fn two_servers_under_one_name_get_no_goal() {
     let second = master.action(&other, &topic);
     let node = master.node();
     let action = node.action(&topic, test_action()).unwrap();
-    let end = Running::send(&action, 1).end();
-    assert_eq!(end.state, EndState::NotSent);
-    for part in ["more than one server", &one, &other] {
-        assert!(end.text.contains(part), "{}", end.text);
-    }
-    for robot in [&first, &second] {
-        assert!(!robot.stdout().contains("goal"));
-    }
+    let parts = ["more than one server", &one, &other];
+    // Until both are connected, one of them may get goals.
+    not_sent(&action, &parts);
+    let goals = || [&first, &second].map(|robot: &Process| robot.stdout().matches("goal").count());
+    let before = goals();
+    not_sent(&action, &parts);
+    assert_eq!(goals(), before);
 }
 
 #[test]
@@ -171,7 +160,7 @@ fn a_killed_server_is_gone_and_a_restarted_one_does_not_know_the_goal() {
     let name = unique("killed");
     let mut robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     let running = Running::send(&action, 4);
     running.accepted();
     robot.kill();
@@ -182,6 +171,7 @@ fn a_killed_server_is_gone_and_a_restarted_one_does_not_know_the_goal() {
     );
 
     let mut robot = master.action(&name, &name);
+    wait_for_server(&action);
     let again = Running::send(&action, 4);
     again.accepted();
     robot.kill();
@@ -194,7 +184,7 @@ fn a_killed_server_is_gone_and_a_restarted_one_does_not_know_the_goal() {
         format!("the action server /{name} is gone"),
     ];
     assert!(expected.contains(&end.text), "{}", end.text);
-    Running::send(&action, 1).ends(EndState::Succeeded, "done", Some(10));
+    wait_for_server(&action);
     assert!(!robot.stdout().contains("goal 4"));
 }
 
@@ -204,10 +194,11 @@ fn a_server_that_was_stopped_for_a_while_loses_no_goal() {
     let name = unique("stopped");
     let mut robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     let running = Running::send(&action, 4);
     running.accepted();
     robot.signal("STOP");
+    // Longer than a closed connection may be silent, and shorter than an open one may.
     std::thread::sleep(Duration::from_secs(6));
     robot.signal("CONT");
     robot.write_line("finish");
@@ -220,7 +211,7 @@ fn a_goal_of_unknown_outcome_is_cancelled_when_its_server_is_back() {
     let name = unique("hung");
     let robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     let running = Running::send(&action, 4);
     running.accepted();
     robot.signal("STOP");
@@ -234,25 +225,27 @@ fn a_goal_of_unknown_outcome_is_cancelled_when_its_server_is_back() {
 fn fifty_actions_at_once_and_a_thousand_feedbacks_a_second() {
     let master = Master::shared();
     let name = unique("busy");
-    let _robot = master.action(&name, &name);
+    let mut robot = master.action(&name, &name);
     let node = master.node();
-    let action = node.action(&name, test_action()).unwrap();
+    let action = connected(&node, &name);
     let goals: Vec<_> = (0..50).map(|_| Running::send(&action, 1)).collect();
     for goal in goals {
         goal.ends(EndState::Succeeded, "done", Some(10));
     }
     let fed = Running::send(&action, 1000);
-    let mut count = 0;
-    let end = loop {
-        match fed.next() {
-            GoalEvent::Feedback(_) => count += 1,
-            GoalEvent::Accepted => {}
-            GoalEvent::Ended(end) => break end,
-        }
-    };
-    assert_eq!((end.state, &end.text[..]), (EndState::Succeeded, "fed"));
-    // The result may overtake the last feedback, and a slow publisher drops some itself.
-    assert!(count > 500, "{count}");
+    fed.accepted();
+    // A slow publisher drops some itself, but not the last one.
+    let mut last = -1;
+    while last < 999 {
+        let GoalEvent::Feedback(content) = fed.next() else {
+            panic!("it ended after feedback {last}");
+        };
+        let number = i32::from_le_bytes(content[..].try_into().unwrap());
+        assert!(number > last, "{number} after {last}");
+        last = number;
+    }
+    robot.write_line("finish");
+    fed.ends(EndState::Succeeded, "told", Some(7));
 }
 
 #[test]
@@ -266,11 +259,7 @@ fn two_nodes_share_an_action() {
         .each_ref()
         .map(|node| node.action(&name, test_action()).unwrap());
     // Both are connected: rospy drops connections that are made at the same time.
-    for action in &actions {
-        wait("it is connected", || {
-            Running::send(action, 1).end().state == EndState::Succeeded
-        });
-    }
+    actions.iter().for_each(wait_for_server);
     let [one, other] = actions.each_ref().map(|action| Running::send(action, 4));
     one.accepted();
     other.accepted();

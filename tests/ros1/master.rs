@@ -3,7 +3,9 @@
 use ztl_ros1::xmlrpc::Value;
 use ztl_ros1::{EndState, Node};
 
-use crate::rig::{Master, Running, string, test_action, text, unique, wait};
+use crate::rig::{
+    Master, Running, connected, not_sent, string, test_action, text, unique, wait, wait_for_server,
+};
 
 /// How many times the master names the node as a publisher or subscriber of a topic.
 fn registered(asker: &Node, topic: &str, node: &str) -> usize {
@@ -28,8 +30,8 @@ fn a_master_that_was_killed_and_restarted_gets_everything_again() {
     let publisher = node.publisher("/robot/in", string(), true).unwrap();
     publisher.publish(text("kept"));
     let _subscription = node.subscribe("/robot/out", string(), |_, _| {});
-    let action = node.action("/arm", test_action()).unwrap();
     let mut robot = master.action("arm", "/arm");
+    let action = connected(&node, "/arm");
     let running = Running::send(&action, 4);
     running.accepted();
 
@@ -52,11 +54,8 @@ fn a_master_that_was_killed_and_restarted_gets_everything_again() {
 fn a_master_that_hangs_stops_no_goal() {
     let master = Master::start();
     let node = master.node();
-    let action = node.action("/arm", test_action()).unwrap();
     let _robot = master.action("arm", "/arm");
-    wait("it is connected", || {
-        Running::send(&action, 1).end().state == EndState::Succeeded
-    });
+    let action = connected(&node, "/arm");
     master.signal("STOP");
     let error = node.param("/x").unwrap_err().to_string();
     assert!(error.starts_with("no answer from "), "{error}");
@@ -73,18 +72,15 @@ fn a_node_may_start_before_its_master() {
     master.kill();
     let node = master.node();
     let action = node.action("/arm", test_action()).unwrap();
-    let end = Running::send(&action, 1).end();
-    assert_eq!(end.state, EndState::NotSent);
     let told = format!(
         "the ROS master http://127.0.0.1:{} does not answer: ",
         master.port
     );
-    assert!(end.text.starts_with(&told), "{}", end.text);
+    let text = not_sent(&action, &[&told]);
+    assert!(text.starts_with(&told), "{text}");
     master.restart();
     let _robot = master.action("arm", "/arm");
-    wait("the action server is connected", || {
-        Running::send(&action, 1).end().state == EndState::Succeeded
-    });
+    wait_for_server(&action);
 }
 
 #[test]
@@ -117,8 +113,8 @@ fn goals_have_the_simulated_time_and_limits_have_not() {
         .unwrap();
     let node = master.node();
     let mut robot = master.robot(&["topics", "clock"]);
-    let action = node.action("/arm", test_action()).unwrap();
     let _server = master.action("arm", "/arm");
+    let action = connected(&node, "/arm");
     let script = "import rospy, sys; from actionlib.msg import TestActionGoal\n\
         rospy.init_node('spy', disable_signals=True, disable_rosout=True)\n\
         rospy.Subscriber('/arm/goal', TestActionGoal, \

@@ -211,6 +211,34 @@ impl Running {
     }
 }
 
+/// The client of an action, once its server is connected: a busy machine may take longer for that than a goal waits.
+#[track_caller]
+pub(crate) fn connected(node: &Node, action: &str) -> ActionClient {
+    let client = node.action(action, test_action()).unwrap();
+    wait_for_server(&client);
+    client
+}
+
+/// Waits until the action server is connected.
+#[track_caller]
+pub(crate) fn wait_for_server(action: &ActionClient) {
+    wait("the action server is connected", || {
+        Running::send(action, 1).end().state == EndState::Succeeded
+    });
+}
+
+/// Waits until a goal is not sent for a reason with these parts: a busy machine may find out less while the first goals wait.
+#[track_caller]
+pub(crate) fn not_sent(action: &ActionClient, parts: &[&str]) -> String {
+    until("a goal is not sent for this reason", PATIENCE, || {
+        let end = Running::send(action, 1).end();
+        println!("{end:?}");
+        let is_it =
+            end.state == EndState::NotSent && parts.iter().all(|part| end.text.contains(part));
+        is_it.then_some(end.text)
+    })
+}
+
 /// Repeats until it holds.
 #[track_caller]
 pub(crate) fn wait(what: &str, mut holds: impl FnMut() -> bool) {

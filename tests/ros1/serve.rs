@@ -113,7 +113,7 @@ fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
 }
 
 const DRIVE: &str = "scopes: {/test: {p: {
-    drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, for: '{goal.seconds}',
+    drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, for: '{goal.seconds}', dead-man: 20 s,
             message: {linear: {x: '{goal.speed}'}}, stop: {}},
     nowhere: {ros1-publish: /NAME/nowhere, type: geometry_msgs/Twist, message: {}}}}}";
 
@@ -132,12 +132,12 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
     });
     let twists = robot.twists();
     let count = twists.iter().filter(|line| *line == GO).count();
-    assert!(count >= 2 && twists.len() == count + 5, "{twists:?}");
+    assert!(count > 0 && twists.len() == count + 5, "{twists:?}");
 
     let mut remote = robot.remote();
     let task = trigger(&mut remote, "drive", "{speed: 0.5, seconds: 60}");
-    wait("it drives", || {
-        robot.twists().last().is_some_and(|line| line == GO)
+    wait("it drives on", || {
+        robot.twists().ends_with(&[GO; 3].map(str::to_owned))
     });
     remote.abort(task).expect("an answer");
     let end = remote.wait(task, Some(PATIENCE)).expect("an end");
@@ -160,13 +160,15 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
 
 #[test]
 fn a_base_stops_when_its_client_is_gone_and_gets_nothing_more_from_a_killed_server() {
-    let drive = DRIVE.replace("stop: {}", "stop: {}, needs-client: 1 s");
-    let robot = Robot::new(&drive);
+    let bound = "bound: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, dead-man: 20 s,
+            message: {linear: {x: 0.5}}, stop: {}, needs-client: 1 s},
+    drive: {";
+    let robot = Robot::new(&DRIVE.replacen("drive: {", bound, 1));
     let drives = || robot.twists().last().is_some_and(|line| line == GO);
     // Connects.
     assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
     let mut command = our_client_at(robot.server.port);
-    let mut client = Process::start(command.arg("p:drive:{speed: 0.5, seconds: 60}"));
+    let mut client = Process::start(command.arg("p:bound:"));
     wait("it drives", drives);
     client.kill();
     let stopped = || robot.twists().ends_with(&[STOP; 5].map(str::to_owned));
@@ -216,12 +218,9 @@ fn an_arm_moves_to_its_poses_and_an_abort_stops_it() {
     let (state, text) = robot.run("pose", "up").expect("no rejection");
     assert_eq!(state, Completed, "{text}");
     assert!(text.starts_with("[0.") && text.contains(", -0.2"), "{text}");
-    assert!(
-        robot
-            .node
-            .stdout()
-            .contains("trajectory shoulder elbow 0.5 -0.25 1.0\n")
-    );
+    robot
+        .node
+        .wait_for("trajectory shoulder elbow 0.5 -0.25 1.0");
     assert_eq!(
         robot.run("pose", "down"),
         Err("p:pose: the goal 'down' is not home, up or far".to_owned())
@@ -453,12 +452,16 @@ fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
         command.env("ROS_HOSTNAME", "127.0.0.1");
         Process::run(command.args(["doctor", "--ros1", &uri]))
     };
-    let ended = doctor();
+    // On a busy machine, a run may not hear the clock in time.
+    let clock = "ok    ros1       the clock of /move is ";
+    let ended = until("it hears the clock", PATIENCE, || {
+        let ended = doctor();
+        ended.stdout.contains(clock).then_some(ended)
+    });
     assert_eq!(ended.code, Some(1), "{ended:?}");
     for part in [
         &format!("master {uri}: 2 nodes"),
         "ok    ros1       action /move (actionlib/TestAction)\n",
-        "ok    ros1       the clock of /move is ",
         "WRONG ros1       node /lost at http://no-such-host.invalid",
         "start it with ROS_HOSTNAME or ROS_IP",
     ] {

@@ -48,6 +48,7 @@ class Arm:
             # One message for each joint, as of two drivers.
             for joint, place in self.places.items():
                 self.states.publish(JointState(name=[joint], position=[place]))
+            # The arm moves in real time.
             time.sleep(STEP)
 
 

@@ -7,7 +7,7 @@ use ztl_std::Publisher;
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
 
 use crate::console::{
-    Console, DESCRIBED, ROBOT, drive, from_port, marks, node, passes, robot, web,
+    Console, DESCRIBED, ROBOT, drive, from_port, marks, node, passes, port, robot, web,
 };
 
 /// Components that describe themselves with texts wider than a phone.
@@ -97,10 +97,18 @@ fn the_demo_has_a_console() {
     let demo = Process::start(ztl().args(["demo", "--web", "--port", "0"]));
     let line = demo.wait_for("console  at");
     let url = format!("http://127.0.0.1{}", from_port(&line));
+    let gateway = port(&demo.wait_for("gateway  at")).to_string();
     demo.wait_for("The gateway goes on serving");
     let mut command = node("driver.mjs");
     command.args(["demo", &url]).arg(files.path(""));
-    let ended = Process::start(&mut command).end(PATIENCE * 3);
+    let mut driver = Process::start(&mut command);
+    // Its next task must still run when Stop is pressed.
+    driver.wait_for("do: slow the gripper");
+    let set = ["param", "set", "gripper", "speed", "0.1", "-p", &gateway];
+    let set = Process::run(ztl().args(set));
+    assert_eq!(set.code, Some(0), "{set:?}");
+    driver.write_line("done");
+    let ended = driver.end(PATIENCE * 3);
     assert!(ended.stdout.contains("passed"), "{ended:?}");
 }
 

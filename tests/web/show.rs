@@ -255,7 +255,7 @@ fn a_page_that_hangs_does_not_operate_and_one_with_slow_timers_does() {
     let mut driver = Process::start(command.args(["hangs", &stage.url]).arg(directory));
     let mut watcher = stage.client();
     driver.wait_for("do: look: slow");
-    // Longer than the scene may play without an operator.
+    // Longer than the 5 s that the scene may play without an operator: it must not stop.
     std::thread::sleep(Duration::from_secs(8));
     assert_eq!(watcher.call("/ztl/show", &json!({}))["plays"], true);
     driver.write_line("done");
@@ -357,11 +357,12 @@ fn a_cue_that_a_killed_console_started_is_not_started_again() {
     runs(&mut client, "test:mark:cue");
     let (done, why) = told(&mut client, "/ztl/show/cue", &hold);
     assert!(
-        !done && why.contains("test:mark:cue runs since before"),
+        !done && why.contains("test:mark:cue still runs from before"),
         "{why}"
     );
     client.call("/ztl/stop", &json!({}));
     until("the cue to be free", PATIENCE, || {
+        // A press within 0.6 s of another counts as the same.
         std::thread::sleep(Duration::from_millis(700));
         told(&mut client, "/ztl/show/cue", &hold).0.then_some(())
     });
@@ -467,13 +468,13 @@ fn the_page_plays_the_show_on_a_phone_a_tablet_and_a_desk() {
     assert!(ended.stdout.contains("passed"), "{ended:?}");
 }
 
-/// A robot whose `test:flaky` fails the first time.
+/// A robot whose `test:flaky` fails the first time, and whose `test:held` runs until there is a file.
 const FLAKY: &str = "\
 scopes:
   /test:
     test:
       echo: echo
-      sleep: sleep
+      held: {shell: 'until test -e released; do sleep 0.1; done'}
       flaky: {shell: 'test -e tried || { touch tried; exit 1; }'}
 ";
 
@@ -484,7 +485,7 @@ fn each_command_of_the_show_works_by_a_tap() {
 skipped:
   never: {test(remote=ours): {echo: no}}
 played:
-  wait a little: {test(remote=ours): {sleep: 2}}
+  wait a little: {test(remote=ours): {held: 1}}
   say: {test(remote=ours): {echo: said}}
 flaky:
   try (on_failure=ask): {test(remote=ours): {flaky: 1}}

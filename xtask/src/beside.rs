@@ -1,5 +1,5 @@
-//! Steps that run beside the others, in a process of their own at the lowest priority: they get the time for which tests
-//! wait, and delay none.
+//! Steps that run at the same time as the others, in a process of their own at the lowest priority: they use the processor
+//! while tests wait, and delay no test.
 
 use std::env;
 use std::fs::File;
@@ -12,15 +12,15 @@ use anyhow::{Context as _, Result, ensure};
 
 use crate::project::Project;
 
-/// Runs its arguments, and ends with all that they have started when its input ends: also when this program is killed.
+/// Runs its arguments. When its input ends, also because this program was killed, it kills its whole process group.
 const SCRIPT: &str =
     "exec 3<&0 </dev/null; (cat <&3 >/dev/null; kill 0) & exec 3<&- nice -n 19 \"$@\"";
 
-/// The running process. Dropping it ends the process and all that it has started.
+/// The running process. Dropping this kills the process and everything that the process has started.
 pub(crate) struct Beside {
     child: Child,
     input: Option<ChildStdin>,
-    /// Its output, which is shown when it has ended.
+    /// File with the output of the process, which [`end`](Self::end) prints.
     log: PathBuf,
 }
 
@@ -49,10 +49,10 @@ impl Beside {
         Ok(Self { child, input, log })
     }
 
-    /// Reports a failure as soon as it is known.
+    /// Checks without waiting whether the process has failed.
     ///
     /// # Errors
-    /// When it has failed.
+    /// If the process has failed.
     pub(crate) fn has_not_failed(&mut self) -> Result<()> {
         let ended = self.child.try_wait()?;
         match ended.is_none_or(|status| status.success()) {
@@ -61,10 +61,10 @@ impl Beside {
         }
     }
 
-    /// Waits until it has ended, and shows its output.
+    /// Waits for the end of the process, and prints its output.
     ///
     /// # Errors
-    /// When it fails.
+    /// If the process has failed.
     pub(crate) fn end(&mut self) -> Result<()> {
         let status = self.child.wait()?;
         io::copy(&mut File::open(&self.log)?, &mut io::stdout())?;
@@ -83,8 +83,7 @@ impl Drop for Beside {
 #[cfg(test)]
 mod tests {
     use std::fs;
-    use std::thread;
-    use std::time::Duration;
+    use std::io::Read as _;
 
     use super::*;
 
@@ -109,26 +108,20 @@ mod tests {
 
     #[test]
     fn dropping_it_ends_all_that_it_has_started() {
-        let beside = start("sleep 600 & echo $!; wait");
+        let fifo = env::temp_dir().join(format!("ztl-beside-{}", std::process::id()));
+        let made = Command::new("mkfifo").arg(&fifo).status();
+        assert!(made.unwrap().success());
+        let fifo_shown = fifo.display();
+        // Writes a line only if it is not killed.
+        let beside = start(&format!("(sleep 60; echo alive) > '{fifo_shown}' & wait"));
+        // Waits until the subshell has opened the other end. Reading then ends when every process with the other end has ended.
+        let mut started = File::open(&fifo).unwrap();
         let log = beside.log.clone();
-        let started = loop {
-            if let Ok(number) = fs::read_to_string(&log).unwrap().trim().parse::<u32>() {
-                break number;
-            }
-            thread::sleep(Duration::from_millis(10));
-        };
-        // `sleep`, in parentheses, and its state; Z is left of an ended program until somebody asks for its result.
-        let runs = || {
-            let stat = fs::read_to_string(format!("/proc/{started}/stat"));
-            stat.is_ok_and(|stat| stat.contains("(sleep) S"))
-        };
-        while !runs() {
-            thread::sleep(Duration::from_millis(10));
-        }
         drop(beside);
-        while runs() {
-            thread::sleep(Duration::from_millis(10));
-        }
+        let mut said = String::new();
+        started.read_to_string(&mut said).unwrap();
+        assert_eq!(said, "");
         fs::remove_file(log).unwrap();
+        fs::remove_file(fifo).unwrap();
     }
 }

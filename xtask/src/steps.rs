@@ -1,5 +1,5 @@
-//! `cargo xtask check` and `cargo xtask test`: the checks of the project, in the order that fails soonest. What only
-//! computes runs beside the tests, which mostly wait.
+//! `cargo xtask check` and `cargo xtask test`: the checks of the project, in the order that fails soonest. Steps
+//! that only compute run at the same time as the tests, which mostly wait.
 
 use std::iter;
 use std::time::Instant;

@@ -1,6 +1,6 @@
 //! The gateway's end of a shared, half-duplex line, without I/O: it decides which node is asked next.
 //!
-//! A node speaks only when it is asked, and answers with one frame. So the bus delays the frames of its nodes' sessions,
+//! A node sends only when it is asked, and then sends one frame. So the bus delays the frames of its nodes' sessions,
 //! and may lose them like any other line, but needs no rule of its own for tasks. See `docs/link.md`, section 15.
 
 mod member;
@@ -29,9 +29,9 @@ const SEARCH_WITHIN: Duration = Duration::from_millis(100);
 /// What has happened on a bus.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BusEvent {
-    /// A node has not answered for a while.
+    /// The node with this address has not answered for a while.
     Silent(u8),
-    /// The answers of a node are damaged: by noise, or by another node with its address.
+    /// The answers from this address are damaged: by noise, or because two nodes have this address.
     Garbled(u8),
     /// A search has ended: all nodes that answered, by their ids. Two may have one address.
     Found(Vec<Found>),
@@ -40,12 +40,12 @@ pub enum BusEvent {
 /// Who was asked, and until when the answer may come.
 #[derive(Debug, Clone)]
 struct Question {
-    /// Nobody in particular in a search.
+    /// `None` in a search, which asks all nodes.
     address: Option<u8>,
     sent: Vec<Vec<u8>>,
     /// The next byte must arrive before this.
     deadline: Instant,
-    /// The answer ends before this, whatever arrives.
+    /// The answer ends before this time, even if bytes still arrive.
     limit: Instant,
 }
 
@@ -147,7 +147,7 @@ impl Bus {
                 self.on_frame(now, raw, complete.is_ok_and(|complete| complete));
             }
         }
-        // Somebody speaks: nobody else is asked before there is a pause.
+        // A node is sending: asks no other node before there is a pause.
         self.quiet_at = self.quiet_at.max(now + GAP);
         if let Some(question) = &mut self.question {
             question.deadline = question
@@ -216,7 +216,7 @@ impl Bus {
         }
     }
 
-    /// Gives up a question that nobody answers.
+    /// Gives up a question without an answer.
     pub fn handle_timeout(&mut self, now: Instant) {
         let Some(question) = self.question.take_if(|question| now >= question.deadline) else {
             return;

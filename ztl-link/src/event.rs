@@ -25,7 +25,8 @@ pub enum LinkEvent {
     Reset,
     /// The device refuses this gateway, or is unusable for this reason.
     DeviceUnusable(String),
-    /// The firmware has started a task itself: see [`Session::begun`](crate::Session::begun). Again until it is taken up.
+    /// The firmware has started a task itself: see [`Session::begun`](crate::Session::begun). This event repeats until the
+    /// task is taken up.
     Begun,
     /// The firmware reports this event.
     Reported(String),

@@ -64,7 +64,7 @@ impl<J: SessionJournal> Session<J> {
     }
 
     /// Takes up the task that the firmware has [begun](Self::begun) under an id for clients: writes it into the journal and
-    /// tells the device. Returns `false` if there is no such task any more, or the journal cannot be written; if the
+    /// tells the device. Returns `false` if the device no longer announces a task, or the journal cannot be written; if the
     /// device still holds the task, [`LinkEvent::Begun`] follows again.
     pub fn take_up(&mut self, now: Instant, id: TaskId) -> bool {
         let (Some(begun), Some(device)) = (self.own.begun.take(), &self.device) else {
@@ -141,7 +141,7 @@ impl<J: SessionJournal> Session<J> {
         latest.is_some_and(|(of, latest)| Some(of) == boot && link <= latest)
     }
 
-    /// The device was heard of one of its own tasks: it holds the task.
+    /// A frame about a task of the firmware has arrived: the device holds the task.
     pub(crate) fn on_own_heard(&mut self, now: Instant, link: LinkId) {
         let again = now + self.link_timeout();
         if let Some(task) = self.find(link).and_then(|id| self.tasks.get_mut(&id))
@@ -151,14 +151,14 @@ impl<J: SessionJournal> Session<J> {
         }
     }
 
-    /// A new session: asks soon about each own task of the device that is not heard of before.
+    /// A new session has begun: asks soon about each task of the firmware, unless a frame about it arrives first.
     pub(crate) fn ask_about_own_soon(&mut self, now: Instant) {
         for task in self.tasks.values_mut().filter(|task| task.is_own()) {
             task.ask_at = now + ASK_PAUSE;
         }
     }
 
-    /// Asks the device about its own tasks that were not heard of for a while [14.5].
+    /// Asks the device about tasks of its firmware about which no frame has arrived for a while [14.5].
     pub(crate) fn ask_about_own(&mut self, now: Instant) {
         if !self.answers() {
             return;
@@ -185,12 +185,12 @@ impl<J: SessionJournal> Session<J> {
 }
 
 impl Task {
-    /// Whether the firmware of the device has started it.
+    /// Whether the firmware of the device has started this task.
     pub(crate) fn is_own(&self) -> bool {
         self.stage.sent().is_some_and(|sent| sent.link.is_local())
     }
 
-    /// Whether the device is to be asked about it when it is not heard of.
+    /// Whether to ask the device about this task when no frame about it arrives.
     pub(crate) fn waits_for_word(&self) -> bool {
         self.is_own() && self.may_run()
     }

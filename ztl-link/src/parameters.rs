@@ -62,11 +62,11 @@ pub struct ParameterInfo {
     pub unit: String,
     /// What it means.
     pub about: String,
-    /// What a restart of the device makes of its value.
+    /// What happens to its value when the device restarts.
     pub kept: Kept,
     /// The values that it takes.
     pub domain: Domain,
-    /// Its value in a new device.
+    /// Its value until it is set.
     pub default: ParameterValue,
     /// Its value.
     pub value: ParameterValue,
@@ -102,13 +102,13 @@ pub enum ParameterRequest {
 /// Why a request about parameters has failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ParameterFailure {
-    /// The device has none, or its firmware is older than parameters.
+    /// The device has no parameters, or its firmware is older than parameters.
     NoParameters,
     /// It was not sent, for this reason.
     NotSent(&'static str),
     /// The device refuses it, for this reason.
     Refused(String),
-    /// The link was lost before the answer: the device may have done it or not.
+    /// The link was lost before the answer: it is unknown whether the device has carried out the request.
     Unknown,
 }
 

@@ -13,7 +13,7 @@ use crate::parameters::Tuning;
 const TASKS: usize = 4;
 /// Most events that wait.
 const EVENTS: usize = 4;
-/// How often an event is sent. A gateway that does not acknowledge one by then does not know events.
+/// How often an event is sent. A gateway that has not acknowledged it after these tries is older than events.
 const TRIES: u8 = 50;
 
 /// Components whose firmware starts tasks itself ([`Node::start_here`](crate::Node::start_here)) and reports events
@@ -27,7 +27,7 @@ const TRIES: u8 = 50;
 ///     Node::new(identity, Acting::new((arm,)))
 /// }
 ///
-/// /// A button beside the arm is pressed.
+/// /// Called when a button on the device is pressed.
 /// fn on_button<C: Components>(node: &mut Node<'_, C, 4, 128>, now: Instant) {
 ///     if let Err(reason) = node.start_here(now, 0, "up") {
 ///         node.report_event(now, &reason);

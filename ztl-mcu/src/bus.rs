@@ -1,4 +1,4 @@
-//! A node on a shared, half-duplex line such as RS-485: it speaks only when it is asked.
+//! A node on a shared, half-duplex line such as RS-485: it sends only when the gateway asks it.
 //!
 //! ```
 //! use ztl_mcu::bus::OnBus;
@@ -7,7 +7,7 @@
 //! # fn strap() -> u8 { 3 }
 //! # fn unique_id() -> u64 { 1 }
 //! fn node<A: Component>(arm: A, boot: u32) -> Node<'static, OnBus<(A,)>, 2, 128> {
-//!     // Instead of `(arm,)`: a unique id of the chip, and an address from a switch, a parameter, or 0 for none.
+//!     // `OnBus` wraps the components. It takes a unique id of the chip, and an address from a switch or a parameter; 0: none.
 //!     Node::new(Identity::new("arm", "1.0.0", boot), OnBus::new((arm,), unique_id(), strap()))
 //! }
 //! ```
@@ -24,17 +24,17 @@ use crate::acting::OwnWork;
 use crate::component::{Component, Components, forward};
 use crate::parameters::Tuning;
 
-/// A node that has not begun its answer this long after the question keeps silent, because another may be asked by then.
+/// A node does not answer later than this after the question, because the gateway may have asked another node by then.
 pub const TURN: Duration = Duration::from_millis(4);
 
 /// What the node has been asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Question {
-    /// Nothing.
+    /// The node was not asked.
     None,
-    /// Whatever is most urgent.
+    /// Its most urgent frame.
     Frame,
-    /// Who it is.
+    /// Its id.
     Identity,
 }
 
@@ -74,7 +74,7 @@ impl BusState {
         self.until = now + TURN;
     }
 
-    /// Somebody else speaks.
+    /// Another end sends, so the turn is over.
     pub(crate) const fn end_turn(&mut self) {
         self.question = Question::None;
     }
@@ -146,7 +146,7 @@ impl<C> OnBus<C> {
         }
     }
 
-    /// The node's address, to be kept over resets if the gateway has given it; 0 if it has none.
+    /// The node's address; 0 if it has none. If the gateway has assigned it, the firmware should keep it over resets.
     #[must_use]
     pub const fn address(&self) -> u8 {
         self.state.address
@@ -207,7 +207,7 @@ where
 
     fn flush(&mut self) -> Result<(), W::Error> {
         let flushed = self.port.flush();
-        // A pin that fails leaves the line taken; nothing here can free it.
+        // If the pin fails, the transceiver may keep sending; nothing here can stop it.
         let _ = self.enable.set_low();
         flushed
     }

@@ -216,10 +216,10 @@ pub trait Components {
     /// Whether they [describe](Self::description) themselves. If not, the node has no code for it.
     const DESCRIBED: bool = false;
 
-    /// Whether the firmware starts tasks itself and reports events. If not, the node has no code for that.
+    /// Whether the firmware starts tasks itself and reports events. If not, the node contains no code for either.
     const ACTING: bool = false;
 
-    /// Number of parameters that clients may set. If there are none, the node has no code for them.
+    /// Number of parameters that clients may set. With 0, the node contains no code for parameters.
     const PARAMETER_COUNT: u8 = 0;
 
     /// Number of components; the first 255 are used.

@@ -226,8 +226,7 @@ fn with<S, T>(state: &Mutex<RefCell<S>>, act: impl FnOnce(&mut S) -> T) -> Optio
     })
 }
 
-/// The place of a [`Driver`] among the components of a node, for which [`component`](Self::component) stands. Goals have at
-/// most `GOAL` bytes.
+/// Connects a [`Driver`] with a node, which gets the slot's [`component`](Self::component). Goals have at most `GOAL` bytes.
 ///
 /// The node and the executor's task may run at different priorities. A critical section copies a goal or a text of 48
 /// bytes. The node learns of progress and of the end at its next `poll`, at most 10 ms later.
@@ -261,8 +260,8 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
         }
     }
 
-    /// Sets how long a goal may wait for a driver whose executor is late. After that it fails without having begun.
-    /// Defaults to 500 ms.
+    /// Sets how long a goal may wait until the executor starts the driver. After that the task fails, and the driver does not
+    /// start. Defaults to 500 ms.
     #[must_use]
     pub const fn with_patience(mut self, patience: Duration) -> Self {
         self.patience = micros(patience);

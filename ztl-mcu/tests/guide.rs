@@ -154,7 +154,7 @@ fn firmware(
     }
 }
 
-/// The valve's successor on an I2C bus: register 0 takes percents, register 1 tells them.
+/// The valve's successor on an I2C bus: writing register 0 sets the goal in percent, reading register 1 returns the opening in percent.
 struct BusValve<I, D> {
     bus: I,
     delay: D,

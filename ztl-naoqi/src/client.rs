@@ -120,7 +120,7 @@ impl Client {
         handle
     }
 
-    /// Calls a method, and waits until it has ended. Not from a callback.
+    /// Calls a method, and waits until it has ended. Do not call this from a callback.
     ///
     /// # Errors
     /// [`CallError`] says whether the call was sent.
@@ -130,7 +130,7 @@ impl Client {
         result.recv().unwrap_or_else(|_| Err(stopped()))
     }
 
-    /// Asks what a service says of itself, and waits for the answer. Not from a callback.
+    /// Asks for the description of a service, and waits for the answer. Do not call this from a callback.
     ///
     /// # Errors
     /// [`CallError`] if it cannot be asked within `wait`.
@@ -141,7 +141,7 @@ impl Client {
         result.recv().unwrap_or_else(|_| Err(stopped()))
     }
 
-    /// The services that the directory lists now. Not from a callback.
+    /// The services that the directory lists now. Do not call this from a callback.
     #[must_use]
     pub fn services(&self) -> Vec<String> {
         let (sender, services) = channel();
@@ -149,7 +149,7 @@ impl Client {
         services.recv().unwrap_or_default()
     }
 
-    /// Cancels a call, and tells what has become of that wish.
+    /// Asks to cancel a call. `told` gets whether the service was asked.
     pub fn cancel(&self, call: CallHandle, told: impl FnOnce(Cancel) + Send + 'static) {
         self.send(Command::Cancel(call, Box::new(told)));
     }

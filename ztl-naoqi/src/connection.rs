@@ -29,7 +29,7 @@ const ERROR_TEXT: usize = 4096;
 pub struct Credentials {
     /// The user, as `nao`.
     pub user: String,
-    /// The user's token: at first the robot's password, then what [`Event::NewToken`](crate::Event::NewToken) told.
+    /// The user's token: at first the robot's password, then that of the last [`Event::NewToken`](crate::Event::NewToken).
     pub token: String,
 }
 
@@ -143,7 +143,7 @@ impl Connection {
     pub(crate) fn cancel(&mut self, id: u32, mut address: Address) -> bool {
         if self.cancels {
             address.action = 0;
-            // A few bytes for each call, of which the number is bounded.
+            // A few bytes for each call; the number of calls is bounded.
             self.put(Kind::Cancel, address, id.to_le_bytes().to_vec());
         }
         self.cancels

@@ -66,7 +66,7 @@ impl std::error::Error for DecodeError {}
 /// Reads a value that takes all bytes.
 ///
 /// # Errors
-/// [`DecodeError`] if the bytes are not such a value, or exceed a limit.
+/// [`DecodeError`] if the bytes are not a value of this signature, or exceed a limit.
 pub fn decode(bytes: &[u8], signature: &Signature, limits: &Limits) -> Result<Value, DecodeError> {
     let most = limits.values.min(bytes.len().saturating_add(64));
     let mut reader = Reader {

@@ -1,7 +1,7 @@
 //! A client of NAOqi, the system of the robots NAO and Pepper, and of its messaging library libqi.
 //!
-//! [`Session`] is a state machine without I/O; [`Client`] runs one on a thread. What a robot, or another process in
-//! its place, can take is bounded by [`Limits`].
+//! [`Session`] is a state machine without I/O; [`Client`] runs one on a thread. [`Limits`] bound the
+//! memory that a robot, or another process in its place, can occupy.
 //!
 //! | a call ends as | what has happened |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! Bounds on what a peer can take.
+//! Bounds on the memory and work that a peer can cause.
 
 /// Bounds on memory, work and nesting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub struct Limits {
     pub output: usize,
     /// The most connections. Default 64.
     pub connections: usize,
-    /// The most services of which the names are kept; a robot has about 100. Others can be used, too. Default 4096.
+    /// The most services whose names the session keeps; a robot has about 100. Services beyond that can still be called. Default 4096.
     pub services: usize,
 }
 

@@ -67,7 +67,7 @@ impl Kind {
     }
 }
 
-/// Whom a message is for, or from: a method or signal of an object of a service.
+/// The receiver of a call, or the sender of a signal: a method or signal of an object of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Address {
     /// The service's number in its directory.
@@ -87,7 +87,7 @@ pub struct Message {
     pub kind: Kind,
     /// [`DYNAMIC_PAYLOAD`] and others.
     pub flags: u8,
-    /// Whom it is for, or from.
+    /// Its receiver or sender.
     pub address: Address,
     /// Encoded values.
     pub payload: Vec<u8>,

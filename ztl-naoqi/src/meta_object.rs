@@ -1,4 +1,4 @@
-//! What an object says of itself: its methods, signals and properties, by name and signature.
+//! The description of an object: its methods, signals and properties, by name and signature.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ const FIRST_OWN: u32 = 100;
 /// An object that a method has returned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Object {
-    /// What it says of itself.
+    /// Its description.
     pub meta: MetaObject,
     /// The service that it belongs to.
     pub service: u32,
@@ -23,7 +23,7 @@ pub struct Object {
     pub object: u32,
 }
 
-/// What an object or service says of itself.
+/// The description of an object or service.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct MetaObject {
     /// Its methods, by their numbers.
@@ -262,7 +262,7 @@ pub struct ArgumentError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ArgumentErrorKind {
-    /// The service has no such method, but these.
+    /// The service has no method of this name; these are the names of its methods.
     NoMethod(String),
     /// Too many or too few arguments.
     Count {

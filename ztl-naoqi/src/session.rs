@@ -29,14 +29,14 @@ use links::Link;
 use services::Service;
 use signals::{QueuedSignal, Subscription};
 
-/// Which robot, and how.
+/// The robot to connect to, and how.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Where its service directory listens.
     pub directory: Endpoint,
     /// Who this client is, if the robot asks for it.
     pub credentials: Option<Credentials>,
-    /// Bounds on what its processes can take.
+    /// Bounds on the memory and work that its processes can cause.
     pub limits: Limits,
 }
 
@@ -145,7 +145,7 @@ pub enum Event {
         /// What it has returned.
         result: Result<Value, CallError>,
     },
-    /// What a service says of itself.
+    /// The description of a service.
     Described {
         /// What [`Session::describe`] has returned.
         call: CallId,
@@ -163,7 +163,7 @@ pub enum Event {
     },
     /// A signal.
     Signal {
-        /// Of which subscription.
+        /// The subscription.
         subscription: SubscriptionId,
         /// Its values, or why they cannot be read.
         values: Result<Value, String>,
@@ -184,7 +184,7 @@ pub enum CallError {
     Failed(String),
     /// It was cancelled.
     Canceled,
-    /// It was sent, and no answer will come: what has become of it is unknown.
+    /// It was sent, and no answer will come: the outcome is unknown.
     Unknown(String),
     /// The method has returned, and its result cannot be read.
     Unreadable(String),
@@ -221,7 +221,7 @@ pub enum Action {
     Close(LinkId),
 }
 
-/// What has become of a wish to cancel.
+/// The answer to a request to cancel a call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cancel {
     /// The call has ended, or will: it was not sent yet, or had ended before.
@@ -285,7 +285,7 @@ impl Session {
         self.begin(call.service, Some((call.method, call.arguments)), wait, now)
     }
 
-    /// Asks what a service says of itself.
+    /// Asks for the description of a service.
     ///
     /// # Errors
     /// As [`call`](Self::call).

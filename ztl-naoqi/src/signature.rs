@@ -90,7 +90,7 @@ impl Signature {
 }
 
 impl Signature {
-    /// What a goal's text is as such a value: a text is taken unchanged, others are parsed.
+    /// Reads the text of a goal as a value of this type: a text is taken unchanged, other values are parsed.
     ///
     /// # Errors
     /// Where the goal is malformed.

@@ -19,7 +19,7 @@ pub enum GoalEvent {
 pub struct GoalEnd {
     /// The final state.
     pub state: EndState,
-    /// The text of the action server, or for [`NotSent`](EndState::NotSent) and [`Unknown`](EndState::Unknown), why.
+    /// The text of the action server; the reason for [`NotSent`](EndState::NotSent) and [`Unknown`](EndState::Unknown).
     pub text: String,
     /// The encoded result, of the type in `XResult`. It is missing if nothing was pursued, if the outcome is unknown,
     /// or if the result was lost while the final state is known.
@@ -31,16 +31,16 @@ pub struct GoalEnd {
 pub enum EndState {
     /// The action server says SUCCEEDED.
     Succeeded,
-    /// The action server says ABORTED: it could not do it.
+    /// The action server says ABORTED: it could not reach the goal.
     Aborted,
-    /// The action server says PREEMPTED: it was cancelled, or replaced by another goal, after it had begun.
+    /// The action server says PREEMPTED: the goal was cancelled, or replaced by another goal, after it had begun.
     Preempted,
-    /// The action server says RECALLED: it was cancelled before it began.
+    /// The action server says RECALLED: the goal was cancelled before it began.
     Recalled,
     /// The action server says REJECTED.
     Rejected,
     /// The goal was never sent.
     NotSent,
-    /// The goal was sent, and nobody can tell what became of it.
+    /// The goal was sent, and its outcome is unknown.
     Unknown,
 }

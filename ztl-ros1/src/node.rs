@@ -473,8 +473,8 @@ pub struct Goal {
 }
 
 impl Goal {
-    /// Asks the action server to cancel the goal, again and again until it has heard it. The end is told as for any
-    /// goal.
+    /// Asks the action server to cancel the goal, every second until the server's status shows the cancel. The goal still
+    /// ends with [`GoalEvent::Ended`].
     pub fn cancel(&self) {
         let (action, key) = (Arc::clone(&self.action), Arc::clone(&self.key));
         self.mailbox.send(move |engine, now| {
@@ -529,7 +529,7 @@ fn host_towards(master: &Address) -> Result<String, StartError> {
     Ok(socket.local_addr()?.ip().to_string())
 }
 
-/// The address of a host, preferably of IPv4, which all of ROS 1 speaks. May block.
+/// The address of a host, preferably IPv4, which all nodes of ROS 1 use. May block.
 pub(crate) fn resolve(host: &str) -> Option<IpAddr> {
     if let Some(address) = resolve_literal(host) {
         return Some(address);
@@ -539,7 +539,7 @@ pub(crate) fn resolve(host: &str) -> Option<IpAddr> {
     v4.or(addresses.first()).map(|address| address.ip())
 }
 
-/// The address of a host without asking anybody.
+/// The address of a host, if that needs no lookup.
 fn resolve_literal(host: &str) -> Option<IpAddr> {
     match host {
         "localhost" => Some(Ipv4Addr::LOCALHOST.into()),

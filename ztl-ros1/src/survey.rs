@@ -9,7 +9,7 @@ use crate::xmlrpc::Value;
 /// What a master knows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Survey {
-    /// Topics with their types; the type of a topic that nobody publishes may be `*`.
+    /// Topics with their types; the type of a topic without publishers may be `*`.
     pub topics: BTreeMap<String, String>,
     /// Actions with their types, such as `control_msgs/FollowJointTrajectoryAction`.
     pub actions: BTreeMap<String, String>,

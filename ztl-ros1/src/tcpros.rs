@@ -1,4 +1,4 @@
-//! TCPROS: frames that begin with their length, of which the first is a header of `name=value` fields.
+//! TCPROS: frames that begin with their length. The first frame is a header of `name=value` fields.
 
 use std::fmt;
 

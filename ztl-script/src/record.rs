@@ -207,7 +207,7 @@ pub fn read(name: &str, from: impl BufRead) -> io::Result<(Vec<Record>, Vec<Dama
     read_all(name, from, false)
 }
 
-/// Reads the record of a run that goes on: that it has no end yet, nor perhaps its last line, is no damage.
+/// Reads the record of a run that still goes on. A missing end and an incomplete last line are not damage then.
 ///
 /// # Errors
 /// When the source cannot be read.

@@ -34,7 +34,7 @@ use ztl_ros1::GoalEvent;
 #[derive(Debug)]
 pub(crate) enum Event {
     Goal(GoalEvent),
-    /// The encoded response of a service, or why there is none; `unknown`: the service may have done it.
+    /// The encoded response of a service, or why there is none; `unknown`: the service may have carried out the call.
     Response(Result<Vec<u8>, Refusal>),
 }
 

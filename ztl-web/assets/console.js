@@ -93,7 +93,7 @@ setInterval(() => { if (bridge.isOpen) askClock().catch(() => {}); }, CLOCK);
 
 let showsSoon = false;
 
-// Once for each picture that the browser paints, and not while nobody sees the page.
+// Runs once for each frame that the browser paints, and not while the page is hidden.
 function showSoon() {
   if (showsSoon) return;
   showsSoon = true;

@@ -2,7 +2,7 @@
 
 import { at, setText } from './elements.js';
 
-// How often the operator's page tells that its script runs.
+// How often the operator's page reports that its script runs.
 const ALIVE = 1000;
 
 export class Operator {
@@ -51,8 +51,8 @@ export class Operator {
     this.#show();
   }
 
-  // The script of this page runs. Told when the console tells something, at least every 2 s, and not by a timer: browsers
-  // slow down those of a tab in the background.
+  // Reports that the script of this page runs. Called for messages of the console, which arrive at least every 2 s, and not
+  // by a timer: browsers slow down the timers of a tab in the background.
   #tellAlive() {
     this.#toldAlive = performance.now();
     this.#bridge.call('/ztl/alive', {}).catch(() => {});

@@ -1,4 +1,4 @@
-//! The devices of a gateway and their links, as its answer to `devices` tells them.
+//! The devices of a gateway and their links, from its answer to `devices`.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ const SHOWN: usize = 50;
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Devices {
     pub(crate) shown: Vec<Device>,
-    /// Why there may be more; empty if there are none.
+    /// Why there may be more devices than these; empty if these are all.
     pub(crate) text: String,
 }
 
@@ -25,16 +25,16 @@ pub(crate) struct Device {
     scope: String,
     name: String,
     state: Standing,
-    /// Wall clock in ms: since when this console has seen the state so.
+    /// Wall clock in ms: since when this console has seen this state.
     since_ms: u64,
     /// Why it is not up.
     text: String,
-    /// Name and version; empty before it has told them.
+    /// Name and version; empty until the gateway knows them.
     firmware: String,
     /// Differs after each reset.
     #[serde(skip)]
     boot: Option<u32>,
-    /// Wall clock in ms; `null` before it has told how long it is up.
+    /// Wall clock in ms; `null` until the gateway knows how long the device is up.
     reset_ms: Option<u64>,
     /// Median time from a command to its answer, and the 99th percentile; `null` before the first answer.
     round_trip_us: Option<(u64, u64)>,
@@ -51,7 +51,7 @@ pub(crate) struct Device {
 enum Standing {
     /// It takes tasks.
     Up,
-    /// It did, since its gateway was started.
+    /// It took tasks before, since its gateway was started.
     Silent,
     /// Its gateway has not reached it yet.
     Absent,

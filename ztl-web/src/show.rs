@@ -64,7 +64,7 @@ pub struct Record {
     pub events: Box<dyn ShowRecord>,
     /// The file.
     pub file: PathBuf,
-    /// Makes the page of its report, in HTML, or tells why there is none. The show goes on meanwhile.
+    /// Makes the report of the record as an HTML page, or says why that is impossible. The show goes on meanwhile.
     pub report: fn(&Path) -> Result<String, String>,
 }
 
@@ -366,7 +366,7 @@ impl ShowThread {
                 }
                 if let Some(task) = self.runs_from_before(cue) {
                     return Err(format!(
-                        "{task} runs since before this console was started: abort it, or wait for its end"
+                        "{task} still runs from before this console was started: abort it, or wait for its end"
                     ));
                 }
                 self.runner.cue(cue).map_err(str::to_owned)?;
@@ -375,7 +375,7 @@ impl ShowThread {
         }
     }
 
-    /// A task of a cue that runs since before this show began: an earlier console may have started it.
+    /// A task of a cue that still runs from before this show began: an earlier console may have started it.
     fn runs_from_before(&self, cue: usize) -> Option<String> {
         let tasks = &self.stage.cue(cue)?.tasks;
         tasks.iter().find_map(|task| {

@@ -18,7 +18,7 @@ impl Topic {
     /// The topic with this name.
     ///
     /// # Errors
-    /// If there is none.
+    /// If no topic has this name.
     pub(crate) fn of(name: &str) -> Result<Self, String> {
         match name {
             "/ztl/robots" => Ok(Self::Robots),
@@ -60,7 +60,7 @@ impl Topics {
         }
     }
 
-    /// Replaces the value of a topic. One that has not changed wakes nobody.
+    /// Replaces the value of a topic. An equal value wakes no socket.
     pub(crate) fn set(&self, topic: Topic, value: &Value) {
         let message = rosbridge::publish(topic.name(), &value.to_string());
         self.sender(topic).send_if_modified(|known| {

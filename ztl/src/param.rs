@@ -43,7 +43,7 @@ struct At {
     #[command(flatten)]
     server: QueryOptions,
 
-    /// The scope, if two have a device of this name
+    /// The scope, needed if several scopes have a device of this name
     #[arg(short, long)]
     scope: Option<String>,
 

@@ -112,10 +112,10 @@ impl Report {
     }
 }
 
-/// The page of the record of a run that goes on, in HTML.
+/// The report of a run that still goes on, as an HTML page.
 ///
 /// # Errors
-/// Why there is none.
+/// Why the report cannot be made.
 #[cfg(feature = "web")]
 pub(crate) fn of_running(path: &Path) -> Result<String, String> {
     let is_recording = is_recording(path);

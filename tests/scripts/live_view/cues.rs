@@ -33,7 +33,7 @@ fn a_cue_is_started_by_its_key_beside_the_scene_and_not_twice() {
         robot.running().contains("sleep:cue").then_some(())
     });
     assert!(robot.running().contains("sleep:1"), "the scene goes on");
-    // Until a press is not a repeat of the one before.
+    // The time must pass in which a press counts as a repeat of the one before.
     std::thread::sleep(std::time::Duration::from_millis(800));
     terminal.type_in("w");
     terminal.shows("cue 'wave' was not started: it still runs");

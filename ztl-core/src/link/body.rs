@@ -283,7 +283,7 @@ pub enum Body<'a> {
         /// The goal.
         goal: &'a str,
     },
-    /// Gateway: knows a task that the node has started itself.
+    /// Gateway: has taken up a task that the node has started itself.
     Noted {
         /// The task.
         task: LinkId,
@@ -342,8 +342,8 @@ pub enum LinkCommand<'a> {
     },
 }
 
-/// What a gateway says of tasks and events of a node itself. Not a [`LinkCommand`], so that a node without them has no code
-/// for it.
+/// The answers of a gateway about tasks and events of a node itself. Not a [`LinkCommand`], so that a node without them has
+/// no code for these answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum OwnAnswer {

@@ -1,4 +1,4 @@
-//! Messages that only shared lines have: who may speak, and who is there (`docs/link.md` section 15).
+//! Messages that only shared lines have: which node may send, and which nodes there are (`docs/link.md` section 15).
 //!
 //! All are checked under [`NO_SESSION`](super::NO_SESSION) and have no sequence number. A node that is alone on its line
 //! needs none of this.
@@ -15,7 +15,7 @@ pub const ADDR_ALL: u8 = 255;
 /// Highest address of a node. The lowest is 1.
 pub const ADDR_MOST: u8 = 32;
 
-/// The shortest frames of a bus: address and check, in four bytes. A damaged one can only make two nodes speak at once, which
+/// The shortest frames of a bus: address and check, in four bytes. A damaged one can only make two nodes send at once, which
 /// damages their frames, so they need no longer check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -436,7 +436,7 @@ impl<const N: usize> Decoder<N> {
         self.buffer.get(..self.len).unwrap_or_default()
     }
 
-    /// The complete frame, if it belongs to this session and is what a gateway says of tasks and events of the node itself.
+    /// The complete frame, if it belongs to this session and is an answer of a gateway about tasks and events of the node itself.
     #[must_use]
     pub fn own_answer(&self, addr: u8, session: u32) -> Option<OwnAnswer> {
         let (_, to, seq, body) = self.checked(&[session]).ok()?;

@@ -29,27 +29,27 @@ struct Waiting {
 
 /// A question, and when it is asked.
 pub(super) struct Next {
-    /// Whether the node may send what it likes; else it answers a command.
+    /// Whether the node may choose its frame; otherwise it answers a command.
     pub(super) poll: bool,
     /// Not before this.
     pub(super) ready: Instant,
     /// If the line allows it, by this time.
     pub(super) due: Instant,
-    /// Before all others.
+    /// Whether it goes before the questions for all other nodes.
     pub(super) urgent: bool,
 }
 
 #[derive(Debug, Clone)]
 pub(super) struct Member {
     pub(super) needs: BusNeeds,
-    /// Acknowledgements, which ask for nothing. They go with the next question.
+    /// Acknowledgements, which ask for no answer. They are sent with the next question.
     unasked: Vec<Vec<u8>>,
     command: Option<Waiting>,
     /// The command that was sent last.
     sent: Vec<u8>,
     /// When it was last polled.
     polled: Instant,
-    /// Its last answer said that there may be more to send.
+    /// Whether its last answer means that it may have more to send.
     more: bool,
     silent: u32,
     garbled: u32,

@@ -14,7 +14,7 @@ const QUESTIONS: u32 = 10_000;
 pub struct Found {
     /// Its unique id.
     pub id: u64,
-    /// Its address; 0 if several nodes have this id, which then cannot be told apart.
+    /// Its address; 0 if several nodes have this id, since the search cannot distinguish them.
     pub address: u8,
     /// Its name.
     pub name: String,
@@ -78,7 +78,7 @@ impl Search {
                 bits,
                 prefix,
             },
-            // It keeps silent from now on, so the same question finds the next one.
+            // This node no longer answers, so the same question finds the next one.
             (Some(node), _) => BusMessage::Assign {
                 round,
                 id: node.id,
@@ -125,7 +125,7 @@ impl Search {
         }
     }
 
-    /// Several have answered, or noise.
+    /// Several nodes have answered, or there was noise.
     pub(super) fn on_collision(&mut self) {
         self.silences = 0;
         if self.answered.is_some() {
@@ -148,7 +148,7 @@ impl Search {
         }
     }
 
-    /// Nobody has answered.
+    /// No node has answered.
     pub(super) fn on_silence(&mut self) {
         self.silences += 1;
         if self.silences < REPEATS {

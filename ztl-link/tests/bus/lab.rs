@@ -294,7 +294,7 @@ impl Lab {
         }
     }
 
-    /// One slot: everybody who sends puts a byte on the line, and all others hear it.
+    /// One slot: each end that sends puts a byte on the line, and all others receive it.
     fn step(&mut self) {
         self.slot += 1;
         let now = self.now();

@@ -162,7 +162,7 @@ struct Pair {
     /// Number of tasks that the firmware has started, and of ids for them.
     pressed: u32,
     given: u32,
-    /// Whether the session is another gateway's, with books of its own.
+    /// Whether the session is that of another gateway, with its own journal.
     foreign: bool,
     /// Events that the firmware has reported.
     reported: Vec<String>,

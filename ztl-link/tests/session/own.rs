@@ -113,7 +113,7 @@ fn without_a_gateway_a_task_starts_and_is_taken_up_when_there_is_one() {
     lab.replug();
     lab.pass(Duration::from_millis(500));
     let id = lab.id(&goal);
-    // It carries on without a link, and so does its client's knowledge.
+    // The task carries on without a link, and its id for clients stays.
     lab.session.handle_disconnected();
     lab.pass(Duration::from_secs(5));
     assert!(!lab.ended.contains_key(&id));

@@ -1,5 +1,5 @@
 //! Parameters over a line that loses, repeats and delays frames, and with a node that is reset: a value is set at most once,
-//! and what is told of it is true.
+//! and its reported value is true.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};

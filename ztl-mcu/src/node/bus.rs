@@ -1,4 +1,4 @@
-//! A node on a shared line: it listens to frames with its address, and speaks when it has the turn.
+//! A node on a shared line: it handles frames with its address, and sends when it has the turn.
 
 use ztl_core::Instant;
 use ztl_core::link::{ADDR_ALL, ADDR_ONLY_NODE, BusMessage, NO_SEQ, NO_SESSION, Turn};
@@ -34,7 +34,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
         true
     }
 
-    /// Somebody else has spoken since the node was asked.
+    /// Another end has sent since the node was asked.
     pub(super) fn end_turn(&mut self) {
         if let Some(bus) = self.state.runner.components.bus_mut() {
             bus.end_turn();

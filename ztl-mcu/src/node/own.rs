@@ -78,8 +78,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         }
     }
 
-    /// Without a gateway nobody acknowledges the ends of own tasks, so they give up their places: those whose results the
-    /// component keeps, and the oldest one if there is no other room.
+    /// Without a gateway, no end of a task of the firmware is acknowledged. So ended tasks give up their places: those whose
+    /// results the component keeps, and the oldest one if there is no other room.
     fn make_room_here(&mut self, component: u8) {
         let tasks = &mut self.runner.tasks;
         for task in tasks.held_mut() {
@@ -213,8 +213,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
     /// a client's. Returns its id. Clients see the task, can abort it, and learn its final state.
     ///
     /// While the link is lost, and before the first command of a gateway, only components that *carry on* take a task.
-    /// Without a gateway, the ends of such tasks are forgotten when their places are needed. A node holds at most four
-    /// tasks of its own.
+    /// Without a gateway, the node forgets ended tasks of the firmware when it needs their places. A node holds at most four
+    /// tasks of the firmware.
     ///
     /// # Errors
     /// The reason for a refusal, such as `busy with another task`, `emergency stop` or `no link`.
@@ -237,8 +237,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> Node<'_, C, TASKS, F
     /// Reports an event to the gateway, in at most 48 bytes; a longer text is cut and ends in `…`. Four events wait.
     /// Returns `false` if there is no room, and the event is lost.
     ///
-    /// It is sent until a gateway acknowledges it. A gateway that was made before there were events does not: then it is
-    /// lost after 5 s.
+    /// The node sends the event until a gateway acknowledges it. A gateway that is older than events does not: then the event
+    /// is lost after 5 s.
     pub fn report_event(&mut self, now: Instant, text: &str) -> bool {
         const { assert!(C::ACTING, "put the components into `Acting`") };
         let own = self.state.runner.components.own_work_mut();

@@ -16,7 +16,7 @@ pub trait ParameterType {
     fn value(&self) -> Value<'_>;
 }
 
-/// What a node says of a parameter; made by [`Parameter::declare`].
+/// The declaration of a parameter; made by [`Parameter::declare`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Declaration {
@@ -28,7 +28,7 @@ pub struct Declaration {
     pub about: &'static str,
     /// The values that it takes.
     pub domain: Domain,
-    /// Its value in a new node.
+    /// Its value until it is set.
     pub default: Value<'static>,
 }
 

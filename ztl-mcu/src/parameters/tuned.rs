@@ -85,7 +85,7 @@ pub struct Tuned<C, P = (), S = (), const N: usize = 0> {
 const UNFIT: u32 = 0;
 
 impl<C: Components + TuneAll> Tuned<C> {
-    /// The components with their parameters, which are lost at a restart.
+    /// The components with their parameters; without [`load`](Self::load), a restart sets the defaults.
     pub const fn new(components: C) -> Self {
         Self {
             components,
@@ -107,8 +107,8 @@ impl<C: Components + TuneAll> Tuned<C> {
 }
 
 impl<C: Components + TuneAll, P: Tunable> Tuned<C, P> {
-    /// Sets all parameters to their saved values. A value that was never saved, cannot be read, or does not fit its
-    /// declaration any more stays as it is; [`Kept::Replaced`] tells the latter two. `N` is the number of parameters, or more.
+    /// Sets all parameters to their saved values. A parameter keeps its value if none was saved, or if the saved one cannot be
+    /// read or does not fit the declaration any more; in the latter two cases it is [`Kept::Replaced`]. `N` is the number of parameters, or more.
     pub fn load<S: Storage, const N: usize>(self, storage: S) -> Tuned<C, P, S, N> {
         const {
             assert!(
@@ -190,8 +190,8 @@ impl<C: Components + TuneAll, P: Tunable, S: Storage, const N: usize> Tuned<C, P
         }
     }
 
-    /// The key of a parameter's saved value: a digest of the names of its component and of itself, so that it is found
-    /// whatever parameters later firmware adds or removes.
+    /// The key of a parameter's saved value: a digest of the names of its component and of itself, so that later
+    /// firmware finds it, even if it adds or removes other parameters.
     fn key(&self, index: u8) -> u64 {
         let Some((component, _, declaration)) = Self::find(index) else {
             return NOTHING;

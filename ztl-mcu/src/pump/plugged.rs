@@ -8,9 +8,9 @@ use embedded_io_async::{ErrorType, Read, Write};
 /// How often a port that fails is tried again, in ms.
 const AGAIN: u32 = 10;
 
-/// A port, or half of one, that never fails: what moves goes on without it, and it is tried again 10 ms after an error.
-/// Then [`Pump::run`](super::Pump::run) never ends. A host that was unplugged is such an error, a framing error of a UART,
-/// too, and a read without bytes.
+/// A port, or half of one, that never fails: the node keeps running after an error, and the port is tried again 10 ms later.
+/// So [`Pump::run`](super::Pump::run) never ends. Errors are an unplugged USB host, a framing error of a UART, and a read
+/// without bytes.
 ///
 /// It writes at most 63 bytes at a time: a packet of 64 bytes on USB would let the host wait for more.
 ///

@@ -336,7 +336,7 @@ impl Session {
         }
     }
 
-    /// Whom to ask whether the peer is there.
+    /// The object to ask whether the peer is alive.
     fn probe_target(&self, id: LinkId) -> Option<Address> {
         let service = match self.directory.link == Some(id) {
             true => Some(1),

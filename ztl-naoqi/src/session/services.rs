@@ -23,7 +23,7 @@ pub(super) struct Process {
 }
 
 impl Process {
-    /// The process of a service, from what the directory tells of it.
+    /// The process of a service, from its entry in the directory.
     pub(super) fn of(info: &Value) -> Option<Self> {
         Some(Self {
             machine: info.field("machineId", 2)?.as_text()?.to_owned(),
@@ -218,7 +218,7 @@ impl Session {
         }
     }
 
-    /// A service has told what it is.
+    /// The description of a service has arrived.
     pub(super) fn on_description(
         &mut self,
         link: LinkId,

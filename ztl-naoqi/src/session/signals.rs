@@ -1,4 +1,4 @@
-//! Subscriptions, kept up while services come and go; and the queue of signals, of which the oldest are dropped.
+//! Subscriptions, kept up while services come and go; and the queue of signals, which drops the oldest.
 
 use crate::connection::payload;
 use crate::message::{Address, Message};
@@ -308,7 +308,7 @@ impl Session {
         }
     }
 
-    /// Has the robot send no more signals, unless another subscription wants them.
+    /// Asks the robot to stop sending signals, unless another subscription needs them.
     fn stop(&mut self, stage: &Stage) {
         let Stage::Active {
             link,
@@ -329,7 +329,7 @@ impl Session {
             action: UNREGISTER_EVENT,
             ..*address
         };
-        // libqi ignores it as a post. A peer that takes nothing sends on: what comes for nobody is ignored.
+        // libqi ignores this request as a post. A peer that does not read it keeps sending; signals without a subscription are ignored.
         let arguments = registration(address.service, address.action, *handle);
         let _ = self.ask(*link, call, arguments, Pending::Ignored);
         if address.object != MAIN {

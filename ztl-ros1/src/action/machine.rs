@@ -1,8 +1,8 @@
 //! The goals of one action, as a state machine without I/O: events and the time go in, effects come out.
 //!
 //! A goal is sent once, and only when the action server is connected to all five topics. It ends in the state that the
-//! server says; as unknown only if no server can say it any more. Whatever ends as unknown is cancelled when a server
-//! still shows it.
+//! server reports, or as unknown if no server can report it any more. A goal that ended as unknown is cancelled when a
+//! server still shows it.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -86,13 +86,13 @@ impl Links {
 struct Goal {
     id: String,
     phase: Phase,
-    /// Whether [`GoalEvent::Accepted`] was told.
+    /// Whether [`GoalEvent::Accepted`] was reported.
     accepted: bool,
     /// When the cancel that was asked for is sent again.
     cancel_at: Option<Instant>,
     /// The node that the goal was sent to.
     server: Arc<str>,
-    /// When the server was heard last, or the goal was sent.
+    /// When the last status or feedback of the server arrived, or the goal was sent.
     heard: Instant,
     /// The server's connection was closed since.
     was_closed: bool,

@@ -69,10 +69,10 @@ impl DecodeError {
 }
 
 impl MessageType {
-    /// Reads a message of this type. It takes at most about 50 MiB, whatever the bytes are.
+    /// Reads a message of this type. The value takes at most about 50 MiB, for any bytes.
     ///
     /// # Errors
-    /// Why the bytes are not such a message.
+    /// Why the bytes are not a message of this type.
     pub fn decode(&self, bytes: &[u8]) -> Result<Value, DecodeError> {
         let mut reader = Reader {
             rest: bytes,

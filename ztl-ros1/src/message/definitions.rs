@@ -27,8 +27,8 @@ const PARTS: [&str; 7] = [
     "Feedback",
 ];
 
-/// All definitions that are known, by their names. Those of the robot's files count; for types without a file there
-/// are some of ROS's own.
+/// All definitions that are known, by their names. The robot's files come first; types without
+/// a file may be among the carried definitions of ROS.
 #[derive(Debug, Clone, Default)]
 pub struct Definitions {
     packages: Packages,
@@ -44,7 +44,7 @@ pub enum DefinitionError {
         /// The name.
         name: String,
     },
-    /// There is no such definition.
+    /// No definition has this name.
     Unknown {
         /// The name.
         name: String,
@@ -126,7 +126,7 @@ impl Source {
 }
 
 impl Definitions {
-    /// Those of this machine's ROS, and behind them the carried ones. The packages are searched below
+    /// The definitions of this machine's ROS, then the carried ones. The packages are searched below
     /// `ROS_PACKAGE_PATH`, `share` of `CMAKE_PREFIX_PATH`, `/opt/ros/*/share` and `/usr/share`.
     #[must_use]
     pub fn of_this_machine() -> Self {
@@ -136,7 +136,7 @@ impl Definitions {
         }
     }
 
-    /// Those of the packages below these directories, the first of which count most, and behind them the carried ones.
+    /// The definitions in the packages below these directories, then the carried ones. If several have one name, the first counts.
     pub fn below(roots: impl IntoIterator<Item = PathBuf>) -> Self {
         Self {
             packages: Packages::new(roots.into_iter().collect()),

@@ -48,8 +48,8 @@ impl Packages {
         Self::new(roots)
     }
 
-    /// The text of the first of these files, kind and name, in the first directory of the package that has one: which
-    /// it is, where it is, and its text. `None` if there is none.
+    /// The first of these files, kind and name, in the first directory of the package that has one of them: its index, its
+    /// path and its text. `None` if no directory has any.
     pub(super) fn read(
         &mut self,
         package: &str,

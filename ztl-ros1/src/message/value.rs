@@ -111,7 +111,7 @@ pub(super) fn path_within(part: &str, inner: &str) -> String {
 }
 
 impl MessageType {
-    /// A message in which each number is zero, each text is empty, and each array of any length, too.
+    /// A message in which each number is zero, and each text and each array of variable length is empty.
     #[must_use]
     pub fn zero(&self) -> Value {
         let fields = self.fields().iter();

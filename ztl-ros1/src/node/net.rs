@@ -115,7 +115,7 @@ struct Connection {
     deadline: Option<Instant>,
     /// It is in the list of those that may be readable.
     listed: bool,
-    /// The other end sends no more. The system tells that once, perhaps with its last bytes.
+    /// The other end has ended its stream. The system reports that once, perhaps with the last bytes.
     ended: bool,
 }
 
@@ -247,7 +247,7 @@ impl Net {
 
     /// A host name was looked up.
     pub(crate) fn handle_host(&mut self, now: Instant, host: &str, address: Option<IpAddr>) {
-        // A name that is unknown is asked for again soon: somebody may be mending it.
+        // An unknown name is looked up again soon: a person may be adding it.
         let valid = Duration::from_secs(if address.is_some() { 30 } else { 1 });
         let known = Host::Known(address, now + valid);
         self.hosts.insert(host.to_owned(), known);
@@ -284,14 +284,14 @@ impl Net {
         }
     }
 
-    /// Begins to connect. What fails is told by an event.
+    /// Begins to connect. An event reports a failure.
     pub(crate) fn open(&mut self, now: Instant, peer: Address, deadline: Instant) -> ConnectionId {
         let id = self.insert(peer, None, Some(deadline));
         self.connect(now, id);
         id
     }
 
-    /// Sends a message. If `most` messages wait already, the oldest is dropped; returns whether that was so.
+    /// Sends a message. If `most` messages wait already, drops the oldest; returns whether it did.
     pub(crate) fn send(&mut self, id: ConnectionId, message: Arc<[u8]>, most: usize) -> bool {
         let Some(connection) = self.connections.get_mut(&id) else {
             return false;
@@ -486,7 +486,7 @@ impl Net {
         self.make_room();
     }
 
-    /// Closes accepted connections of which there are too many, such as those that never said what they want.
+    /// Closes accepted connections beyond the limit, first those that would time out first.
     fn make_room(&mut self) {
         let accepted = |connection: &Connection| connection.accepted;
         let connections = self.connections.iter();

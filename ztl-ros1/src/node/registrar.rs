@@ -40,7 +40,7 @@ enum Next {
 }
 
 impl Engine {
-    /// Calls the master if something is to be told or asked.
+    /// Calls the master if a registration or a check is due.
     pub(crate) fn turn_registrar(&mut self, now: Instant) {
         if self.registrar.calling {
             return;

@@ -21,7 +21,7 @@ pub(crate) type Then = Box<dyn FnOnce(&mut Engine, Instant, Result<Value, CallEr
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum CallError {
-    /// This is not an address such as `http://robot:11311`.
+    /// The text is not an address of the form `http://robot:11311`.
     Address {
         /// What it is.
         uri: String,

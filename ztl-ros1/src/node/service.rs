@@ -28,14 +28,14 @@ pub(crate) type OnResponse = Box<dyn FnOnce(Result<Vec<u8>, ServiceError>) + Sen
 pub enum ServiceError {
     /// The master does not name it, or cannot be asked.
     NotFound(CallError),
-    /// The connection failed. If the request was sent, nobody can tell whether the service did it.
+    /// The connection failed. If the request was sent, it is unknown whether the service has carried it out.
     Net {
         /// What failed.
         error: NetError,
         /// Whether the request was sent.
         sent: bool,
     },
-    /// The service refuses the connection, such as for another type.
+    /// The service refuses the connection, for example because its type differs.
     Refused {
         /// Its reason.
         reason: String,
@@ -77,7 +77,7 @@ pub(crate) struct ServiceCall {
     /// The request, until the service has accepted the connection.
     request: Option<Vec<u8>>,
     frames: Frames,
-    /// Whether the service did it, once it has said so.
+    /// Whether the service succeeded, once the first byte of its answer has arrived.
     done: Option<bool>,
     md5: String,
     then: OnResponse,

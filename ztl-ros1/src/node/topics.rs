@@ -199,7 +199,7 @@ impl Engine {
         Ok(())
     }
 
-    /// An owner needs the topic no more. What was published is sent first.
+    /// One owner releases the topic. Messages that were published before are still sent.
     pub(crate) fn unadvertise(&mut self, now: Instant, topic: &str) {
         let Some(publication) = self.publications.get_mut(topic) else {
             return;
@@ -258,7 +258,7 @@ impl Engine {
         Ok(())
     }
 
-    /// A consumer needs the topic no more.
+    /// One consumer releases the topic.
     pub(crate) fn unsubscribe(&mut self, topic: &str, id: u32) {
         let Some(subscription) = self.subscriptions.get_mut(topic) else {
             return;

@@ -77,7 +77,7 @@ impl MessageTemplate {
     }
 }
 
-/// The rule for goals of which these parts are used.
+/// The rule for goals, from the parts that placeholders use.
 pub(crate) fn rule_of_goals(goals: &[(Vec<String>, GoalRule)]) -> GoalRule {
     let mut fields: Vec<GoalField> = Vec::new();
     for (path, rule) in goals {
@@ -255,7 +255,7 @@ impl<'d> MessageReader<'_, 'd, '_> {
         }
     }
 
-    /// Reports a key that is no field.
+    /// Reports a key that is not a field of the type.
     fn known(&mut self, key: &'d Node, message: &MessageType, names: &str) {
         let Some(text) = self.reader.yaml.text(key, "the name of a field") else {
             return;

@@ -34,7 +34,7 @@ pub(super) struct Target {
     pub(super) limit: Duration,
 }
 
-/// When the position of each joint was heard, and what it was.
+/// The last position of each joint, and when it arrived.
 pub(super) type Seen = Vec<Option<(Instant, f64)>>;
 
 /// What the owner of the motion does.
@@ -100,7 +100,7 @@ impl Motion {
         }
     }
 
-    /// Does what is due. `is_heard`: whether the controller receives what is sent.
+    /// Does what is due. `is_heard`: whether a controller subscribes.
     pub(super) fn handle(
         &mut self,
         now: Instant,
@@ -239,7 +239,7 @@ impl Motion {
             _ => {
                 let time = human_time(STOP_TIME);
                 Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}the controller was told to stop, and {time} later the joints still move or say nothing"
+                    "{UNKNOWN_OUTCOME}the controller was told to stop, and after {time} the joints still move or their states are missing"
                 ))
             }
         };
@@ -261,7 +261,7 @@ impl Motion {
         actions.push(Action::End(outcome));
     }
 
-    /// A joint that was not heard for too long.
+    /// A joint without a position for too long.
     fn missing(&self, now: Instant, seen: &Seen) -> Option<String> {
         let is_old = |seen: &Option<(Instant, f64)>| seen.is_none_or(|(at, _)| now >= at + SILENCE);
         let mut joints = self.target.joints.iter().zip(seen);
@@ -276,7 +276,7 @@ impl Motion {
         let target = self.target.joints.iter().zip(&self.target.positions);
         for ((joint, position), (_, here)) in target.zip(seen.iter().flatten()) {
             let distance = (here - position).abs();
-            // A position that is no number is nowhere near.
+            // NaN is outside of the tolerance.
             if distance.is_nan() || distance > farthest.1 {
                 farthest = (joint.clone(), distance);
             }

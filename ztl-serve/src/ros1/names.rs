@@ -102,8 +102,8 @@ impl<'d> ConfigReader<'d> {
     }
 }
 
-/// Asks the master for these names. Returns what is not there or is of another type, or why nobody can tell; blocks for
-/// some seconds if nodes do not answer.
+/// Asks the master for these names. Returns the names that are missing or have another type, or why they cannot be checked;
+/// blocks for some seconds if nodes do not answer.
 pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<Diagnostic> {
     let Some(first) = names.first() else {
         return Vec::new();

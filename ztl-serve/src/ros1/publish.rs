@@ -144,8 +144,7 @@ impl<'d> ConfigReader<'d> {
                 None
             }
             None => {
-                let mistake =
-                    "this is not a time, as 2 s, nor the seconds of a goal, as '{goal.seconds}'";
+                let mistake = "expected a time, such as 2 s, or a part of the goal in seconds, such as '{goal.seconds}'";
                 self.yaml.wrong(node, mistake);
                 None
             }

@@ -21,7 +21,7 @@ use crate::reader::{ComponentContext, ConfigReader};
 
 /// How long a service may take, where the file does not say it.
 const LIMIT: Duration = Duration::from_secs(10);
-/// The longest such time.
+/// The longest `limit`.
 const LONGEST_LIMIT: Duration = Duration::from_hours(1);
 
 /// A service of a robot.

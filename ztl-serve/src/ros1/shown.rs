@@ -25,7 +25,7 @@ impl ShownMessage {
         }
     }
 
-    /// The text for a received message, or why the bytes are no such message.
+    /// The text for a received message, or why the bytes are not a message of the type.
     pub(crate) fn text(&self, bytes: &[u8]) -> Result<String, String> {
         let value = self.message.decode(bytes);
         let value = value.map_err(|error| format!("malformed {}: {error}", self.message.name()))?;

@@ -112,7 +112,7 @@ impl Waiting {
 pub(crate) struct TopicJob {
     topic: Arc<Topic>,
     waiting: Arc<Mutex<Waiting>>,
-    /// `Err`: why there is none.
+    /// `Err`: why there is no value.
     subscription: Result<Subscription, String>,
     is_accepted: bool,
 }

@@ -11,7 +11,7 @@ use super::power::Input;
 #[derive(Debug, Clone)]
 pub struct Buttons(pub(super) Sender<Input>);
 
-/// What somebody does at the device.
+/// What a person does at the device.
 #[derive(Debug)]
 pub(super) enum Push {
     /// Starts a task with this goal.
@@ -34,7 +34,7 @@ impl Buttons {
     /// Aborts the task of the last press.
     ///
     /// # Errors
-    /// If there is no such task any more.
+    /// If the task that was started here has ended.
     pub fn release(&self) -> Result<(), String> {
         self.push(Push::Release)
     }

@@ -103,7 +103,7 @@ impl Storage for Saved<'_> {
     }
 }
 
-/// The only component of a device, its parameters, and what it says of itself.
+/// The only component of a device, its parameters, and its description.
 struct Part<'f, C> {
     component: Tuned<(C,), (), Saved<'f>, SAVED>,
     description: &'static str,

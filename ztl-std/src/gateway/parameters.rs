@@ -52,7 +52,7 @@ impl ParameterGoal {
 /// A parameter, as its device describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterReport {
-    /// Its name with its component, such as `finger.speed`, or without if it belongs to the firmware as a whole.
+    /// Its name with its component, such as `finger.speed`; without a component if it belongs to the firmware as a whole.
     pub name: String,
     /// `bool`, `u32`, `i32`, `f32` or `text`.
     #[serde(rename = "type")]
@@ -63,12 +63,12 @@ pub struct ParameterReport {
     pub most: Option<ReportedValue>,
     /// Unit of the numbers.
     pub unit: String,
-    /// Its value in a new device.
+    /// Its value until it is set.
     pub default: ReportedValue,
     /// Its value now.
     pub value: ReportedValue,
-    /// What a restart of the device makes of it: `saved` keeps the value, `changed` sets the value before, `never` sets the
-    /// default, `replaced` set the default already, because the saved value did not fit.
+    /// What happens to the value when the device restarts: `saved`, it is kept; `changed`, the value saved before replaces
+    /// it; `never`, the default replaces it. `replaced`: it is the default already, because the saved value did not fit.
     pub kept: String,
     /// What it means.
     pub about: String,

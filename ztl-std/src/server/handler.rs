@@ -45,8 +45,8 @@ pub trait TaskHandler: Send {
         Restored::default()
     }
 
-    /// Gets what gives ids to tasks that the handler finds running without a client. Called once, on registration.
-    /// Default: nothing.
+    /// Gets the source of ids for tasks that the handler finds running without a client. Called once, on registration.
+    /// The default does nothing.
     fn connect(&mut self, own_tasks: OwnTasks) {
         drop(own_tasks);
     }

@@ -10,7 +10,7 @@ use super::reporter::{Mailbox, Ready, Report, TaskReporter};
 use super::task_table::HeapText;
 use crate::random;
 
-/// The text of such a task until it reports progress.
+/// The text of a task without a client until it reports progress.
 const TEXT: &str = "started by the device";
 
 /// Gives a scope's handler ids for tasks that no client asked for.
@@ -29,7 +29,7 @@ impl OwnTasks {
     /// up, or the server has ended.
     pub fn reserve(&self, ready: impl FnOnce(ReservedId) + Send + 'static) {
         let report = Report::Reserve(self.scope, Ready(Box::new(ready)));
-        // It is about no task yet.
+        // No task has this id yet.
         self.mailbox.post(random::FIRST, report);
     }
 }
@@ -54,7 +54,7 @@ impl ReservedId {
         self.id
     }
 
-    /// The task runs: from now on clients see it. `payload` is that of the INIT that would have started it.
+    /// Shows the running task to clients. `payload` is the payload of the INIT that would have started it.
     #[must_use = "dropping the reporter ends the task"]
     pub fn begin(self, payload: String) -> TaskReporter {
         let begun = Report::Begun(self.scope, payload);
@@ -82,7 +82,7 @@ impl Engine {
         }
     }
 
-    /// Takes a task that runs into the task table. It is there also if no client could start another one, since it runs.
+    /// Takes a task that runs into the task table. It is admitted even if clients could start no further task, because it runs already.
     pub(super) fn on_begun(&mut self, id: TaskId, scope: Scope, payload: &str) {
         let mut task = Task::<_, HeapText>::new(scope);
         task.state = State::Accepted;

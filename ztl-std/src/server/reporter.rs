@@ -35,7 +35,7 @@ pub(super) enum Report {
     NeedsClaim(Claim, Duration, &'static str),
     /// Reserve an id for a task of this scope's handler itself.
     Reserve(Scope, Ready),
-    /// Such a task runs; its payload.
+    /// A task of this scope's handler itself runs; its payload.
     Begun(Scope, String),
 }
 

@@ -58,7 +58,7 @@ impl ServerThread<'_> {
         }
     }
 
-    /// Asks for the devices. A server that is no gateway has none.
+    /// Asks for the devices. Only a gateway has devices.
     pub(super) fn ask_devices(&mut self) {
         if !self.asks_devices
             && let Some(requests) = &mut self.requests

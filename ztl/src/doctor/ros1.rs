@@ -104,7 +104,7 @@ fn clock(node: &Node, survey: &Survey) -> Option<Finding> {
             value.as_ref().and_then(|value| value.at("header.stamp"))
         {
             let theirs = f64::from(*secs) + f64::from(*nsecs) / 1e9;
-            // Nobody listens any more after the first.
+            // Only the first one is used.
             let _ = told.send(theirs - now.as_secs_f64());
         }
     };
@@ -119,7 +119,7 @@ fn clock(node: &Node, survey: &Survey) -> Option<Finding> {
     Some(match ahead.abs() <= CLOCKS {
         true => Finding::good(ABOUT, text),
         false => {
-            let remedy = "synchronize the clocks, such as by chrony; with use_sim_time the robot's clock is the simulation's";
+            let remedy = "synchronize the clocks, for example with chrony; with use_sim_time, the robot uses the clock of the simulation";
             Finding::note(ABOUT, text).with_remedy(remedy)
         }
     })

@@ -115,7 +115,7 @@ fn cue_page(board: &Board) -> Vec<Paragraph> {
     let cue = |cue: &StepOutline| {
         let key = match cue.key {
             None => "no key".to_owned(),
-            // Whatever else it means on the screen, on this page it starts the cue.
+            // On this page it starts the cue, even if it has another meaning on the screen.
             Some(key) => match keys::of_cue(key) {
                 Some(_) => key.to_string(),
                 None => format!("{key} stops here"),

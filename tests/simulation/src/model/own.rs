@@ -44,7 +44,7 @@ impl LinkModel {
         };
         client.own.own = true;
         if started.is_err() {
-            // The device has told the one at the button.
+            // The device has already reported the refusal at the button.
             client.told = Told::Rejected;
         }
         self.clients[task] = client;
@@ -74,7 +74,7 @@ impl LinkModel {
         // An abort that its gateway has not sent is lost with it.
         client.aborted = false;
         if !is_kept {
-            // It is taken up anew.
+            // The restarted gateway takes it up again.
             client.told = Told::Nothing;
             client.own.taken = false;
         }

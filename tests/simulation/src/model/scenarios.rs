@@ -217,7 +217,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "own",
-        about: "the device starts a task, its gateway another, and aborts the first; it is killed, reset and cut",
+        about: "the device starts a task, its gateway starts another and aborts the first; the gateway is killed, the device reset, the line cut",
         journal: true,
         acts: &[press(1, ENDLESS), ask(0, 0, 40), abort(0, 0)],
         faults: &[Kill(0), KillWriting(0), Reset, Drop(UP), Cut(DOWN)],
@@ -226,7 +226,7 @@ pub const SCENARIOS: &[Scenario] = &[
     },
     Scenario {
         name: "jog",
-        about: "the device starts a short task, its gateway one of the same motor; frames are lost, delayed and repeated",
+        about: "the device starts a short task, its gateway starts one of the same motor; frames are lost, delayed and repeated",
         journal: true,
         acts: &[press(0, 40), ask(0, 0, 40)],
         faults: &[

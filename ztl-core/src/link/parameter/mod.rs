@@ -6,7 +6,7 @@ mod tests;
 
 pub(super) use codec::{FIRST, LAST};
 
-/// Longest body of a [`Parameter`], in bytes: it fits the shortest frame of a node, and no other answer waits long for it.
+/// Longest body of a [`Parameter`], in bytes: it fits the shortest frame of a node, and delays other frames only briefly.
 pub const LONGEST_PARAMETER: usize = 120;
 
 /// The component of a parameter that belongs to the firmware as a whole. In a `Description`, it announces the number of
@@ -17,9 +17,9 @@ pub const NO_COMPONENT: u8 = u8::MAX;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Unfit {
-    /// It is of another kind.
+    /// The value is of another kind.
     Kind,
-    /// It is not a number of the range, or the text is too long.
+    /// The number is out of the range or is NaN, or the text is too long.
     Range,
 }
 
@@ -43,7 +43,7 @@ pub enum Value<'a> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Domain {
-    /// Both.
+    /// `true` and `false`.
     Bool,
     /// Numbers without sign.
     U32 {
@@ -91,17 +91,17 @@ impl Domain {
     }
 }
 
-/// What a restart of the node makes of a value.
+/// What happens to a value when the node restarts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Kept {
     /// The node cannot save: a restart sets the default.
     Never = 0,
-    /// A restart keeps it.
+    /// A restart keeps the value.
     Saved = 1,
-    /// It was not saved since it was set: a restart sets the value before.
+    /// The value was set and not saved: a restart brings back the value saved before.
     Changed = 2,
-    /// The saved value does not fit any more, so it is the default.
+    /// The saved value does not fit the parameter any more, so the value is the default.
     Replaced = 3,
 }
 
@@ -119,11 +119,11 @@ pub struct Parameter<'a> {
     pub unit: &'a str,
     /// What it means; may be empty.
     pub about: &'a str,
-    /// What a restart makes of its value.
+    /// What happens to its value when the node restarts.
     pub kept: Kept,
     /// The values that it takes.
     pub domain: Domain,
-    /// Its value in a new node.
+    /// Its value until it is set.
     pub default: Value<'a>,
     /// Its value now.
     pub value: Value<'a>,

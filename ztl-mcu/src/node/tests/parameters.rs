@@ -262,7 +262,7 @@ fn nothing_is_set_under_a_task_of_the_component_and_nothing_saved_under_any() {
     // The firmware's own parameters may concern every task.
     let label = set(4, Value::Text("x"));
     assert_eq!(desk.ask(3, label), format!("3 {busy}"));
-    // The other component has none, and reading is always possible.
+    // The other component has no task, and reading is always possible.
     let other = set(0, Value::F32(80.0));
     assert_eq!(desk.ask(4, other), "0 speed F32(80.0) Changed");
     assert_eq!(desk.ask(5, read(2)), "1 speed F32(50.0) Saved");

@@ -116,7 +116,7 @@ impl Parameters {
 /// What follows an answer.
 enum Next {
     Ask(ParameterRequest),
-    /// The result for the client and the text for the log; or why there is none.
+    /// The result for the client and the text for the log; or why there is no result.
     End(Result<(String, String), String>),
 }
 
@@ -207,7 +207,7 @@ impl Job {
             goal: &self.text,
             sent: None,
         };
-        // The device has acted already, and its client is told the truth also if the disk is full.
+        // The device has acted already, so the client gets the true outcome even if the disk is full.
         let _ = session.journal_mut().ended(&entry, state, told);
         if matches!(self.goal, ParameterGoal::Set(..) | ParameterGoal::Save) {
             let (task, goal) = (self.task.id().get(), &self.text);
@@ -224,13 +224,13 @@ impl Job {
 fn reason(device: &str, goal: &ParameterGoal, failure: ParameterFailure) -> String {
     match failure {
         ParameterFailure::NoParameters => {
-            format!("the firmware of '{device}' has no parameters, or is older than they are")
+            format!("the firmware of '{device}' has no parameters, or is older than parameters")
         }
         ParameterFailure::NotSent(reason) => format!("not done: {reason}"),
         ParameterFailure::Refused(reason) => format!("the device refuses: {reason}"),
         ParameterFailure::Unknown => match goal {
             ParameterGoal::Set(..) | ParameterGoal::Save => {
-                "the link was lost before the answer: it may be done or not; list the parameters to see"
+                "the link was lost before the answer: it is unknown whether the device did it; list the parameters to see"
             }
             _ => "the link was lost before the answer",
         }

@@ -1,4 +1,4 @@
-//! The lamp of `smallest.rs` with parameters that are saved in flash, for what they weigh.
+//! The lamp of `smallest.rs` with parameters that are saved in flash. Its size is recorded.
 #![no_std]
 #![no_main]
 

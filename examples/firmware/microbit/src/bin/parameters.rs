@@ -1,4 +1,4 @@
-//! The lamp of `smallest.rs` with parameters, for what they weigh. They last until the next reset.
+//! The lamp of `smallest.rs` with parameters, which last until the next reset. Its size is recorded.
 #![no_std]
 #![no_main]
 

@@ -9,7 +9,7 @@ use ztl_mcu::{Refused, Report, parse_goal};
 const ADDRESS: u8 = 0x40;
 const MODE: u8 = 0x00;
 const DIVIDER: u8 = 0xFE;
-/// In `MODE`: asleep, as after power-on, which allows to set the divider; awake; both with auto-increment of registers.
+/// In `MODE`: asleep, as after power-on, when the divider can be set; awake; both with auto-increment of registers.
 const ASLEEP: u8 = 0x30;
 const AWAKE: u8 = 0x20;
 /// Divides the chip's 25 MHz by 4096 and this for 50 Hz.
@@ -70,7 +70,7 @@ impl<I: I2c, D: DelayNs> Servo<I, D> {
         for (register, value) in [(MODE, ASLEEP), (DIVIDER, FOR_50_HZ), (MODE, AWAKE)] {
             self.bus.write(ADDRESS, &[register, value]).await?;
         }
-        // The first motion is as fast as the servo, which does not tell where it is.
+        // The first motion is as fast as the servo, which does not report its position.
         let mut at = self.at.unwrap_or(pulse);
         loop {
             self.set_pulse(at).await?;
