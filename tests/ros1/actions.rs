@@ -222,7 +222,29 @@ fn a_goal_of_unknown_outcome_is_cancelled_when_its_server_is_back() {
 }
 
 #[test]
-fn fifty_actions_at_once_and_a_thousand_feedbacks_a_second() {
+fn fifty_actions_run_at_once() {
+    let master = Master::shared();
+    let name = unique("many");
+    let topics: Vec<String> = (0..50).map(|number| format!("{name}/a{number}")).collect();
+    let mut arguments = vec!["action", &name];
+    arguments.extend(topics.iter().map(String::as_str));
+    let _robot = master.robot(&arguments);
+    let node = master.node();
+    let open = |topic: &String| node.action(topic, test_action()).unwrap();
+    let actions: Vec<_> = topics.iter().map(open).collect();
+    actions.iter().for_each(wait_for_server);
+    let goals: Vec<_> = actions.iter().map(|of| Running::send(of, 4)).collect();
+    goals.iter().for_each(Running::accepted);
+    for goal in &goals {
+        goal.goal.cancel();
+    }
+    for goal in goals {
+        goal.ends(EndState::Preempted, "stopped", Some(-1));
+    }
+}
+
+#[test]
+fn fifty_goals_at_once_and_a_thousand_feedbacks_a_second() {
     let master = Master::shared();
     let name = unique("busy");
     let mut robot = master.action(&name, &name);

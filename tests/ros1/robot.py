@@ -1,7 +1,7 @@
 """Stands in for the nodes of a robot, with rospy and actionlib. Lines on stdin command it; it ends with its stdin.
 
-robot.py action NAME TOPIC   serves actionlib/Test; the goal says what it does
-robot.py topics NAME         publishes, subscribes, serves a service
+robot.py action NAME TOPIC...   serves actionlib/Test under each topic; the goal says what it does
+robot.py topics NAME            publishes, subscribes, serves a service
 """
 
 import os
@@ -109,7 +109,7 @@ class Topics:
 def main():
     kind, name, *rest = sys.argv[1:]
     rospy.init_node(name, disable_signals=True, disable_rosout=True)
-    node = Action(*rest) if kind == "action" else Topics(name)
+    node = [Action(topic) for topic in rest][0] if kind == "action" else Topics(name)
     say("ready")
     for line in sys.stdin:
         node.command(*line.split())
