@@ -3,7 +3,8 @@
 //! All are checked under [`NO_SESSION`](super::NO_SESSION) and have no sequence number. A node that is alone on its line
 //! needs none of this.
 
-use super::frame::{Decoder, FrameError, FrameWriter};
+use super::decoder::Decoder;
+use super::frame::{FrameError, FrameWriter};
 use super::wire::{BodyError, Reader, WriteValues};
 use super::{NO_SEQ, NO_SESSION};
 use crate::sink::Sink;

@@ -7,6 +7,7 @@
 mod body;
 mod bus;
 mod codec;
+mod decoder;
 mod frame;
 mod ids;
 mod link_id;
@@ -15,9 +16,8 @@ mod wire;
 
 pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};
 pub use bus::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage, Turn};
-pub use frame::{
-    ADDR_ONLY_NODE, CommandFrame, Decoder, Frame, FrameError, FrameWriter, Pushed, encode,
-};
+pub use decoder::{Decoder, Pushed};
+pub use frame::{ADDR_ONLY_NODE, CommandFrame, Frame, FrameError, FrameWriter, encode};
 pub use ids::Ids;
 pub use link_id::LinkId;
 pub use wire::BodyError;
