@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, until, ztl};
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, reserve_port, until, ztl};
 
 /// `ztl gateway` with these arguments; it must exit by itself.
 #[track_caller]
@@ -26,10 +26,15 @@ fn written(scratch: &Scratch, text: &str) -> String {
 
 #[test]
 fn the_example_is_valid_and_checking_it_serves_nothing() {
-    let ended = run(&[&project("examples/gateway.yaml"), "--check"]);
-    let said = "Nothing is wrong: gripper, head, lamp, try-me, scope /lab, at 127.0.0.1:12345.\n";
+    // Another program may use the port of the example.
+    let port = reserve_port();
+    let example = project("examples/gateway.yaml");
+    let ended = run(&[&example, "--check", "-p", &port.to_string()]);
+    let said = format!(
+        "Nothing is wrong: gripper, head, lamp, try-me, scope /lab, at 127.0.0.1:{port}.\n"
+    );
     assert_eq!(
-        (ended.code, ended.stdout.as_str(), ended.stderr.as_str()),
+        (ended.code, ended.stdout, ended.stderr.as_str()),
         (Some(0), said, "")
     );
 }
