@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 use ztl_tests::lab::{
-    PATIENCE, Process, SCOPE, Server, busy, reserve_port, simulated_gripper, ztl,
+    PATIENCE, Process, SCOPE, Scratch, Server, busy, reserve_port, simulated_gripper, ztl,
 };
 
 use crate::client::Client;
@@ -29,12 +29,15 @@ fn hostile() -> String {
     json!({ SCOPE: devices }).to_string()
 }
 
-/// A gateway with a device at `link`, one inside of it, and one whose port does not exist.
-fn gateway(port: u16, link: &str) -> Server {
+/// A device whose port does not exist.
+const WRIST: &str = "wrist=serial:/no/such/port";
+
+/// A gateway with a device at `link`, one inside of it, and more.
+fn gateway(port: u16, link: &str, more: &[&str]) -> Server {
     let mut command = ztl();
     command.args(["gateway", "-p", &port.to_string(), "-s", SCOPE]);
     let arm = format!("arm=serial:{link}");
-    for device in [&arm, "gripper=sim:gripper", "wrist=serial:/no/such/port"] {
+    for device in [&arm, "gripper=sim:gripper"].iter().chain(more) {
         command.args(["--device", device]);
     }
     let process = Process::start(&mut command);
@@ -49,7 +52,7 @@ fn devices_are_shown_with_their_links_and_since_when_one_is_silent() {
     let link = console.files.path("arm").display().to_string();
     let on = format!("pty:{link}");
     let mut device = simulated_gripper(&on);
-    let mut gateway = gateway(reserve_port(), &link);
+    let mut gateway = gateway(reserve_port(), &link, &[WRIST]);
     let evil = Scripted::with_devices(&hostile(), |request| match request {
         "$ztl;2;-1;probe" => Some(probed(&[])),
         _ => Some(listed()),
@@ -102,4 +105,89 @@ fn a_client_hears_of_devices_and_a_server_without_them_has_none() {
         "{gripper}"
     );
     assert_eq!(lab["devices_text"], "");
+}
+
+/// What the only robot has told a Stop.
+#[track_caller]
+fn stopped(client: &mut Client) -> (bool, String) {
+    let told = client.call("/ztl/stop", &json!({}));
+    let robot = &told["robots"][0];
+    let confirmed = robot["confirmed"].as_bool().expect("decided");
+    (
+        confirmed,
+        robot["text"].as_str().expect("a text").to_owned(),
+    )
+}
+
+#[test]
+fn a_device_that_does_not_answer_is_not_called_stopped() {
+    let _busy = busy();
+    let files = Scratch::new();
+    let link = files.path("arm").display().to_string();
+    let on = format!("pty:{link}");
+    let mut device = simulated_gripper(&on);
+    let gateway = gateway(reserve_port(), &link, &[]);
+    let (_process, url) = web(0, &[("lab", gateway.port)], &[]);
+    let mut client = Client::open(port(&url));
+    client.subscribe("/ztl/robots");
+    client.topic("/ztl/robots", |told| {
+        told["robots"][0]["devices"][0]["state"] == "up"
+    });
+    assert_eq!(stopped(&mut client), (true, "nothing ran".to_owned()));
+    // It vanishes while it moves: its gateway calls the task FAILED, and nobody knows what the device does.
+    for goal in ["0", "100"] {
+        client.goal(goal, "/test/arm/finger", &json!({ "goal": goal }));
+        if goal == "0" {
+            client.result(goal);
+        }
+    }
+    client.subscribe("/ztl/tasks");
+    client.task(|task| task["runs"] == true);
+    device.kill();
+    for _ in 0..2 {
+        let (confirmed, why) = stopped(&mut client);
+        assert!(
+            !confirmed && why.contains("device arm is SILENT"),
+            "{confirmed}: {why}"
+        );
+    }
+    assert_eq!(client.result("100")["values"]["state"], "FAILED");
+    let _device = simulated_gripper(&on);
+    client.topic("/ztl/robots", |told| {
+        told["robots"][0]["devices"][0]["state"] == "up"
+    });
+    assert_eq!(stopped(&mut client), (true, "nothing ran".to_owned()));
+}
+
+#[test]
+fn a_device_that_its_gateway_has_not_reached_is_not_called_stopped() {
+    let reports = ["up", "away"].map(|name| {
+        let ready = name == "up";
+        let link = json!({
+            "frames": 0, "damaged": 0, "truncated": 0, "too_long": 0, "not_understood": 0, "repeats": 0,
+            "duplicates": 0, "sessions": u8::from(ready), "resets": 0, "lost": 0, "queue": 0,
+        });
+        let report = json!({
+            "url": "x", "ready": ready, "problem": null, "firmware": null, "components": [], "link": link,
+        });
+        (name, report)
+    });
+    let devices: Map<String, Value> = reports
+        .map(|(name, report)| (name.to_owned(), report))
+        .into_iter()
+        .collect();
+    let lab = Scripted::with_devices(
+        &json!({ SCOPE: devices }).to_string(),
+        |request| match request {
+            "$ztl;2;-1;probe" => Some(probed(&[])),
+            _ => Some(listed()),
+        },
+    );
+    let (_process, url) = web(0, &[("lab", lab.port)], &[]);
+    let (confirmed, why) = stopped(&mut Client::open(port(&url)));
+    assert!(!confirmed, "{why}");
+    assert!(
+        why.starts_with("device away is NOT THERE") && !why.contains("device up"),
+        "{why}"
+    );
 }

@@ -72,6 +72,14 @@ fn a_record_is_for_those_who_may_look_at_the_console() {
         assert!(status(host).contains(" 401 "), "{path}");
         let foreign = with("Origin: http://evil.example\r\n");
         assert!(status(&foreign).contains(" 403 "), "{path}");
+        // A picture, or a link, of a page elsewhere has no Origin.
+        for how in [
+            "Mode: no-cors",
+            "Mode: navigate\r\nSec-Fetch-Dest: document",
+        ] {
+            let elsewhere = format!("Sec-Fetch-Site: cross-site\r\nSec-Fetch-{how}\r\n");
+            assert!(status(&with(&elsewhere)).contains(" 403 "), "{path} {how}");
+        }
         let rebound = with("").replace("robot.local", "evil.example");
         assert!(status(&rebound).contains(" 403 "), "{path}");
         assert!(status(&with("")).contains(" 200 "), "{path}");

@@ -17,6 +17,8 @@ pub(crate) struct Devices {
     pub(crate) shown: Vec<Device>,
     /// Why there may be more devices than these; empty if these are all.
     pub(crate) text: String,
+    /// Why it is not known what a device does: it does not answer, or cannot be read. Also of those not shown.
+    pub(crate) unknown: Vec<String>,
 }
 
 /// A device as it is shown.
@@ -64,13 +66,15 @@ impl Devices {
             Ok(scopes) => scopes,
             Err(error) => {
                 let text = format!("its list of devices cannot be read: {error}");
+                let text = cut::text(&text, cut::LINE);
                 return Self {
                     shown: Vec::new(),
-                    text: cut::text(&text, cut::LINE),
+                    unknown: vec![text.clone()],
+                    text,
                 };
             }
         };
-        let mut shown = Vec::new();
+        let (mut shown, mut unknown) = (Vec::new(), Vec::new());
         let (mut more, mut unread) = (0, 0);
         for (scope, devices) in scopes {
             for (name, report) in devices {
@@ -81,13 +85,14 @@ impl Devices {
                         continue;
                     }
                 };
-                if shown.len() >= SHOWN {
-                    more += 1;
-                    continue;
-                }
                 let is_it = |known: &&Device| known.scope == scope && known.name == name;
                 let known = before.shown.iter().find(is_it);
-                shown.push(Device::new(scope.clone(), name, &report, known, now));
+                let device = Device::new(scope.clone(), name, &report, known, now);
+                unknown.extend(device.unknown());
+                match shown.len() < SHOWN {
+                    true => shown.push(device),
+                    false => more += 1,
+                }
             }
         }
         let mut text = Vec::new();
@@ -96,9 +101,11 @@ impl Devices {
         }
         if unread > 0 {
             text.push(format!("{unread} devices cannot be read"));
+            unknown.extend(text.last().cloned());
         }
         Self {
             shown,
+            unknown,
             text: text.join("; "),
         }
     }
@@ -153,6 +160,19 @@ impl Device {
                 .saturating_add(counters.not_understood),
             repeats: counters.repeats,
         }
+    }
+
+    /// Why it is not known what it does; `None` while it answers.
+    fn unknown(&self) -> Option<String> {
+        let why = match self.state {
+            Standing::Up => return None,
+            Standing::Silent => "is SILENT",
+            Standing::Absent => "is NOT THERE",
+        };
+        Some(format!(
+            "device {} {why} ({}): whether it moves is not known",
+            self.name, self.text
+        ))
     }
 }
 

@@ -33,6 +33,11 @@ const PROXY: [&str; 4] = [
     "x-real-ip",
 ];
 
+/// Headers by which browsers tell which page a request comes from, how, and what for.
+const SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+const MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
+const FOR: HeaderName = HeaderName::from_static("sec-fetch-dest");
+
 /// Checks requests.
 pub(crate) struct Gate {
     tokens: Tokens,
@@ -42,6 +47,8 @@ pub(crate) struct Gate {
 
 /// Why a request is refused.
 pub(crate) type Refusal = (StatusCode, &'static str);
+
+const FOREIGN: Refusal = (StatusCode::FORBIDDEN, "a page of another origin\n");
 
 impl Gate {
     /// `port` is the console's own: browsers send a cookie to every port of a machine.
@@ -58,7 +65,7 @@ impl Gate {
         &self.cookie
     }
 
-    /// What the sender of a request may do.
+    /// What the sender of a request may do. A link on a page of another origin may lead to what `is_linked`.
     ///
     /// # Errors
     /// The answer for a sender who may do nothing.
@@ -67,6 +74,7 @@ impl Gate {
         peer: IpAddr,
         headers: &HeaderMap,
         query: Option<&str>,
+        is_linked: bool,
     ) -> Result<Role, Refusal> {
         let host = only(headers, &HOST).filter(|host| self.is_ours(host));
         // A name that a stranger's DNS points to this machine is not ours: DNS rebinding.
@@ -80,8 +88,11 @@ impl Gate {
                 plain.or_else(|| origin.strip_prefix("https://"))
             });
             if !origin.is_some_and(|origin| origin.eq_ignore_ascii_case(host)) {
-                return Err((StatusCode::FORBIDDEN, "a page of another origin\n"));
+                return Err(FOREIGN);
             }
+        }
+        if !(comes_from_us(headers) || is_linked && is_followed(headers)) {
+            return Err(FOREIGN);
         }
         let shown = self.shown(headers, query);
         let local = || self.is_local(peer, host, headers).then_some(Role::Operator);
@@ -137,6 +148,18 @@ impl Gate {
                 .iter()
                 .any(|host| host.eq_ignore_ascii_case(name))
     }
+}
+
+/// Whether a browser says that a request comes from our page or its user, or says nothing. A picture or a frame of another
+/// page has no Origin.
+fn comes_from_us(headers: &HeaderMap) -> bool {
+    !headers.contains_key(SITE)
+        || only(headers, &SITE).is_some_and(|site| ["same-origin", "none"].contains(&site))
+}
+
+/// Whether somebody follows a link.
+fn is_followed(headers: &HeaderMap) -> bool {
+    only(headers, &MODE) == Some("navigate") && only(headers, &FOR) == Some("document")
 }
 
 /// A Host without its port.
@@ -217,7 +240,7 @@ mod tests {
     }
 
     fn refused(gate: &Gate, peer: IpAddr, pairs: &[(HeaderName, &'static str)]) -> Option<u16> {
-        let checked = gate.check(peer, &headers(pairs), None);
+        let checked = gate.check(peer, &headers(pairs), None, true);
         checked.err().map(|(status, _)| status.as_u16())
     }
 
@@ -264,6 +287,34 @@ mod tests {
         assert_eq!(refused(&[here.clone(), twice.clone(), twice]), Some(403));
         assert_eq!(refused(&[here.clone(), here]), Some(403));
         assert_eq!(refused(&[]), Some(403));
+    }
+
+    #[test]
+    fn a_page_of_another_origin_can_only_link_here() {
+        let gate = gate(&[]);
+        let status = |site, mode, used_for, is_linked| {
+            let pairs = [
+                (HOST, "127.0.0.1:1060"),
+                (SITE, site),
+                (MODE, mode),
+                (FOR, used_for),
+            ];
+            let checked = gate.check(HERE, &headers(&pairs), None, is_linked);
+            checked.err().map(|(status, _)| status.as_u16())
+        };
+        for (site, mode, used_for, linked, not_linked) in [
+            ("same-origin", "no-cors", "image", None, None),
+            ("none", "navigate", "document", None, None),
+            ("cross-site", "navigate", "document", None, Some(403)),
+            ("same-site", "navigate", "document", None, Some(403)),
+            ("cross-site", "navigate", "iframe", Some(403), Some(403)),
+            ("cross-site", "no-cors", "image", Some(403), Some(403)),
+            ("same-site", "no-cors", "script", Some(403), Some(403)),
+            ("", "", "", Some(403), Some(403)),
+        ] {
+            let told = [true, false].map(|is_linked| status(site, mode, used_for, is_linked));
+            assert_eq!(told, [linked, not_linked], "{site} {mode} {used_for}");
+        }
     }
 
     #[test]
@@ -325,7 +376,7 @@ mod tests {
         let gate = gate(&[]);
         let role = |name: HeaderName, value, query| {
             let headers = headers(&[(HOST, "10.0.0.7"), (name, value)]);
-            gate.check(ELSEWHERE, &headers, query)
+            gate.check(ELSEWHERE, &headers, query, true)
                 .map_err(|(status, _)| status.as_u16())
         };
         let (operator, watcher) = (Ok(Role::Operator), Ok(Role::Watcher));
@@ -349,6 +400,9 @@ mod tests {
         }
         // Also on this machine, a watcher's link makes a watcher.
         let local = headers(&[(HOST, "127.0.0.1"), (COOKIE, "ztl-console-1060=bb")]);
-        assert_eq!(gate.check(HERE, &local, None).ok(), Some(Role::Watcher));
+        assert_eq!(
+            gate.check(HERE, &local, None, true).ok(),
+            Some(Role::Watcher)
+        );
     }
 }

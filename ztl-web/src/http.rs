@@ -242,12 +242,15 @@ async fn check(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let is_page = request.uri().path() == "/";
+    let path = request.uri().path();
+    let is_page = path == "/";
+    // A report takes time and memory: only our own page, or whoever types it, asks for one.
+    let is_linked = !["/record", "/report"].contains(&path);
     let query = request.uri().query();
     let token = token_in(query).filter(|token| console.gate.role_of(token).is_some());
     let checked = console
         .gate
-        .check(connection.address, request.headers(), query);
+        .check(connection.address, request.headers(), query, is_linked);
     let closed = [(header::CONNECTION, "close")];
     let mut response = match (checked, token) {
         (Err((StatusCode::UNAUTHORIZED, _)), _) if is_page => {

@@ -89,6 +89,8 @@ struct Stopping {
     /// The tasks that were sent an ABORT, and how many of them have ended.
     asked: HashSet<Key>,
     ended: usize,
+    /// Since when the lists say that nothing runs.
+    idle: Option<Instant>,
 }
 
 struct ServerThread<'b> {
@@ -101,8 +103,9 @@ struct ServerThread<'b> {
     /// The questions what its components say of themselves, while they are under way, and the hash of the answers.
     describing: Option<(DescribeQuestions, DefaultHasher)>,
     next_describe: Instant,
-    /// Whether it was asked for its devices, and when it will be asked again.
-    asks_devices: bool,
+    /// When it was asked for its devices, while there is no answer, and when the last answer was asked for.
+    asks_devices: Option<Instant>,
+    devices_at: Option<Instant>,
     next_devices: Instant,
     /// Whether it does not list its tasks, as a server of the original.
     is_original: bool,
@@ -124,7 +127,8 @@ impl<'b> ServerThread<'b> {
             next_look: Instant::now(),
             describing: None,
             next_describe: Instant::now(),
-            asks_devices: false,
+            asks_devices: None,
+            devices_at: None,
             next_devices: Instant::now(),
             is_original: false,
             boot: None,
@@ -170,6 +174,7 @@ impl<'b> ServerThread<'b> {
                 at: now,
                 asked: HashSet::new(),
                 ended: 0,
+                idle: None,
             });
             self.next_look = now;
         }
@@ -342,7 +347,7 @@ impl<'b> ServerThread<'b> {
             Ok(Some(listed)) => {
                 self.is_original = false;
                 self.on_list(described.ok().flatten(), &listed);
-                self.confirm(at, settled);
+                self.note_idle(at, settled);
             }
         }
     }
@@ -436,12 +441,27 @@ impl<'b> ServerThread<'b> {
 
     /// A server confirms a Stop by a list without running tasks that was asked for after the press, and after every goal of
     /// this console had an answer: such a goal can start nothing later.
-    fn confirm(&mut self, asked_at: Instant, settled: bool) {
+    fn note_idle(&mut self, asked_at: Instant, settled: bool) {
+        let is_complete = self.board.seen(self.index).gaps.is_empty();
+        let is_idle = settled && self.running.is_empty() && is_complete;
+        let Some(stop) = &mut self.stop else {
+            return;
+        };
+        let idle = stop.idle.unwrap_or_else(Instant::now);
+        stop.idle = (is_idle && asked_at >= stop.at).then_some(idle);
+        if stop.idle.is_some() {
+            self.ask_devices();
+        }
+    }
+
+    /// A gateway must also have said, after that list, that its devices answer: it calls the tasks of one that does not FAILED,
+    /// and that one may move all the same.
+    fn confirm(&mut self) {
         let Some(stop) = &self.stop else {
             return;
         };
-        let is_complete = self.board.seen(self.index).gaps.is_empty();
-        if asked_at >= stop.at && settled && self.running.is_empty() && is_complete {
+        let is_newer = stop.idle.is_some_and(|idle| self.devices_at >= Some(idle));
+        if is_newer && self.board.seen(self.index).devices.unknown.is_empty() {
             let text = match stop.asked.len() {
                 0 => "nothing ran".to_owned(),
                 1 => "1 task has ended".to_owned(),
@@ -496,6 +516,7 @@ impl<'b> ServerThread<'b> {
             ));
         }
         why.extend(seen.gaps);
+        why.extend(seen.devices.unknown.iter().take(NAMED).cloned());
         if why.is_empty() {
             why.push("its list of tasks came too late".to_owned());
         }

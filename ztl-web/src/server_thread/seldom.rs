@@ -60,17 +60,16 @@ impl ServerThread<'_> {
 
     /// Asks for the devices. Only a gateway has devices.
     pub(super) fn ask_devices(&mut self) {
-        if !self.asks_devices
-            && let Some(requests) = &mut self.requests
-        {
+        if let (None, Some(requests)) = (self.asks_devices, &mut self.requests) {
             requests.ask_server(Asked::Devices, "devices");
-            self.asks_devices = true;
-            self.next_devices = Instant::now() + DEVICES;
+            let now = Instant::now();
+            self.asks_devices = Some(now);
+            self.next_devices = now + DEVICES;
         }
     }
 
     pub(super) fn on_devices(&mut self, answer: Answer) {
-        self.asks_devices = false;
+        let asked_at = self.asks_devices.take();
         // Without an answer, the devices are as last known, as the tasks are.
         let Ok(answer) = server_answer(answer) else {
             return;
@@ -79,5 +78,7 @@ impl ServerThread<'_> {
         let devices = answer.map(|answer| Devices::read(&answer, &seen.devices, now_ms()));
         seen.devices = Arc::new(devices.unwrap_or_default());
         self.board.set_seen(self.index, seen);
+        self.devices_at = asked_at;
+        self.confirm();
     }
 }
