@@ -66,6 +66,25 @@ pub(crate) fn web(port: u16, robots: &[(&str, u16)], options: &[&str]) -> (Proce
     (process, url)
 }
 
+/// The files of a certificate for localhost and its key, `NAME-certificate.pem` and `NAME.pem`.
+pub(crate) fn certificate_and_key(files: &Scratch, name: &str) -> (String, String) {
+    let certificate = files.path(&format!("{name}-certificate.pem"));
+    let key = files.path(&format!("{name}.pem"));
+    let mut openssl = Command::new("openssl");
+    let words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=localhost";
+    openssl.args(words.split(' '));
+    openssl
+        .arg("-keyout")
+        .arg(&key)
+        .arg("-out")
+        .arg(&certificate);
+    let made = openssl
+        .output()
+        .expect("openssl, of the Debian package of that name");
+    assert!(made.status.success(), "{made:?}");
+    (certificate.display().to_string(), key.display().to_string())
+}
+
 impl Console {
     pub(crate) fn new() -> Self {
         let files = Scratch::new();

@@ -661,6 +661,14 @@ const scenarios = {
     await field('Goal: slider').focus();
     await page.keyboard.press('End');
     await sends('sends: 123456789012');
+    // The least value, too, although the slider stands there already.
+    await field('Goal').fill('');
+    await choose(page, 'test turn');
+    await choose(page, 'test count');
+    await sends('sends nothing yet');
+    await field('Goal: slider').focus();
+    await page.keyboard.press('Home');
+    await sends('sends: 1');
     await choose(page, 'test say');
     // Nothing is not an empty text, unless the person says so.
     await sends('sends nothing yet');

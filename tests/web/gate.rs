@@ -6,7 +6,7 @@ use std::net::{TcpListener, TcpStream};
 
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, reserve_port, until, ztl};
 
-use crate::console::{Console, from_port, node, web};
+use crate::console::{Console, ROBOT, certificate_and_key, from_port, node, robot, web};
 
 /// The status and the whole answer to a request with these headers.
 fn ask(port: &str, path: &str, headers: &str) -> (u16, String) {
@@ -312,6 +312,8 @@ fn it_says_what_is_wrong_with_its_files() {
     let wrong = scratch.path("wrong").display().to_string();
     fs::write(&wrong, "operator x\n").expect("a file");
     let missing = scratch.path("missing").display().to_string();
+    let [(certificate, _), (_, other)] =
+        ["ours", "other"].map(|name| certificate_and_key(&scratch, name));
     for (options, says) in [
         (
             vec!["--tokens", &wrong],
@@ -322,6 +324,19 @@ fn it_says_what_is_wrong_with_its_files() {
             vec!["--tls", &wrong, &wrong],
             "wrong: no certificate: expected PEM",
         ),
+        (
+            vec!["--tls", &certificate, &wrong],
+            "wrong: no private key: expected PEM",
+        ),
+        (
+            vec!["--tls", &certificate, &other],
+            &format!("other.pem: not the key of {certificate}"),
+        ),
+        (
+            vec!["--host", "https://robot.local"],
+            "expected a name such as robot.local, without http:// and without a port",
+        ),
+        (vec!["--host", "robot.local:1060"], "without a port"),
     ] {
         let mut command = ztl();
         command.args([
@@ -340,6 +355,22 @@ fn it_says_what_is_wrong_with_its_files() {
         assert_eq!(ended.code, Some(2), "{options:?}: {ended:?}");
         assert!(ended.stderr.contains(says), "{options:?}: {ended:?}");
     }
+}
+
+#[test]
+fn a_missing_robot_is_logged_once_and_when_it_is_back() {
+    let scratch = Scratch::new();
+    let at = reserve_port();
+    let (process, _) = web(0, &[("ours", at)], &[]);
+    process.wait_for("robot 'ours' is missing: no answer from");
+    let mut robot = robot(&scratch, ROBOT, at);
+    process.wait_for("robot 'ours' is there again");
+    robot.process.kill();
+    let log = || process.stderr();
+    until("it is missing again", PATIENCE, || {
+        (log().matches("is missing").count() == 2).then_some(())
+    });
+    assert!(!log().contains("Networking error"), "{}", log());
 }
 
 #[test]

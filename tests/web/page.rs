@@ -1,13 +1,11 @@
 //! The page in Chromium, driven by `driver.mjs`.
 
-use std::process::Command;
-
 use ztl_pickle::{DType, Pickle};
 use ztl_std::Publisher;
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
 
 use crate::console::{
-    Console, DESCRIBED, ROBOT, drive, from_port, marks, node, passes, port, robot, web,
+    Console, DESCRIBED, ROBOT, certificate_and_key, drive, from_port, marks, node, passes, port, robot, web,
 };
 
 /// Components that describe themselves with texts wider than a phone.
@@ -341,20 +339,7 @@ fn a_page_learns_what_became_of_its_goals_while_the_network_was_cut() {
 fn the_page_comes_over_tls() {
     let _busy = busy();
     let console = Console::of_one();
-    let [certificate, key] = ["cert.pem", "key.pem"].map(|name| console.files.path(name));
-    let mut openssl = Command::new("openssl");
-    let words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=localhost";
-    openssl
-        .args(words.split(' '))
-        .arg("-keyout")
-        .arg(&key)
-        .arg("-out")
-        .arg(&certificate);
-    let made = openssl
-        .output()
-        .expect("openssl, of the Debian package of that name");
-    assert!(made.status.success(), "{made:?}");
-    let [certificate, key] = [certificate, key].map(|path| path.display().to_string());
+    let (certificate, key) = certificate_and_key(&console.files, "localhost");
     let options = [
         "--bind",
         "0.0.0.0",

@@ -118,6 +118,10 @@ function number(rule, name, changed) {
     };
     // A click on where it stands already chooses that value, too.
     for (const event of ['input', 'click']) slider.addEventListener(event, slid);
+    // So does a key that would go lower.
+    slider.addEventListener('keydown', ({ key }) => {
+      if (['Home', 'PageDown', 'ArrowLeft', 'ArrowDown'].includes(key) && slider.classList.contains('unset')) slid();
+    });
     input.before(slider);
   }
   const read = () => {

@@ -226,6 +226,17 @@ impl Board {
         let mut seen = locked(&self.seen);
         let known = seen.get_mut(server).filter(|known| **known != now);
         if let Some(known) = known {
+            if let Some(of) = self.servers.get(server) {
+                match (known.health, now.health) {
+                    (Health::Unknown | Health::There, Health::Missing) => {
+                        tracing::warn!("robot '{}' is missing: {}", of.name, now.text);
+                    }
+                    (Health::Missing, Health::There) => {
+                        tracing::warn!("robot '{}' is there again", of.name);
+                    }
+                    _ => {}
+                }
+            }
             *known = now;
             drop(seen);
             self.publish();

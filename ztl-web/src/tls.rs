@@ -4,10 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use tokio_rustls::TlsAcceptor;
-use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::crypto::ring;
-use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+use tokio_rustls::rustls::pki_types::pem::{self, PemObject as _};
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::{Error, ServerConfig};
 
 /// A certificate and its key.
 #[derive(Clone)]
@@ -26,7 +26,10 @@ impl Tls {
         if chain.is_empty() {
             return Err(wrong(certificate, &"no certificate: expected PEM"));
         }
-        let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, &error))?;
+        let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| match error {
+            pem::Error::NoItemsFound => wrong(key, &"no private key: expected PEM"),
+            error => wrong(key, &error),
+        })?;
         let mut config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_safe_default_protocol_versions()
             .and_then(|builder| {
@@ -34,7 +37,13 @@ impl Tls {
                     .with_no_client_auth()
                     .with_single_cert(chain, secret)
             })
-            .map_err(|error| wrong(certificate, &error))?;
+            .map_err(|error| match error {
+                Error::InconsistentKeys(_) => wrong(
+                    key,
+                    &format_args!("not the key of {}", certificate.display()),
+                ),
+                error => wrong(certificate, &error),
+            })?;
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(Self(TlsAcceptor::from(Arc::new(config))))
     }

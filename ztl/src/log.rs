@@ -125,12 +125,12 @@ fn is_journal() -> bool {
     false
 }
 
-/// Logs to a writer in the original's format, with only warnings and errors of the targets in `quiet`.
-pub(crate) fn init_to<W>(level: Level, quiet: &[&str], writer: W)
+/// Logs to a writer in the original's format. The targets in `quiet` have levels of their own.
+pub(crate) fn init_to<W>(level: Level, quiet: &[(&str, Level)], writer: W)
 where
     W: for<'w> MakeWriter<'w> + Send + Sync + 'static,
 {
-    let quiet = quiet.iter().map(|logger| (*logger, Level::WARN));
+    let quiet = quiet.iter().copied();
     tracing_subscriber::fmt()
         .with_max_level(level)
         .with_writer(writer)

@@ -124,7 +124,8 @@ impl RunScript {
                 Some(_) => &["remote-task", "remote-config", SUBSCRIBER],
                 None => &[SUBSCRIBER],
             };
-            log::init_to(Level::INFO, quiet, lines);
+            let quiet: Vec<_> = quiet.iter().map(|target| (*target, Level::WARN)).collect();
+            log::init_to(Level::INFO, &quiet, lines);
         }
         let done = self.play(called, lines.as_ref());
         if let Some(lines) = lines {

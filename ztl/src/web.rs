@@ -25,7 +25,7 @@ use crate::option_values::port;
 use crate::remotes_options::RemotesOptions;
 use crate::run_script::{self, RunRecord};
 use crate::server_connection::connect;
-use crate::terminal::{drawn_line, error_line, is_live, line, size};
+use crate::terminal::{Errors, drawn_line, error_line, is_live, line, size};
 use crate::{log, report, signals};
 
 /// The original's port.
@@ -55,7 +55,7 @@ pub(crate) struct Web {
 
     /// A name under which browsers reach this machine, besides its addresses (repeatable). Everybody then needs the
     /// printed links. Also needed behind a proxy
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = host)]
     host: Vec<String>,
 
     /// A page of one's own, with forms as for the original's ztl_web; the console's is then at /console
@@ -91,7 +91,8 @@ pub(crate) struct Web {
 impl Web {
     pub(crate) fn run(self) -> Done {
         signals::catch()?;
-        log::init(Level::WARN);
+        // The console itself tells once that a robot is missing, and not at each try.
+        log::init_to(Level::WARN, &[("remote-task", Level::ERROR)], || Errors);
         let remotes = self.remotes.read()?;
         let mut robots = Vec::new();
         for name in remotes.task_names() {
@@ -264,6 +265,15 @@ impl Web {
             Some(name) => format!("{name}:{}", address.port()),
             None => SocketAddr::new(reachable(self.bind), address.port()).to_string(),
         }
+    }
+}
+
+/// A name of this machine, as browsers write it before the port. With anything else no request would come through.
+fn host(text: &str) -> Result<String, &'static str> {
+    let fits = |byte: u8| byte.is_ascii_alphanumeric() || b"-._".contains(&byte);
+    match !text.is_empty() && text.bytes().all(fits) {
+        true => Ok(text.to_owned()),
+        false => Err("expected a name such as robot.local, without http:// and without a port"),
     }
 }
 
