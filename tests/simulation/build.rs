@@ -28,6 +28,7 @@ fn main() -> io::Result<()> {
     let names = [
         "acting.rs",
         "bus.rs",
+        "component",
         "component.rs",
         "describe.rs",
         "log.rs",

@@ -15,8 +15,8 @@ use crate::{image, lock};
 
 const IMAGE: &str = "no-panic";
 
-/// The source of the image.
-const PROOF: &str = "proof/src/bin/no_panic.rs";
+/// The part of the image's source with the ready components.
+const PROOF: &str = "proof/src/bin/no_panic/device.rs";
 
 /// The ready components; the image must create each of them.
 const COMPONENTS: &str = "ztl-mcu/src/components";
