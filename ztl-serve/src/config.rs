@@ -203,6 +203,9 @@ impl<'d> ConfigReader<'d> {
         if let Some(node) = fields.optional("naoqi") {
             self.naoqi(node);
         }
+        if let Some(node) = fields.optional("http") {
+            self.http_hosts(node);
+        }
         let mut scopes = Vec::new();
         let example = "scopes: {/robot: {tts: {say: [espeak-ng, '{goal}']}}}";
         let streams_node = fields.optional("streams");

@@ -27,6 +27,7 @@
 //! | `forward` | `forward`: another ZTL server |
 //! | `ros1` | `ros1-action` and others: a robot with ROS 1 |
 //! | `naoqi` | `naoqi`: methods of NAO and Pepper |
+//! | `http` | `http`: requests to a robot with an HTTP interface |
 //!
 //! `stream` has the programs whose output is published: `worker` runs them as jobs, like those of tasks.
 
@@ -40,6 +41,7 @@ mod config;
 mod far_descriptions;
 mod forward;
 mod handler;
+mod http;
 mod human;
 mod jobs;
 mod kind;

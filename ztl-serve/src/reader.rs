@@ -7,6 +7,7 @@ use ztl_yaml::{Diagnostic, Document, Node, Reading};
 
 use ztl_std::describe::GoalRule;
 
+use crate::http::hosts::Hosts;
 use crate::naoqi::connection::Naoqi;
 use crate::ros1::connection::Ros1;
 
@@ -19,6 +20,7 @@ pub(crate) struct ConfigReader<'d> {
     pub(crate) warnings: Vec<Diagnostic>,
     pub(crate) ros1: Ros1,
     pub(crate) naoqi: Naoqi,
+    pub(crate) http: Hosts,
 }
 
 /// What is known of a component when its kind is read.
@@ -39,6 +41,7 @@ impl<'d> ConfigReader<'d> {
             warnings: Vec::new(),
             ros1: Ros1::default(),
             naoqi: Naoqi::default(),
+            http: Hosts::default(),
         }
     }
 

@@ -121,6 +121,18 @@ impl<'d> ConfigReader<'d> {
             .ok()
     }
 
+    /// Reads a number, a text or a truth value.
+    pub(crate) fn fixed_value(&mut self, node: &'d Node) -> Option<GoalValue> {
+        match self.value_template(node, &GoalRule::Nothing)? {
+            ValueTemplate::Fixed(value) => Some(value),
+            _ => {
+                let message = "expected a number, a text, or a truth value, without placeholders";
+                self.yaml.wrong(node, message);
+                None
+            }
+        }
+    }
+
     /// Reads a value with placeholders for goals of this rule.
     pub(crate) fn value_template(
         &mut self,
@@ -142,15 +154,9 @@ impl<'d> ConfigReader<'d> {
                         None => ValueTemplate::Text(template),
                     });
                 }
-                let value = python::read(text, *plain, node.tag.as_deref());
-                let value = value.and_then(fixed);
-                match value {
-                    Ok(value) => Some(ValueTemplate::Fixed(value)),
-                    Err(mistake) => {
-                        self.yaml.wrong(node, mistake);
-                        None
-                    }
-                }
+                let value = python::read(text, *plain, node.tag.as_deref()).and_then(fixed);
+                let value = value.map_err(|mistake| self.yaml.wrong(node, mistake));
+                Some(ValueTemplate::Fixed(value.ok()?))
             }
             NodeValue::List(nodes) => {
                 let items = nodes.iter().map(|node| self.value_template(node, rule));
