@@ -41,7 +41,7 @@ impl<'d> ConfigReader<'d> {
                 (SignalOf::memory(&name), name)
             }
             _ => {
-                let what = "a service and its signal, as ALTextToSpeech.synchroTTS";
+                let what = "a service and its signal, as ALBehaviorManager.behaviorStarted";
                 let (service, signal) = self.naoqi_name(node, what)?;
                 self.naoqi_uses(node, &service, What::Signal(signal.clone()));
                 let name = format!("{service}.{signal}");
