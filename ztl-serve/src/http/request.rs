@@ -314,9 +314,10 @@ impl<'d> ConfigReader<'d> {
         let (scheme, rest) = text.split_once("://").ok_or_else(wrong)?;
         match scheme {
             "http" => {}
-            "https" if cfg!(feature = "https") => {}
             "https" => {
-                return Err("this ztl has no encryption for https; take one built with the feature https, or http in the robot's own network".to_owned());
+                return Err(format!(
+                    "'{text}' is encrypted, which is not supported yet: expected http://"
+                ));
             }
             _ => return Err(wrong()),
         }
