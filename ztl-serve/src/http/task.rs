@@ -58,7 +58,7 @@ enum After {
     /// The task goes on for this time: seconds, or as `500 ms`.
     Lasts(ValueTemplate),
     Progress {
-        request: RequestTemplate,
+        request: Box<RequestTemplate>,
         every: Duration,
         until: Condition,
         show: Option<Vec<String>>,
@@ -150,7 +150,7 @@ impl<'d> ConfigReader<'d> {
         let show = show.map(|node| self.http_field(node));
         fields.finish(&mut self.yaml);
         Some(After::Progress {
-            request: request?,
+            request: Box::new(request?),
             every: every?,
             until: until?,
             show: show.transpose_or()?,
@@ -162,7 +162,7 @@ impl HttpTask {
     fn requests(&self) -> impl Iterator<Item = &RequestTemplate> {
         let abort = self.abort.as_ref().map(|(request, _)| request);
         let progress = match &self.after {
-            After::Progress { request, .. } => Some(request),
+            After::Progress { request, .. } => Some(&**request),
             _ => None,
         };
         [&self.request].into_iter().chain(abort).chain(progress)
