@@ -122,6 +122,7 @@ impl<'d> ConfigReader<'d> {
     }
 
     /// Reads a number, a text or a truth value.
+    #[cfg(feature = "http")]
     pub(crate) fn fixed_value(&mut self, node: &'d Node) -> Option<GoalValue> {
         match self.value_template(node, &GoalRule::Nothing)? {
             ValueTemplate::Fixed(value) => Some(value),

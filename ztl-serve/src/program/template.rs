@@ -122,6 +122,7 @@ impl Template {
     }
 
     /// It with `x` for each placeholder.
+    #[cfg(feature = "http")]
     pub(crate) fn sample(&self) -> String {
         let parts = self.0.iter().map(|part| match part {
             Part::Text(text) => text,
