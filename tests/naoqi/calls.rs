@@ -112,7 +112,8 @@ fn errors_say_what_is_wrong_and_whether_something_was_sent() {
         assert_eq!(wrong.to_string(), expected);
     }
     let missing = error("ALMotion", "fly", "[]").to_string();
-    let expected = "no method ALMotion.fly; there are: angleInterpolation, getAngles, killTask";
+    let expected =
+        "no method ALMotion.fly; there are: angleInterpolation, getAngles, killAll, killTask";
     assert!(missing.starts_with(expected), "{missing}");
     let unknown = error("Odd", "takes", "[1]").to_string();
     let expected =

@@ -5,4 +5,5 @@ mod cancelled;
 mod lost;
 mod many;
 mod robot;
+mod serve;
 mod signals;

@@ -46,6 +46,7 @@ class ALMotion:
     def __init__(self):
         self.stiffness = qi.Property("f")
         self.stiffness.setValue(0.0)
+        self.stopped = threading.Event()
 
     @qi.bind(returnType=qi.Void, paramsType=(qi.List(qi.String), qi.List(qi.Float), qi.List(qi.Float), qi.Bool))
     def angleInterpolation(self, names, angles, times, absolute):
@@ -54,11 +55,31 @@ class ALMotion:
     @qi.bind(returnType=qi.Bool, paramsType=(qi.Float, qi.Float, qi.Float))
     def moveTo(self, x, y, theta):
         said("move %s %s %s" % (x, y, theta))
+        if x == 2.0:
+            self.stopped.clear()
+            return not self.stopped.wait(60)
         return True
 
     @qi.bind(returnType=qi.Void, paramsType=())
     def stopMove(self):
         said("stopped")
+        self.stopped.set()
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def killAll(self):
+        said("killed")
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def wakeUp(self):
+        said("awake")
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def rest(self):
+        said("rests")
+
+    @qi.bind(returnType=qi.Void, paramsType=(ANY, ANY))
+    def setStiffnesses(self, names, stiffnesses):
+        said("stiffnesses %s %s" % (names, stiffnesses))
 
     @qi.bind(returnType=qi.Bool, paramsType=(qi.Int32,))
     def killTask(self, task):
@@ -116,6 +137,61 @@ class ALLeds:
         return ("Head", 0.25)
 
 
+@qi.multiThreaded()
+class ALAnimatedSpeech:
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def say(self, text):
+        said("animated " + text)
+
+
+@qi.multiThreaded()
+class ALRobotPosture:
+    @qi.bind(returnType=qi.Bool, paramsType=(qi.String, qi.Float))
+    def goToPosture(self, posture, speed):
+        said("posture %s %s" % (posture, speed))
+        return posture != "LyingBelly"
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def stopMove(self):
+        pass
+
+
+@qi.multiThreaded()
+class ALAutonomousLife:
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def setState(self, state):
+        said("life " + state)
+
+
+@qi.multiThreaded()
+class ALBehaviorManager:
+    def __init__(self):
+        self.stopped = threading.Event()
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def runBehavior(self, name):
+        said("behavior " + name)
+        self.stopped.clear()
+        self.stopped.wait(60)
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def stopBehavior(self, name):
+        said("stop " + name)
+        self.stopped.set()
+
+
+@qi.multiThreaded()
+class ALTabletService:
+    @qi.bind(returnType=qi.Bool, paramsType=(qi.String,))
+    def showWebview(self, url):
+        said("page " + url)
+        return True
+
+    @qi.bind(returnType=qi.Void, paramsType=())
+    def hideWebview(self):
+        said("no page")
+
+
 class Subscriber:
     def __init__(self):
         self.signal = qi.Signal("m")
@@ -135,7 +211,7 @@ class ALMemory:
 
     @qi.nobind
     def raise_event(self, key, value):
-        self.subscribers[key].signal(value)
+        self.subscriber(key).signal(value)
 
 
 class Odd:
@@ -157,7 +233,22 @@ class Other:
         return "other"
 
 
-KINDS = {kind.__name__: kind for kind in (ALTextToSpeech, ALMotion, ALAnimationPlayer, ALLeds, ALMemory, Odd)}
+KINDS = {
+    kind.__name__: kind
+    for kind in (
+        ALAnimatedSpeech,
+        ALAnimationPlayer,
+        ALAutonomousLife,
+        ALBehaviorManager,
+        ALLeds,
+        ALMemory,
+        ALMotion,
+        ALRobotPosture,
+        ALTabletService,
+        ALTextToSpeech,
+        Odd,
+    )
+}
 
 
 class Robot:

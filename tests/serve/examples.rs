@@ -205,3 +205,30 @@ fn the_manuals_first_example_runs_as_pasted() {
     );
     assert!(ended.stdout.ends_with("Stopped.\n"), "{ended:?}");
 }
+
+#[test]
+fn init_prints_a_file_for_a_known_robot() {
+    for (robot, file) in [
+        ("nao", "nao.yaml"),
+        ("pepper", "pepper.yaml"),
+        ("misty", "misty.yaml"),
+        ("fetch", "ros1/fetch.yaml"),
+        ("care-o-bot-4", "ros1/care-o-bot-4.yaml"),
+        ("turtlebot3", "ros1/turtlebot3.yaml"),
+    ] {
+        let ended = Process::run(ztl().args(["serve", "--init", robot]));
+        let example = std::fs::read_to_string(project("examples/serve").join(file));
+        assert_eq!(
+            (ended.code, ended.stdout),
+            (Some(0), example.expect("an example"))
+        );
+    }
+    let ended = Process::run(ztl().args(["serve", "--init", "pepper2"]));
+    assert_eq!(ended.code, Some(2));
+    assert!(
+        ended.stderr.contains("care-o-bot-4, turtlebot3"),
+        "{ended:?}"
+    );
+    // Without it, a file is required.
+    assert_eq!(Process::run(ztl().arg("serve")).code, Some(2));
+}

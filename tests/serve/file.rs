@@ -110,7 +110,7 @@ fn the_manual_documents_every_key() {
     let scratch = Scratch::new();
     let file = written(
         &scratch,
-        "zzzzzz: 1\nstreams: {/a: {b: {zzzzzz: 1}}}\nscopes: {/a: {h: {c: {run: [sh], zzzzzz: 1, goal: {zzzzzz: 1}, abort: {zzzzzz: 1}}, d: {forward: {zzzzzz: 1}}}}}\n",
+        "zzzzzz: 1\nstreams: {/a: {b: {zzzzzz: 1}}}\nscopes: {/a: {h: {c: {run: [sh], zzzzzz: 1, goal: {zzzzzz: 1}, abort: {zzzzzz: 1}}, d: {forward: {zzzzzz: 1}}, e: {naoqi: A.b, zzzzzz: 1, abort: {zzzzzz: 1}}, f: {http: {zzzzzz: 1, post: 'http://a/', abort: {zzzzzz: 1}, progress: {zzzzzz: 1}}}}}}\n",
     );
     let ended = run(&[&file, "--check"]);
     let manual = std::fs::read_to_string(project("docs/serve.md")).expect("the manual");

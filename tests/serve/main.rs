@@ -12,6 +12,7 @@ mod floods;
 mod forward;
 mod gate;
 mod handlers;
+mod http;
 mod killed;
 mod lost_clients;
 mod many_tasks;

@@ -5,7 +5,8 @@ use ztl_std::Publisher;
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
 
 use crate::console::{
-    Console, DESCRIBED, ROBOT, certificate_and_key, drive, from_port, marks, node, passes, port, robot, web,
+    Console, DESCRIBED, ROBOT, certificate_and_key, drive, from_port, marks, node, passes, port,
+    robot, web,
 };
 
 /// Components that describe themselves with texts wider than a phone.

@@ -136,9 +136,18 @@ impl Client {
     /// [`CallError`] if it cannot be asked within `wait`.
     pub fn describe(&self, service: &str, wait: Duration) -> Result<Arc<MetaObject>, CallError> {
         let (sender, result) = channel();
-        let done = Box::new(move |result| drop(sender.send(result)));
-        self.send(Command::Describe(service.to_owned(), wait, done));
+        self.describe_then(service, wait, move |result| drop(sender.send(result)));
         result.recv().unwrap_or_else(|_| Err(stopped()))
+    }
+
+    /// Asks what a service says of itself, and calls `done` with the answer, or with why there is none within `wait`.
+    pub fn describe_then(
+        &self,
+        service: &str,
+        wait: Duration,
+        done: impl FnOnce(Result<Arc<MetaObject>, CallError>) + Send + 'static,
+    ) {
+        self.send(Command::Describe(service.to_owned(), wait, Box::new(done)));
     }
 
     /// The services that the directory lists now. Do not call this from a callback.

@@ -17,9 +17,10 @@ use crate::built_in::BUILT_INS;
 use crate::component_config::{ComponentConfig, TotalLimit};
 use crate::handler::{ScopeHandler, WILDCARD};
 use crate::kinds::{KINDS, LIST, WORD};
+use crate::naoqi;
 use crate::program::processes::ProcessRegistry;
 use crate::reader::{ComponentContext, ConfigReader};
-use crate::ros1::connection::{Connection, Ros1};
+use crate::ros1::connection::Connection;
 use crate::ros1::names::{UsedName, missing};
 use crate::stream::read::cannot_have_streams;
 use crate::stream::{StreamConfig, Streams};
@@ -47,6 +48,8 @@ pub struct Config {
     at_once: usize,
     /// The node of ROS 1, and the names there that the file uses.
     ros1: (Arc<Connection>, Vec<UsedName>),
+    /// The robot with NAOqi, and what of it the file uses.
+    naoqi: (Arc<naoqi::connection::Robot>, Vec<naoqi::names::Used>),
 }
 
 /// A scope and its handlers.
@@ -94,13 +97,7 @@ impl Config {
     /// # Errors
     /// As [`load`](Self::load).
     pub fn read(document: &Document, base: &Path) -> Result<Self, Diagnostics> {
-        let mut reader = ConfigReader {
-            document,
-            base,
-            yaml: document.reading(),
-            warnings: Vec::new(),
-            ros1: Ros1::default(),
-        };
+        let mut reader = ConfigReader::new(document, base);
         let config = reader.config(document.root());
         let mut config = reader.yaml.finish(config)?;
         config.warnings = reader.warnings;
@@ -138,12 +135,15 @@ impl Config {
         Ok(())
     }
 
-    /// Asks the master of ROS 1 for the names that the file uses, and warns of those that are not there or of another
-    /// type. Blocks for some seconds if nodes do not answer.
+    /// Asks the master of ROS 1, and NAOqi, for the names that the file uses, and warns of those that are not there or of
+    /// another type. Blocks for some seconds if they do not answer.
     #[must_use]
     pub fn missing_names(&self) -> Vec<Diagnostic> {
         let (connection, names) = &self.ros1;
-        missing(connection, names)
+        let mut missing = missing(connection, names);
+        let (robot, used) = &self.naoqi;
+        missing.extend(naoqi::names::missing(robot, used));
+        missing
     }
 
     /// The number of streams of each scope that has any.
@@ -200,6 +200,12 @@ impl<'d> ConfigReader<'d> {
         if let Some(node) = fields.optional("ros1") {
             self.ros1(node);
         }
+        if let Some(node) = fields.optional("naoqi") {
+            self.naoqi(node);
+        }
+        if let Some(node) = fields.optional("http") {
+            self.http_hosts(node);
+        }
         let mut scopes = Vec::new();
         let example = "scopes: {/robot: {tts: {say: [espeak-ng, '{goal}']}}}";
         let streams_node = fields.optional("streams");
@@ -227,6 +233,10 @@ impl<'d> ConfigReader<'d> {
             ros1: (
                 Arc::clone(&self.ros1.connection),
                 std::mem::take(&mut self.ros1.names),
+            ),
+            naoqi: (
+                Arc::clone(&self.naoqi.robot),
+                std::mem::take(&mut self.naoqi.used),
             ),
             at_once: at_once.unwrap_or(AT_ONCE),
         })

@@ -17,7 +17,7 @@ use ztl_std::server::TaskReporter;
 use crate::call::Call;
 use crate::mailbox::Mailbox;
 use crate::program::processes::{Process, ProcessRegistry};
-use crate::ros1;
+use crate::{naoqi, ros1};
 
 /// How long an abort may take on a thread or in another server once this server stops.
 pub(crate) const STOP_TIME: Duration = Duration::from_millis(1500);
@@ -170,6 +170,8 @@ pub(crate) enum JobEvent {
     AbortNotStarted(String),
     /// The node of ROS 1 reports this.
     Ros1(ros1::Event),
+    /// The client of NAOqi reports this.
+    Naoqi(naoqi::Event),
 }
 
 /// Messages to the supervisor, or to the thread of all streams, which gets neither `Start` nor `Abort`.

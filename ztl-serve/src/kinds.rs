@@ -6,7 +6,7 @@ use ztl_yaml::{Fields, Node};
 
 use crate::kind::Kind;
 use crate::reader::{ComponentContext, ConfigReader};
-use crate::{built_in, forward, program, ros1};
+use crate::{built_in, forward, http, naoqi, program, ros1};
 
 /// Reads a kind's settings: the value of its key, and more keys of the same mapping. In a short form there is no
 /// mapping.
@@ -18,7 +18,7 @@ pub(crate) type ReadKind = for<'d> fn(
 ) -> Option<Arc<dyn Kind>>;
 
 /// Each kind by its key in the file.
-pub(crate) const KINDS: [(&str, ReadKind); 9] = [
+pub(crate) const KINDS: [(&str, ReadKind); 11] = [
     ("run", program::read::read),
     ("shell", program::read::read_shell),
     ("built-in", built_in::read),
@@ -28,6 +28,8 @@ pub(crate) const KINDS: [(&str, ReadKind); 9] = [
     ("ros1-publish", ros1::publish::read),
     ("ros1-service", ros1::service::read),
     ("ros1-parameter", ros1::parameter::read),
+    ("naoqi", naoqi::call::read),
+    ("http", http::task::read),
 ];
 
 /// A component that is a list: `run`.

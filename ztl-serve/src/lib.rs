@@ -26,6 +26,8 @@
 //! | `built_in` | `built-in`: `echo` and others |
 //! | `forward` | `forward`: another ZTL server |
 //! | `ros1` | `ros1-action` and others: a robot with ROS 1 |
+//! | `naoqi` | `naoqi`: methods of NAO and Pepper |
+//! | `http` | `http`: requests to a robot with an HTTP interface |
 //!
 //! `stream` has the programs whose output is published: `worker` runs them as jobs, like those of tasks.
 
@@ -39,18 +41,21 @@ mod config;
 mod far_descriptions;
 mod forward;
 mod handler;
+mod http;
 mod human;
 mod jobs;
 mod kind;
 mod kinds;
 mod log;
 mod mailbox;
+mod naoqi;
 mod program;
 mod reader;
 mod ros1;
 mod stream;
 mod supervisor;
 mod thread_job;
+mod value_template;
 
 pub use config::{Config, Scope};
 pub use handler::ScopeHandler;

@@ -139,7 +139,7 @@ impl Job for ProgramJob {
             JobEvent::Started(Ok(process)) => self.on_started(now, process, effects),
             JobEvent::Started(Err(reason)) => effects.push(Effect::End(Outcome::Rejected(reason))),
             JobEvent::AbortNotStarted(reason) => self.on_abort_not_started(&reason),
-            JobEvent::Ros1(_) => {}
+            JobEvent::Ros1(_) | JobEvent::Naoqi(_) => {}
         }
     }
 

@@ -7,6 +7,8 @@ use ztl_yaml::{Diagnostic, Document, Node, Reading};
 
 use ztl_std::describe::GoalRule;
 
+use crate::http::hosts::Hosts;
+use crate::naoqi::connection::Naoqi;
 use crate::ros1::connection::Ros1;
 
 /// A file that is being read.
@@ -17,6 +19,8 @@ pub(crate) struct ConfigReader<'d> {
     pub(crate) yaml: Reading<'d>,
     pub(crate) warnings: Vec<Diagnostic>,
     pub(crate) ros1: Ros1,
+    pub(crate) naoqi: Naoqi,
+    pub(crate) http: Hosts,
 }
 
 /// What is known of a component when its kind is read.
@@ -28,6 +32,19 @@ pub(crate) struct ComponentContext<'a> {
 }
 
 impl<'d> ConfigReader<'d> {
+    /// A reader at the beginning of a document; paths are relative to `base`.
+    pub(crate) fn new(document: &'d Document, base: &'d Path) -> Self {
+        Self {
+            document,
+            base,
+            yaml: document.reading(),
+            warnings: Vec::new(),
+            ros1: Ros1::default(),
+            naoqi: Naoqi::default(),
+            http: Hosts::default(),
+        }
+    }
+
     /// The entries of a mapping, which must not be empty.
     pub(crate) fn non_empty(&mut self, node: &'d Node, what: &str) -> &'d [(Node, Node)] {
         let pairs = self.yaml.pairs(node, what);

@@ -1,9 +1,10 @@
-//! Streams: programs whose output is published, frame by frame, and topics of ROS 1.
+//! Streams: programs whose output is published, frame by frame, topics of ROS 1, and signals of NAOqi.
 
 mod outlet;
 pub(crate) mod read;
 mod source;
 pub(crate) mod splitter;
+pub(crate) mod waiting;
 mod worker;
 
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::time::Duration;
 
 pub use worker::Streams;
 
+use crate::naoqi::signal::Signal;
 use crate::program::settings::Program;
 use crate::ros1::topic::Topic;
 use splitter::Framing;
@@ -39,6 +41,8 @@ pub(crate) enum Origin {
     Program(Arc<Program>),
     /// A topic of ROS 1.
     Topic(Arc<Topic>),
+    /// A signal of NAOqi.
+    Signal(Arc<Signal>),
 }
 
 impl StreamConfig {

@@ -1,5 +1,7 @@
 //! `ztl serve`: serves scripts and command-line tools as handlers of a task server.
 
+mod robots;
+
 use std::ffi::OsString;
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -16,15 +18,15 @@ use crate::listen_options::{
 };
 use crate::option_values::scope_to_serve;
 use crate::systemd::Service;
-use crate::terminal::{error_line, error_part, line};
+use crate::terminal::{error_line, error_part, line, part};
 use crate::{log, signals};
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "An option overrides FILE.")]
 pub(crate) struct Serve {
     /// Configuration in YAML: which program does which task (docs/serve.md)
-    #[arg(value_name = "FILE")]
-    file: PathBuf,
+    #[arg(value_name = "FILE", required_unless_present = "init")]
+    file: Option<PathBuf>,
 
     /// Scope to serve, such as /robot, instead of the file's only one
     #[arg(short, long, value_parser = scope_to_serve)]
@@ -36,6 +38,10 @@ pub(crate) struct Serve {
     /// Only check the file
     #[arg(long)]
     check: bool,
+
+    /// Only print a file to begin with: ztl serve --init nao > robot.yaml
+    #[arg(long, value_name = "ROBOT", value_parser = robots::names(), exclusive = true)]
+    init: Option<String>,
 }
 
 /// The watchdog's subcommand.
@@ -84,6 +90,10 @@ impl Watchdog {
 
 impl Serve {
     pub(crate) fn run(self) -> Done {
+        if let Some(robot) = &self.init {
+            part(robots::file(robot));
+            return Ok(ExitCode::SUCCESS);
+        }
         let check = self.check;
         let (mut config, place) = match self.plan() {
             Ok(plan) => plan,
@@ -118,8 +128,10 @@ impl Serve {
 
     /// Combines the file and the options.
     fn plan(self) -> Result<(Config, ListenPlace), ConfigError> {
-        let mut config = Config::load(&self.file).map_err(ConfigError::File)?;
-        let file = self.file.display().to_string();
+        // Without a file there is `--init`.
+        let path = self.file.unwrap_or_default();
+        let mut config = Config::load(&path).map_err(ConfigError::File)?;
+        let file = path.display().to_string();
         if let Some(name) = &self.scope {
             match config.scope_names().len() {
                 1 => config

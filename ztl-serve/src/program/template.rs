@@ -121,28 +121,47 @@ impl Template {
         first.is_some_and(|part| part.is_open(rule, wild))
     }
 
+    /// It with `x` for each placeholder.
+    #[cfg(feature = "http")]
+    pub(crate) fn sample(&self) -> String {
+        let parts = self.0.iter().map(|part| match part {
+            Part::Text(text) => text,
+            _ => "x",
+        });
+        parts.collect()
+    }
+
     /// The argument for a task.
     pub(crate) fn fill(&self, call: &Call) -> Result<String, String> {
+        self.fill_with(call, |value| Ok(value.to_owned()))
+    }
+
+    /// The same, with each placeholder's value passed through `encode`.
+    pub(crate) fn fill_with(
+        &self,
+        call: &Call,
+        encode: impl Fn(&str) -> Result<String, String>,
+    ) -> Result<String, String> {
         let mut filled = String::new();
         for part in &self.0 {
-            match part {
-                Part::Text(text) => filled.push_str(text),
-                Part::Goal(path) if path.is_empty() => filled.push_str(&call.goal.text),
-                Part::Goal(path) => {
-                    let value = field(call, path);
-                    let lacking = || {
-                        let path = path.join(".");
-                        format!(
-                            "the goal has no '{path}'; this task needs a goal with that field or item"
-                        )
-                    };
-                    filled.push_str(&value.ok_or_else(lacking)?);
+            let value = match part {
+                Part::Text(text) => {
+                    filled.push_str(text);
+                    continue;
                 }
-                Part::Handler => filled.push_str(&call.handler),
-                Part::Component => filled.push_str(&call.component),
-                Part::Id => filled.push_str(&call.id.to_string()),
-                Part::Scope => filled.push_str(&call.scope),
-            }
+                Part::Goal(path) if path.is_empty() => call.goal.text.clone(),
+                Part::Goal(path) => field(call, path).ok_or_else(|| {
+                    let path = path.join(".");
+                    format!(
+                        "the goal has no '{path}'; this task needs a goal with that field or item"
+                    )
+                })?,
+                Part::Handler => call.handler.clone(),
+                Part::Component => call.component.clone(),
+                Part::Id => call.id.to_string(),
+                Part::Scope => call.scope.clone(),
+            };
+            filled.push_str(&encode(&value)?);
         }
         Ok(filled)
     }

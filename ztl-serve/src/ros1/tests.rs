@@ -493,7 +493,7 @@ fn topics_are_streams_with_their_messages_as_frames() {
         ),
         (
             "{ros1-topic: /battery, type: sensor_msgs/BatteryState, frame: json}",
-            "each message of a topic is a frame; leave this out",
+            "each message is a frame; leave this out",
         ),
         (
             "{ros1-topic: /battery}",

@@ -1,6 +1,5 @@
 //! `ros1-topic`: the messages of a topic as a stream.
 
-use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -13,9 +12,7 @@ use super::shown::has;
 use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
 use crate::reader::ConfigReader;
 use crate::stream::splitter::Framing;
-
-/// The most bytes of messages that wait for the thread of all streams. Then the oldest is dropped.
-const MOST_WAITING: usize = 16 << 20;
+use crate::stream::waiting::Waiting;
 
 /// A topic of a robot.
 #[derive(Debug)]
@@ -89,25 +86,6 @@ impl Topic {
     }
 }
 
-/// Messages that were received and not passed on.
-#[derive(Debug, Default)]
-struct Waiting {
-    messages: VecDeque<Vec<u8>>,
-    bytes: usize,
-}
-
-impl Waiting {
-    fn push(&mut self, message: &[u8]) {
-        self.bytes += message.len();
-        self.messages.push_back(message.to_vec());
-        while self.bytes > MOST_WAITING
-            && let Some(oldest) = self.messages.pop_front()
-        {
-            self.bytes -= oldest.len();
-        }
-    }
-}
-
 /// A subscription for a stream.
 pub(crate) struct TopicJob {
     topic: Arc<Topic>,
@@ -124,9 +102,7 @@ impl TopicJob {
         let subscription = topic.connection.node().and_then(|node| {
             let on_message = move |_: &str, bytes: &[u8]| {
                 let mut waiting = shared.lock().unwrap_or_else(PoisonError::into_inner);
-                let was_empty = waiting.messages.is_empty();
-                waiting.push(bytes);
-                if was_empty {
+                if waiting.push(bytes.to_vec()) {
                     context.mailbox.wake();
                 }
             };
@@ -160,29 +136,9 @@ impl Job for TopicJob {
             return effects.push(Effect::End(Outcome::Failed(reason.clone())));
         }
         let waiting = self.waiting.lock();
-        let waiting = std::mem::take(&mut *waiting.unwrap_or_else(PoisonError::into_inner));
-        for message in waiting.messages {
+        let messages = waiting.unwrap_or_else(PoisonError::into_inner).take();
+        for message in messages {
             effects.push(Effect::Output(self.topic.output(&message)));
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_slow_stream_keeps_the_newest_messages() {
-        let mut waiting = Waiting::default();
-        for count in 0..20 {
-            waiting.push(&vec![count; 1 << 20]);
-        }
-        assert_eq!(waiting.messages.len(), 16);
-        assert_eq!(
-            waiting.messages.front().map(|it| it.first().copied()),
-            Some(Some(4))
-        );
-        waiting.push(&vec![0; MOST_WAITING + 1]);
-        assert!(waiting.messages.is_empty());
     }
 }

@@ -101,13 +101,24 @@ impl<'d> ConfigReader<'d> {
             .yaml
             .fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
         let topic_node = fields.optional("ros1-topic");
-        let frame = match topic_node {
+        let signals = ["naoqi-event", "naoqi-signal"].map(|key| Some((key, fields.optional(key)?)));
+        let mut messages = signals
+            .iter()
+            .flatten()
+            .map(|(_, node)| *node)
+            .chain(topic_node);
+        let message_node = messages.next();
+        if let Some(second) = messages.next() {
+            let message = "give only one of: ros1-topic, naoqi-event, naoqi-signal";
+            self.yaml.wrong(second, message);
+        }
+        let frame = match message_node {
             Some(_) => fields.optional("frame"),
             None => fields.required("frame", "frame: line"),
         };
         let framing = frame.and_then(|node| self.framing(node));
-        if let (Some(_), Some(node)) = (topic_node, frame) {
-            let message = "each message of a topic is a frame; leave this out";
+        if let (Some(_), Some(node)) = (message_node, frame) {
+            let message = "each message is a frame; leave this out";
             self.yaml.wrong(node, message);
         }
         let longest_node = fields.optional("longest");
@@ -123,18 +134,24 @@ impl<'d> ConfigReader<'d> {
         let when_watched = fields.optional("when-watched");
         let why = "subscribers that come and go would start the program too often";
         let when_watched = when_watched.and_then(|node| self.at_least_a_second(node, why));
-        let origin = match topic_node {
-            Some(node) => self
+        let signal = signals.into_iter().flatten().next();
+        let origin = match (topic_node, signal) {
+            (Some(node), _) => self
                 .ros1_topic(node, &mut fields)
                 .map(Arc::new)
                 .map(Origin::Topic),
-            None => {
+            (None, Some((key, node))) => self
+                .naoqi_signal(key, node)
+                .map(Arc::new)
+                .map(Origin::Signal),
+            (None, None) => {
                 let program = program::read::read_stream(self, node, &mut fields);
                 program.map(Arc::new).map(Origin::Program)
             }
         };
         let framing = match &origin {
             Some(Origin::Topic(topic)) => Some(topic.framing()),
+            Some(Origin::Signal(_)) => Some(Framing::Json),
             _ => framing,
         };
         fields.finish(&mut self.yaml);

@@ -18,6 +18,7 @@ use super::{Origin, StreamConfig};
 use crate::jobs;
 use crate::kind::{Effect, Job, JobContext, Message, StopReason};
 use crate::mailbox::{Inbox, Mailbox};
+use crate::naoqi::signal::SignalJob;
 use crate::program::ProgramJob;
 use crate::program::assignment::Assignment;
 use crate::program::processes::ProcessRegistry;
@@ -165,6 +166,7 @@ impl Worker {
                     ))
                 }
                 Origin::Topic(topic) => Box::new(TopicJob::new(topic, context)),
+                Origin::Signal(signal) => Box::new(SignalJob::new(signal, context)),
             };
             source.started(now, id, job);
         }

@@ -1,0 +1,234 @@
+//! One request and its answer. Whatever the server does, it ends within its time and takes bounded memory.
+
+use std::fmt;
+use std::io::{ErrorKind, Read as _};
+use std::time::{Duration, Instant};
+
+use ureq::http::{Method, Request, Uri};
+use ureq::{Agent, Body, Error, Timeout};
+use ztl_std::describe::GoalValue;
+
+use super::request::Filled;
+
+/// The longest answer that is read, in bytes.
+pub(super) const LONGEST: usize = 64 << 10;
+/// How long a connection may take to open.
+const CONNECT: Duration = Duration::from_secs(5);
+/// How many redirects are followed.
+const REDIRECTS: usize = 3;
+
+/// An answer.
+#[derive(Debug)]
+pub(super) struct Answer {
+    pub(super) status: u16,
+    body: Vec<u8>,
+    /// Whether it goes on after `body`.
+    cut: bool,
+    value: Option<GoalValue>,
+}
+
+/// Why there is no answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct NoAnswer {
+    pub(super) reason: String,
+    /// Whether the server may have done what was asked.
+    pub(super) sent: bool,
+}
+
+impl fmt::Display for NoAnswer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.reason)
+    }
+}
+
+impl Answer {
+    /// The value of a field of its JSON.
+    pub(super) fn field(&self, path: &[String]) -> Option<GoalValue> {
+        let value = self.value.as_ref();
+        value
+            .and_then(|value| path.iter().try_fold(value, |value, key| value.part(key)))
+            .cloned()
+    }
+
+    /// The whole answer: JSON as the original writes values, or its text.
+    pub(super) fn text(&self) -> String {
+        let written = self.value.as_ref().and_then(|value| value.to_text().ok());
+        let mut text = written.unwrap_or_else(|| {
+            let text = String::from_utf8_lossy(&self.body);
+            text.trim_end().to_owned()
+        });
+        if self.cut {
+            text.push_str(" … (cut)");
+        }
+        text
+    }
+}
+
+/// Sends a request, and waits for its answer until `until`. Redirects are followed to the same host only, and only where
+/// that does not repeat something that was done.
+pub(super) fn exchange(request: &Filled, until: Instant) -> Result<Answer, NoAnswer> {
+    let mut uri = request.uri.clone();
+    for _ in 0..=REDIRECTS {
+        let mut answer = send(request, &uri, until)?;
+        let status = answer.status().as_u16();
+        let same_method = matches!(status, 307 | 308)
+            || (request.method == Method::GET && matches!(status, 301..=303));
+        let location = answer.headers().get("location");
+        let location = location.and_then(|location| location.to_str().ok());
+        if !(same_method && location.is_some()) {
+            return read(status, answer.body_mut(), until);
+        }
+        let location = location.unwrap_or_default().to_owned();
+        uri = redirected(&uri, &location).ok_or_else(|| NoAnswer {
+            reason: format!("status {status} leads to '{location}', which is not on the same host"),
+            sent: false,
+        })?;
+    }
+    Err(NoAnswer {
+        reason: format!("it was redirected more than {REDIRECTS} times"),
+        sent: false,
+    })
+}
+
+fn send(
+    request: &Filled,
+    uri: &Uri,
+    until: Instant,
+) -> Result<ureq::http::Response<Body>, NoAnswer> {
+    let left = until.saturating_duration_since(Instant::now());
+    if left.is_zero() {
+        return Err(NoAnswer {
+            reason: "there was no time left for it".to_owned(),
+            sent: false,
+        });
+    }
+    let config = Agent::config_builder()
+        .http_status_as_error(false)
+        .max_redirects(0)
+        // An idle connection may be closed while a request is sent on it: then nobody could say what was done.
+        .max_idle_connections(0)
+        // A robot is in the same network.
+        .proxy(None)
+        .max_response_header_size(LONGEST)
+        .timeout_connect(Some(CONNECT.min(left)))
+        .timeout_global(Some(left))
+        .build();
+    let mut builder = Request::builder().method(request.method.clone()).uri(uri);
+    for (name, value) in &request.headers {
+        builder = builder.header(name, value);
+    }
+    let agent = Agent::new_with_config(config);
+    let answer = match &request.body {
+        Some(body) => {
+            let whole = builder.body(body.as_slice());
+            whole.map_err(Error::from).and_then(|it| agent.run(it))
+        }
+        None => {
+            let whole = builder.body(());
+            whole.map_err(Error::from).and_then(|it| agent.run(it))
+        }
+    };
+    answer.map_err(|error| no_answer(&error))
+}
+
+fn read(status: u16, body: &mut Body, until: Instant) -> Result<Answer, NoAnswer> {
+    let mut reader = body.as_reader();
+    let mut bytes = Vec::new();
+    let mut buffer = [0; 4096];
+    let incomplete = |reason: String| NoAnswer {
+        reason: format!("status {status}, and its answer did not end: {reason}"),
+        sent: true,
+    };
+    let mut cut = false;
+    loop {
+        // An answer that drips would otherwise never end.
+        if Instant::now() >= until {
+            return Err(incomplete("the time is over".to_owned()));
+        }
+        match reader.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(count) => {
+                bytes.extend_from_slice(buffer.get(..count).unwrap_or_default());
+                if bytes.len() > LONGEST {
+                    bytes.truncate(LONGEST);
+                    cut = true;
+                    break;
+                }
+            }
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return Err(incomplete(error.to_string())),
+        }
+    }
+    let value = match cut {
+        true => None,
+        false => serde_json::from_slice(&bytes).ok(),
+    };
+    Ok(Answer {
+        status,
+        body: bytes,
+        cut,
+        value,
+    })
+}
+
+/// Where a redirect leads, if that is on the same host.
+fn redirected(from: &Uri, location: &str) -> Option<Uri> {
+    let authority = from.authority()?;
+    let scheme = from.scheme_str()?;
+    let absolute = match location.starts_with('/') && !location.starts_with("//") {
+        true => format!("{scheme}://{authority}{location}"),
+        false => location.to_owned(),
+    };
+    let to: Uri = absolute.parse().ok()?;
+    let same = to.authority() == Some(authority) && to.scheme_str() == Some(scheme);
+    same.then_some(to)
+}
+
+fn no_answer(error: &Error) -> NoAnswer {
+    let refused = |kind| {
+        matches!(
+            kind,
+            ErrorKind::ConnectionRefused
+                | ErrorKind::HostUnreachable
+                | ErrorKind::NetworkUnreachable
+                | ErrorKind::AddrNotAvailable
+        )
+    };
+    let (sent, reason) = match error {
+        Error::HostNotFound => (false, "no such host".to_owned()),
+        Error::ConnectionFailed => (false, "cannot connect".to_owned()),
+        Error::Timeout(Timeout::Resolve) => (false, "its name was not found in time".to_owned()),
+        Error::Timeout(Timeout::Connect) => (false, "cannot connect in time".to_owned()),
+        Error::Timeout(_) => (true, "no answer in time".to_owned()),
+        Error::BadUri(_) | Error::Http(_) | Error::Tls(_) => (false, error.to_string()),
+        Error::Io(cause) if refused(cause.kind()) => (false, cause.to_string()),
+        Error::Io(cause) if cause.kind() == ErrorKind::UnexpectedEof => {
+            (true, "the server has closed the connection".to_owned())
+        }
+        Error::Io(cause) => (true, cause.to_string()),
+        _ => (true, error.to_string()),
+    };
+    NoAnswer { reason, sent }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn redirects_stay_on_their_host() {
+        let from: Uri = "http://10.0.0.7:80/a?b".parse().expect("an address");
+        for (location, to) in [
+            ("/c", Some("http://10.0.0.7:80/c")),
+            ("http://10.0.0.7:80/d", Some("http://10.0.0.7:80/d")),
+            ("http://10.0.0.8:80/d", None),
+            ("https://10.0.0.7:80/d", None),
+            ("//10.0.0.8/d", None),
+            ("c", None),
+            ("", None),
+        ] {
+            let found = redirected(&from, location).map(|uri| uri.to_string());
+            assert_eq!(found.as_deref(), to, "{location}");
+        }
+    }
+}

@@ -1,0 +1,48 @@
+//! Names for hosts, so that a robot's address is in one place: `http: {robot: 10.0.0.7}`.
+
+use std::collections::BTreeMap;
+
+use ztl_yaml::Node;
+
+use crate::reader::ConfigReader;
+
+/// The hosts, by the names that addresses use for them.
+pub(crate) type Hosts = BTreeMap<String, String>;
+
+/// What is wrong with a host, as it stands in an address, perhaps with its port.
+pub(super) fn mistake(host: &str) -> Option<String> {
+    let (name, port) = match host.rsplit_once(':') {
+        Some((name, port)) if !port.contains(']') => (name, Some(port)),
+        _ => (host, None),
+    };
+    let bare = name.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
+    let fits = |c: char| match bare {
+        Some(_) => c.is_ascii_hexdigit() || matches!(c, ':' | '.'),
+        None => c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_'),
+    };
+    let name = bare.unwrap_or(name);
+    let good_port = port.is_none_or(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
+    let good = good_port && !name.is_empty() && name.chars().all(fits);
+    (!good).then(|| format!("'{host}' is not a host, as 10.0.0.7 or robot.local:8080"))
+}
+
+impl<'d> ConfigReader<'d> {
+    /// Reads `http` at the top.
+    pub(crate) fn http_hosts(&mut self, node: &'d Node) {
+        for (name, host) in self.non_empty(node, "hosts, as robot: 10.0.0.7") {
+            let name = self.yaml.parsed(name, "a name, as robot", |text| {
+                let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
+                match !text.is_empty() && text.chars().all(fits) {
+                    true => Ok(text.to_owned()),
+                    false => Err(format!("'{text}' is not a name, as robot")),
+                }
+            });
+            let host = self.yaml.parsed(host, "a host, as 10.0.0.7", |text| {
+                mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+            });
+            if let (Some(name), Some(host)) = (name, host) {
+                self.http.insert(name, host);
+            }
+        }
+    }
+}

@@ -1,0 +1,32 @@
+//! Robots with NAOqi, such as NAO and Pepper: their methods as tasks, their events and signals as streams.
+//!
+//! | file | what |
+//! |---|---|
+//! | `connection` | the client that all share, and `naoqi` at the top of the file |
+//! | `arguments` | arguments of methods, from YAML and a goal |
+//! | `names` | what of the file's services, methods and signals is not there |
+//! | `call` | `naoqi`: a call of a method |
+//! | `signal` | `naoqi-event` and `naoqi-signal`, streams |
+
+mod arguments;
+pub(crate) mod call;
+pub(crate) mod connection;
+pub(crate) mod names;
+pub(crate) mod signal;
+
+use std::sync::Arc;
+
+use ztl_naoqi::{CallError, Cancel, MetaObject, Value};
+
+/// What the client reports to a job.
+#[derive(Debug)]
+pub(crate) enum Event {
+    /// What the service says of itself.
+    Described(Result<Arc<MetaObject>, CallError>),
+    /// The call has ended.
+    Ended(Result<Value, CallError>),
+    /// The call that aborts it has ended.
+    AbortEnded(Result<Value, CallError>),
+    /// What has become of the wish to cancel the call.
+    Canceled(Cancel),
+}

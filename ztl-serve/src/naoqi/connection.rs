@@ -1,0 +1,207 @@
+//! The client of NAOqi that all components of a file share. It starts with the first that needs it.
+
+use std::fs;
+use std::io::Write as _;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tracing::{info, warn};
+use ztl_naoqi::{Client, Credentials, Endpoint, Event, Limits, Options};
+use ztl_yaml::{Node, NodeValue};
+
+use super::names::Used;
+use crate::log::LOG;
+use crate::reader::ConfigReader;
+
+/// Where NAOqi listens on the robot itself.
+const DIRECTORY: &str = "tcp://127.0.0.1:9559";
+
+/// The longest token, in bytes.
+const LONGEST_TOKEN: u64 = 4096;
+
+/// The robot, connected once that is needed.
+#[derive(Debug)]
+pub(crate) struct Robot {
+    /// An address that was checked.
+    directory: String,
+    /// The user, and the file with the token.
+    user: Option<(String, PathBuf)>,
+    client: Mutex<Option<Client>>,
+}
+
+/// What is needed to read the components of NAOqi.
+#[derive(Debug)]
+pub(crate) struct Naoqi {
+    pub(crate) robot: Arc<Robot>,
+    /// What of the robot the file uses.
+    pub(crate) used: Vec<Used>,
+}
+
+impl Default for Naoqi {
+    fn default() -> Self {
+        Self {
+            robot: Robot::new(DIRECTORY.to_owned(), None),
+            used: Vec::new(),
+        }
+    }
+}
+
+impl Robot {
+    fn new(directory: String, user: Option<(String, PathBuf)>) -> Arc<Self> {
+        Arc::new(Self {
+            directory,
+            user,
+            client: Mutex::new(None),
+        })
+    }
+
+    /// The client. It works also while the robot does not answer.
+    ///
+    /// # Errors
+    /// Why it cannot start.
+    pub(crate) fn client(&self) -> Result<Client, String> {
+        let mut client = self.client.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(client) = &*client {
+            return Ok(client.clone());
+        }
+        let credentials = self.user.as_ref().map(|(user, file)| {
+            Ok::<_, String>(Credentials {
+                user: user.clone(),
+                token: token(file)?,
+            })
+        });
+        let options = Options {
+            directory: Endpoint::parse(&self.directory)?,
+            credentials: credentials.transpose()?,
+            limits: Limits::default(),
+        };
+        let (directory, file) = (self.directory.clone(), self.user.clone());
+        let on_event = move |event| match event {
+            Event::Connected => info!(target: LOG, "Connected to NAOqi at {directory}."),
+            Event::Disconnected { reason } => {
+                warn!(target: LOG, "No connection to NAOqi, which is tried again: {reason}");
+            }
+            Event::NewToken(token) => {
+                if let Some((_, file)) = &file
+                    && let Err(error) = keep(file, &token)
+                {
+                    let file = file.display();
+                    warn!(target: LOG, "The robot has chosen a new token, and {file} cannot be written: {error}. Without it, the next start is refused.");
+                }
+            }
+            _ => {}
+        };
+        let started = Client::start(options, on_event).map_err(|error| error.to_string())?;
+        Ok(client.insert(started).clone())
+    }
+}
+
+/// Reads a token.
+fn token(file: &Path) -> Result<String, String> {
+    let text = fs::metadata(file).and_then(|about| match about.len() {
+        0..=LONGEST_TOKEN => fs::read_to_string(file),
+        _ => Err(std::io::Error::other("this is too long for a token")),
+    });
+    let text = text.map_err(|error| format!("{}: {error}", file.display()))?;
+    match text.trim() {
+        "" => Err(format!(
+            "{} is empty; write the robot's password into it",
+            file.display()
+        )),
+        token => Ok(token.to_owned()),
+    }
+}
+
+/// Replaces a token, so that the file has the old or the new one at any time.
+fn keep(file: &Path, token: &str) -> std::io::Result<()> {
+    let mut new = file.as_os_str().to_owned();
+    new.push(".new");
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create(true).truncate(true).mode(0o600);
+    let mut written = options.open(&new)?;
+    written.write_all(format!("{token}\n").as_bytes())?;
+    written.sync_all()?;
+    fs::rename(&new, file)
+}
+
+impl<'d> ConfigReader<'d> {
+    /// Reads `naoqi` at the top: where the robot's service directory listens, and who this client is.
+    pub(crate) fn naoqi(&mut self, node: &'d Node) {
+        let what = "the address of NAOqi, as tcp://127.0.0.1:9559";
+        let mut user = None;
+        let directory = match &node.value {
+            NodeValue::Map(_) => {
+                let Some(mut fields) = self.yaml.fields(node, "directory, user, token") else {
+                    return;
+                };
+                let directory = fields.required("directory", "directory: tcp://127.0.0.1:9559");
+                let (name, file) = (fields.optional("user"), fields.optional("token"));
+                fields.finish(&mut self.yaml);
+                match (name, file) {
+                    (Some(name), Some(file)) => {
+                        let name = self.yaml.text(name, "a user, as nao");
+                        let path = self.yaml.text(file, "a file with the token");
+                        if let (Some(name), Some(path)) = (name, path) {
+                            let path = self.base.join(path);
+                            if let Err(mistake) = token(&path) {
+                                self.warn(file, format!("tasks will be rejected: {mistake}"));
+                            }
+                            user = Some((name.to_owned(), path));
+                        }
+                    }
+                    (Some(other), None) | (None, Some(other)) => {
+                        let message = "give both: user: nao, token: token.txt";
+                        self.yaml.wrong(other, message);
+                    }
+                    (None, None) => {}
+                }
+                directory
+            }
+            _ => Some(node),
+        };
+        let directory = directory.and_then(|node| {
+            let parsed = |text: &str| Endpoint::parse(text).map(|endpoint| endpoint.to_string());
+            self.yaml.parsed(node, what, parsed)
+        });
+        if let Some(directory) = directory {
+            self.naoqi.robot = Robot::new(directory, user);
+        }
+    }
+
+    /// Reads a name with its service, as `ALMotion.moveTo`.
+    pub(super) fn naoqi_name(&mut self, node: &'d Node, what: &str) -> Option<(String, String)> {
+        self.yaml.parsed(node, what, |text| {
+            let wrong = || format!("'{text}' is not {what}");
+            let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
+            let (service, name) = text.split_once('.').ok_or_else(wrong)?;
+            // A method may be followed by its signature.
+            let bare = name.split_once("::").map_or(name, |(name, _)| name);
+            let good = |part: &str| !part.is_empty() && part.chars().all(fits);
+            match good(service) && good(bare) {
+                true => Ok((service.to_owned(), name.to_owned())),
+                false => Err(wrong()),
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_token_replaces_the_old_one_and_only_its_owner_may_read_it() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let scratch = ztl_tests::lab::Scratch::new();
+        let file = scratch.path("token.txt");
+        assert!(token(&file).is_err_and(|it| it.contains("token.txt: No such file")));
+        keep(&file, "first").expect("to write");
+        keep(&file, "second").expect("to write");
+        assert_eq!(token(&file).as_deref(), Ok("second"));
+        let mode = fs::metadata(&file).expect("a file").permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        fs::write(&file, " \n").expect("to write");
+        assert!(token(&file).is_err_and(|it| it.contains("is empty")));
+    }
+}
