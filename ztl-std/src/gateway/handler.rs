@@ -77,11 +77,16 @@ impl Gateway {
     }
 
     /// Serves a device under a name. It need not be there yet: its line is opened when possible, and reopened when
-    /// it breaks. A second device with the same name replaces the first.
+    /// it breaks. A second device with the same name replaces the first. The nodes of a shared line become devices `name.NODE`
+    /// when they are found.
     ///
     /// # Errors
     /// The system's error if it has no more threads.
     pub fn add(&mut self, name: &str, endpoint: Endpoint) -> io::Result<()> {
+        if matches!(endpoint, Endpoint::Bus { .. }) {
+            self.devices.remove(name);
+            return self.devices.add(name, endpoint).map_err(io::Error::other);
+        }
         self.serve(name, endpoint.into())
     }
 
@@ -101,6 +106,7 @@ impl Gateway {
             baud: None,
             may_be_half_open: false,
             path: None,
+            seat: None,
             open: Arc::new(open),
         };
         self.serve(name, opener)
