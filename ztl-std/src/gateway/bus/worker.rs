@@ -12,7 +12,7 @@ use ztl_link::bus::{Bus, BusEvent, Found};
 
 use super::nodes::{Node, Nodes};
 use super::port::Ports;
-use super::{Input, Seat, LineStatus};
+use super::{Input, LineStatus, Seat};
 use crate::gateway::device::{LineEvent, run_line};
 use crate::gateway::devices::Devices;
 use crate::gateway::endpoint::{Line, READ_TIMEOUT};
