@@ -46,6 +46,15 @@ impl DeviceMap {
         self.served.get(name).or_else(|| self.retired.get(name))
     }
 
+    /// Whether a device that is not served may be a node of a shared line that was not found yet.
+    pub(super) fn is_expected(&self, name: &str) -> bool {
+        let of = |bus: &String| {
+            name.strip_prefix(bus)
+                .is_some_and(|rest| rest.starts_with('.'))
+        };
+        self.lines.keys().any(of)
+    }
+
     /// All devices.
     pub(super) fn all(&self) -> impl Iterator<Item = &Device> {
         self.served.values().chain(self.retired.values())

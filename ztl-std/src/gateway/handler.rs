@@ -131,7 +131,9 @@ impl Gateway {
             if map.device(&name).is_some() {
                 continue;
             }
-            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal but is no longer served.");
+            if !map.is_expected(&name) {
+                warn!(target: GATEWAY, "Device '{name}' has tasks in the journal but is no longer served.");
+            }
             // Without a thread its tasks stay unended.
             if let Ok(device) = self.devices.spawn(&map, &name, None) {
                 map.retired.insert(name, device);
@@ -265,7 +267,7 @@ impl TaskHandler for Gateway {
         let (ended, unended) = (tasks.len(), map.unended.len());
         info!(target: GATEWAY, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
         tasks.extend(map.unended.values().map(|(device, task)| {
-            let text = if map.served.contains_key(device) {
+            let text = if map.served.contains_key(device) || map.is_expected(device) {
                 "device is not answering yet".to_owned()
             } else {
                 format!("device '{device}' is not served any more")
