@@ -103,6 +103,11 @@ impl Bus {
         self.members.insert(address, Member::new(now));
     }
 
+    /// Removes the node at an address: it is not asked any more.
+    pub fn remove(&mut self, address: u8) {
+        self.members.remove(&address);
+    }
+
     /// Queues frames for a node: what its session transmits. A newer command replaces an older one that was not sent.
     pub fn queue(&mut self, now: Instant, address: u8, bytes: &[u8]) {
         if let Some(member) = self.members.get_mut(&address) {

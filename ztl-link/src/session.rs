@@ -69,6 +69,11 @@ impl<J: SessionJournal> Session<J> {
         self
     }
 
+    /// Sets the node's address for the line that is opened next.
+    pub const fn set_address(&mut self, address: u8) {
+        self.address = address;
+    }
+
     /// What the session needs of a [`Bus`](crate::bus::Bus) now.
     #[must_use]
     pub fn bus_needs(&self) -> BusNeeds {

@@ -1,6 +1,7 @@
 //! Simulated devices: the real node of `ztl-mcu` with simulated motors, on a real byte stream.
 
 mod axis;
+mod bus;
 mod buttons;
 pub(crate) mod kind;
 mod power;
@@ -14,12 +15,13 @@ use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
+pub use bus::{Bus, BusNode, Switches};
 pub use buttons::Buttons;
 use kind::{Kind, UnknownKind};
 use power::{Input, Settings};
@@ -70,6 +72,7 @@ impl Device {
             kind,
             baud: None,
             record: None,
+            place: None,
         })
     }
 
@@ -95,7 +98,38 @@ impl Device {
     /// If the system has no more ptys or threads, or the link cannot be created.
     #[cfg(unix)]
     pub fn on_pty(self, link: Option<PathBuf>) -> io::Result<(Running, String)> {
-        let kind = self.0.kind;
+        self.machine().on_pty(link)
+    }
+
+    /// Starts it on a TCP listener, which accepts one connection at a time, and returns the address.
+    ///
+    /// # Errors
+    /// If it cannot listen on `address`.
+    pub fn on_tcp(self, address: &str) -> io::Result<(Running, SocketAddr)> {
+        self.machine().on_tcp(address)
+    }
+
+    fn machine(self) -> Machine {
+        Machine {
+            name: self.0.kind.name().to_owned(),
+            run: Box::new(move |inbox, _| power::run(&self.0, inbox)),
+        }
+    }
+}
+
+/// What runs at the end of a line, on a thread.
+struct Machine {
+    name: String,
+    run: Box<RunMachine>,
+}
+
+/// Runs on what is received; the sender is for its parts.
+type RunMachine = dyn FnOnce(&Receiver<Input>, &Sender<Input>) + Send;
+
+impl Machine {
+    #[cfg(unix)]
+    fn on_pty(self, link: Option<PathBuf>) -> io::Result<(Running, String)> {
+        let name = self.name.clone();
         let pty = Pty::new()?;
         let mut path = pty.path().to_owned();
         let link = link
@@ -105,31 +139,27 @@ impl Device {
             })
             .transpose()?;
         let line = pty.line()?;
-        let mut running = Running::power_on(self.0)?;
+        let mut running = Running::power_on(self)?;
         running._pty = Some((pty, link));
         let _ = running.inputs.send(Input::Line(Some(line.writer)));
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
         let pump = std::thread::Builder::new()
-            .name(format!("ztl-sim-{kind}-line"))
+            .name(format!("ztl-sim-{name}-line"))
             .spawn(move || forward(line.reader, &inputs, &stop))?;
         running.threads.push(pump);
         Ok((running, path))
     }
 
-    /// Starts it on a TCP listener, which accepts one connection at a time, and returns the address.
-    ///
-    /// # Errors
-    /// If it cannot listen on `address`.
-    pub fn on_tcp(self, address: &str) -> io::Result<(Running, SocketAddr)> {
-        let kind = self.0.kind;
+    fn on_tcp(self, address: &str) -> io::Result<(Running, SocketAddr)> {
+        let name = self.name.clone();
         let listener = TcpListener::bind(address)?;
         let address = listener.local_addr()?;
         // Must not block in accept, so that it can be stopped.
         listener.set_nonblocking(true)?;
-        let mut running = Running::power_on(self.0)?;
+        let mut running = Running::power_on(self)?;
         let (inputs, stop) = (running.inputs.clone(), Arc::clone(&running.stop));
         let serve = std::thread::Builder::new()
-            .name(format!("ztl-sim-{kind}-tcp"))
+            .name(format!("ztl-sim-{name}-tcp"))
             .spawn(move || serve_tcp(&listener, &inputs, &stop))?;
         running.threads.push(serve);
         Ok((running, address))
@@ -152,11 +182,12 @@ impl std::fmt::Debug for Running {
 }
 
 impl Running {
-    fn power_on(settings: Settings) -> io::Result<Self> {
+    fn power_on(machine: Machine) -> io::Result<Self> {
         let (inputs, inbox) = channel();
+        let of_parts = inputs.clone();
         let node = std::thread::Builder::new()
-            .name(format!("ztl-sim-{}", settings.kind))
-            .spawn(move || power::run(&settings, &inbox))?;
+            .name(format!("ztl-sim-{}", machine.name))
+            .spawn(move || (machine.run)(&inbox, &of_parts))?;
         Ok(Self {
             inputs,
             stop: Arc::new(AtomicBool::new(false)),
@@ -172,7 +203,13 @@ impl Running {
         Buttons(self.inputs.clone())
     }
 
-    /// Returns a function that resets the device: its power is cut and restored, its line stays.
+    /// The nodes, if it is a shared line.
+    #[must_use]
+    pub fn switches(&self) -> Switches {
+        Switches(self.inputs.clone())
+    }
+
+    /// Returns a function that resets the device, or all nodes: its power is cut and restored, its line stays.
     pub fn reset(&self) -> impl Fn() + Send + use<> {
         let inputs = self.inputs.clone();
         move || {

@@ -6,10 +6,12 @@ use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
+use ztl_mcu::bus::OnBus;
 use ztl_mcu::parameters::{SaveError, Storage, Tunable, Tuned, Tuning};
 use ztl_mcu::{Acting, Component, Components, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
+use super::bus::OnLine;
 use super::buttons::{Push, on_push};
 use super::kind::Kind;
 use super::record::{Record, Recorded};
@@ -23,6 +25,16 @@ pub(super) struct Settings {
     pub(super) kind: Kind,
     pub(super) baud: Option<u32>,
     pub(super) record: Option<Record>,
+    /// Its place on a shared line.
+    pub(super) place: Option<Place>,
+}
+
+/// A node's place on a shared line.
+#[derive(Debug, Clone)]
+pub(super) struct Place {
+    pub(super) name: String,
+    pub(super) id: u64,
+    pub(super) address: u8,
 }
 
 /// What happens to a running device.
@@ -32,12 +44,16 @@ pub(super) enum Input {
     Line(Option<Box<dyn Write + Send>>),
     /// A button is pushed; where the answer goes.
     Push(Push, Sender<Result<(), String>>),
+    /// For a simulated line.
+    OnLine(OnLine),
     Reset,
     Stop,
 }
 
 /// Bytes that the node produces at once.
 const PIECE: usize = 32;
+/// A whole frame: on a shared line nothing may come between its bytes.
+const WHOLE: usize = 320;
 /// Bytes that its serial port buffers, like a small ring in firmware.
 const AHEAD: u64 = 3 * PIECE as u64;
 /// The same in nanoseconds, for a line so fast that the ring would run empty before a busy system polls it
@@ -179,15 +195,33 @@ fn run_until_reset(
         component: Tuned::new((component,)).load(Saved(flash)),
         description,
     };
-    let name = device.kind.name();
+    let name = match &device.place {
+        Some(place) => &place.name,
+        None => device.kind.name(),
+    };
     let identity = Identity {
         // Its sensor sends as much as the line takes.
         reading_interval: Duration::ZERO,
         ..Identity::new(name, env!("CARGO_PKG_VERSION"), random())
     };
-    let mut node = Node::<_, 4, 256>::new(identity, Acting::new(component));
+    let components = Acting::new(component);
+    match &device.place {
+        None => serve(Node::new(identity, components), PIECE, inbox, port),
+        Some(place) => {
+            let components = OnBus::new(components, place.id, place.address);
+            serve(Node::new(identity, components), WHOLE, inbox, port)
+        }
+    }
+}
+
+fn serve(
+    mut node: Node<'_, impl Components, 4, 256>,
+    piece: usize,
+    inbox: &Receiver<Input>,
+    port: &mut Port,
+) -> bool {
     let mut pressed = None;
-    let mut buffer = [0; PIECE];
+    let mut buffer = vec![0; piece];
     loop {
         node.handle_timeout(now());
         let time = now();
@@ -211,6 +245,7 @@ fn run_until_reset(
                 let _ = done.send(on_push(&mut node, now(), &mut pressed, &push));
             }
             Ok(Input::Reset) => return true,
+            Ok(Input::OnLine(_)) => {}
             Err(RecvTimeoutError::Timeout) => {}
             Ok(Input::Stop) | Err(RecvTimeoutError::Disconnected) => return false,
         }

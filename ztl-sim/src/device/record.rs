@@ -13,25 +13,41 @@ use ztl_std::time::now;
 
 /// A file that receives a line for each event.
 #[derive(Debug, Clone)]
-pub(super) struct Record(Arc<Mutex<File>>);
+pub(super) struct Record {
+    file: Arc<Mutex<File>>,
+    /// Before the name of each component.
+    prefix: String,
+}
 
 impl Record {
     pub(super) fn new(file: File) -> Self {
-        Self(Arc::new(Mutex::new(file)))
+        Self {
+            file: Arc::new(Mutex::new(file)),
+            prefix: String::new(),
+        }
+    }
+
+    /// The same record, for a node with this name.
+    pub(super) fn of(&self, node: &str) -> Self {
+        Self {
+            file: Arc::clone(&self.file),
+            prefix: format!("{node}."),
+        }
     }
 
     /// Writes `12.345678 finger begins '40'`, with the time in seconds since this process started.
     pub(super) fn write(&self, component: &str, what: &str, goal: &str) {
         let time = now().as_micros();
         let mut line = format!(
-            "{}.{:06} {component} {what} ",
+            "{}.{:06} {}{component} {what} ",
             time / 1_000_000,
-            time % 1_000_000
+            time % 1_000_000,
+            self.prefix
         )
         .into_bytes();
         put_quoted(goal, &mut |bytes: &[u8]| line.extend_from_slice(bytes));
         line.push(b'\n');
-        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         if let Err(error) = file.write_all(&line) {
             // Otherwise it would look as if nothing had happened.
             tracing::error!("the device record is incomplete: {error}");

@@ -154,14 +154,17 @@ fn device<'d>(
             let rate = text.parse().ok().filter(|rate| *rate > 0);
             rate.ok_or_else(|| format!("'{text}' is not {BAUD_WANTED}"))
         });
-        match (&mut endpoint, rate) {
-            (Some(Endpoint::Serial { baud, .. }), Some(rate)) => *baud = rate,
-            (Some(_), Some(_)) => reading.wrong(node, "only a serial port has a line rate"),
-            _ => {}
+        if let (Some(endpoint), Some(rate)) = (&mut endpoint, rate)
+            && !endpoint.set_baud(rate)
+        {
+            reading.wrong(node, "only a serial port has a line rate");
         }
     }
     let mut path = None;
     if let Some(node) = elf {
+        if matches!(endpoint, Some(Endpoint::Bus { .. })) {
+            reading.wrong(node, BUS_HAS_NO_FIRMWARE);
+        }
         path = reading.parsed(node, "the firmware's ELF file", |text| {
             let path = base.join(text);
             match path.is_file() {
@@ -177,6 +180,9 @@ fn device<'d>(
     };
     Some((device, url))
 }
+
+/// Why a shared line has no ELF file.
+pub const BUS_HAS_NO_FIRMWARE: &str = "a shared line has no firmware of its own";
 
 /// The device that uses the same line.
 #[must_use]

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ztl_core::TaskId;
 
+use super::bus::{LineStatus, SharedLine};
 use super::device::{Device, OwnTasksCell};
 use super::endpoint::Endpoint;
 use super::journal::Journal;
@@ -33,6 +34,8 @@ pub(super) struct DeviceMap {
     pub(super) served: BTreeMap<String, Device>,
     /// Devices that are no longer served but may have tasks. A device that is served again keeps its tasks.
     pub(super) retired: BTreeMap<String, Device>,
+    /// Shared lines, whose nodes are devices.
+    pub(super) lines: BTreeMap<String, SharedLine>,
     /// Tasks of the journal without an end that were not resumed yet, with their device.
     pub(super) unended: HashMap<TaskId, (String, ztl_link::Restored)>,
 }
@@ -41,6 +44,15 @@ impl DeviceMap {
     /// A device, served or retired.
     pub(super) fn device(&self, name: &str) -> Option<&Device> {
         self.served.get(name).or_else(|| self.retired.get(name))
+    }
+
+    /// Whether a device that is not served may be a node of a shared line that was not found yet.
+    pub(super) fn is_expected(&self, name: &str) -> bool {
+        let of = |bus: &String| {
+            name.strip_prefix(bus)
+                .is_some_and(|rest| rest.starts_with('.'))
+        };
+        self.lines.keys().any(of)
     }
 
     /// All devices.
@@ -92,28 +104,69 @@ impl Devices {
     /// [`AddError`].
     pub fn add(&self, name: &str, endpoint: Endpoint) -> Result<(), AddError> {
         let mut map = self.lock();
+        if map.served.contains_key(name) || map.lines.contains_key(name) {
+            return Err(AddError::Served);
+        }
+        let Endpoint::Bus { wait, .. } = endpoint else {
+            return self.add_device(&mut map, name, endpoint.into());
+        };
+        let line = SharedLine::spawn(name, endpoint.into(), wait, self.clone());
+        let line = line.map_err(AddError::Thread)?;
+        map.lines.insert(name.to_owned(), line);
+        Ok(())
+    }
+
+    /// Adds a node that was found on the shared line `bus`, unless the line was removed meanwhile.
+    pub(super) fn add_node(
+        &self,
+        bus: &str,
+        name: &str,
+        opener: Opener,
+        status: &LineStatus,
+    ) -> Result<(), AddError> {
+        let mut map = self.lock();
+        if !map.lines.get(bus).is_some_and(|line| line.is(status)) {
+            return Ok(());
+        }
         if map.served.contains_key(name) {
             return Err(AddError::Served);
         }
+        self.add_device(&mut map, name, opener)?;
+        if let Some(line) = map.lines.get_mut(bus) {
+            line.devices.push(name.to_owned());
+        }
+        Ok(())
+    }
+
+    fn add_device(&self, map: &mut DeviceMap, name: &str, opener: Opener) -> Result<(), AddError> {
         map.retired.retain(|_, device| !device.is_unused());
-        let opener = endpoint.into();
         let device = match map.retired.remove(name) {
             Some(mut device) => {
                 device.serve(opener);
                 device
             }
             None => self
-                .spawn(&map, name, Some(opener))
+                .spawn(map, name, Some(opener))
                 .map_err(AddError::Thread)?,
         };
         map.served.insert(name.to_owned(), device);
         Ok(())
     }
 
-    /// Removes a device: aborts its tasks, and closes its line when they have ended. Returns whether there was
-    /// one.
+    /// Removes a device, or a shared line and its devices: aborts their tasks, and closes the line when they have ended.
+    /// Returns whether there was one.
     pub fn remove(&self, name: &str) -> bool {
         let mut map = self.lock();
+        let Some(line) = map.lines.remove(name) else {
+            return Self::retire(&mut map, name);
+        };
+        for device in &line.devices {
+            Self::retire(&mut map, device);
+        }
+        true
+    }
+
+    fn retire(map: &mut DeviceMap, name: &str) -> bool {
         let Some(device) = map.served.remove(name) else {
             return false;
         };
@@ -157,14 +210,15 @@ impl Devices {
         reading.map_err(|error| wrong(&error))
     }
 
-    /// A report on each device.
+    /// A report on each device, and on each shared line.
     #[must_use]
     pub fn reports(&self) -> DeviceReports {
         let map = self.lock();
         let devices = map.served.iter();
-        devices
-            .map(|(name, device)| (name.clone(), device.status().report(device.url())))
-            .collect()
+        let devices = devices.map(|(name, it)| (name.clone(), it.status().report(it.url())));
+        let lines = map.lines.iter();
+        let lines = lines.map(|(name, line)| (name.clone(), line.report()));
+        devices.chain(lines).collect()
     }
 
     /// The latest log of a device's firmware; `None` if there is no such device.

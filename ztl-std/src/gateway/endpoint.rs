@@ -7,6 +7,8 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ztl_link::bus::TURNAROUND;
+
 /// Default line rate of a serial port.
 pub const BAUD: u32 = 115_200;
 
@@ -34,6 +36,13 @@ pub enum Endpoint {
     },
     /// A device in this process.
     InProcess(InProcess),
+    /// A half-duplex line that several nodes share, such as RS-485.
+    Bus {
+        /// The serial port or the TCP connection.
+        line: Box<Self>,
+        /// How long after a question an answer may begin.
+        wait: Duration,
+    },
 }
 
 /// A device in this process, such as a simulated one.
@@ -89,6 +98,8 @@ pub enum EndpointError {
     Option {
         /// The text.
         found: String,
+        /// Whether it is an option of a shared line.
+        of_bus: bool,
     },
 }
 
@@ -97,13 +108,18 @@ impl std::fmt::Display for EndpointError {
         match self {
             Self::Scheme { found } => write!(
                 f,
-                "unknown kind of device '{found}'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT"
+                "unknown kind of device '{found}'; use serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT, or rs485:/dev/ttyUSB0?baud=115200 for a shared line"
             ),
             Self::Incomplete { expected } => write!(f, "incomplete; use {expected}"),
-            Self::Option { found } => {
+            Self::Option { found, of_bus } => {
+                let and = if *of_bus {
+                    " or ?wait=8, the milliseconds until an answer begins, 8 to 250"
+                } else {
+                    ""
+                };
                 write!(
                     f,
-                    "'{found}' is not an option of a serial port; use ?baud=115200"
+                    "'{found}' is not an option of a serial port; use ?baud=115200{and}"
                 )
             }
         }
@@ -118,7 +134,8 @@ impl FromStr for Endpoint {
     fn from_str(text: &str) -> Result<Self, EndpointError> {
         let (scheme, rest) = text.split_once(':').unwrap_or((text, ""));
         match scheme {
-            "serial" => serial(rest),
+            "serial" => serial(rest, &mut None),
+            "rs485" => bus(rest),
             "tcp" => match rest.rsplit_once(':') {
                 Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => {
                     Ok(Self::Tcp {
@@ -136,7 +153,33 @@ impl FromStr for Endpoint {
     }
 }
 
-fn serial(rest: &str) -> Result<Endpoint, EndpointError> {
+/// The waits for an answer on a shared line, in milliseconds.
+const WAITS: std::ops::RangeInclusive<u64> = 8..=250;
+
+fn bus(rest: &str) -> Result<Endpoint, EndpointError> {
+    let mut wait = Some(TURNAROUND);
+    let line = match rest.strip_prefix("tcp:") {
+        Some(_) => {
+            let (address, options) = rest.split_once('?').unwrap_or((rest, ""));
+            // Its options are those of any shared line.
+            serial(&format!("x?{options}"), &mut wait)?;
+            address.parse()?
+        }
+        None => serial(rest, &mut wait).map_err(|error| match error {
+            EndpointError::Incomplete { .. } => EndpointError::Incomplete {
+                expected: "rs485:PATH, as rs485:/dev/ttyUSB0?baud=115200, or rs485:tcp:HOST:PORT",
+            },
+            error => error,
+        })?,
+    };
+    Ok(Endpoint::Bus {
+        line: Box::new(line),
+        wait: wait.unwrap_or(TURNAROUND),
+    })
+}
+
+/// A serial port. `wait` is that of a shared line.
+fn serial(rest: &str, wait: &mut Option<Duration>) -> Result<Endpoint, EndpointError> {
     let (path, options) = rest.split_once('?').unwrap_or((rest, ""));
     if path.is_empty() {
         return Err(EndpointError::Incomplete {
@@ -145,13 +188,22 @@ fn serial(rest: &str) -> Result<Endpoint, EndpointError> {
     }
     let mut baud = BAUD;
     for option in options.split('&').filter(|option| !option.is_empty()) {
-        baud = option
-            .strip_prefix("baud=")
-            .and_then(|rate| rate.parse().ok())
-            .filter(|rate| *rate > 0)
-            .ok_or_else(|| EndpointError::Option {
-                found: option.to_owned(),
-            })?;
+        let of_bus = wait.is_some();
+        let wrong = || EndpointError::Option {
+            found: option.to_owned(),
+            of_bus,
+        };
+        match (option.split_once('=').ok_or_else(wrong)?, wait.as_mut()) {
+            (("baud", rate), _) => {
+                let rate = rate.parse().ok().filter(|rate| *rate > 0);
+                baud = rate.ok_or_else(wrong)?;
+            }
+            (("wait", time), Some(wait)) => {
+                let time = time.parse().ok().filter(|time| WAITS.contains(time));
+                *wait = Duration::from_millis(time.ok_or_else(wrong)?);
+            }
+            _ => return Err(wrong()),
+        }
     }
     Ok(Endpoint::Serial {
         path: path.to_owned(),
@@ -165,6 +217,10 @@ impl std::fmt::Display for Endpoint {
             Self::Serial { path, .. } => write!(f, "serial:{path}"),
             Self::Tcp { address } => write!(f, "tcp:{address}"),
             Self::InProcess(device) => f.write_str(&device.name),
+            Self::Bus { line, .. } => match &**line {
+                Self::Serial { path, .. } => write!(f, "rs485:{path}"),
+                line => write!(f, "rs485:{line}"),
+            },
         }
     }
 }
@@ -240,6 +296,7 @@ impl Endpoint {
                 Err(last)
             }
             Self::InProcess(device) => (device.open)(),
+            Self::Bus { line, .. } => line.open(),
         }
     }
 
@@ -248,6 +305,8 @@ impl Endpoint {
         match (self, other) {
             (Self::Serial { path, .. }, Self::Serial { path: its, .. }) => path == its,
             (Self::Tcp { address }, Self::Tcp { address: its }) => address == its,
+            (Self::Bus { line, .. }, other) => line.is_same_line(other),
+            (line, Self::Bus { line: its, .. }) => line.is_same_line(its),
             _ => false,
         }
     }
@@ -256,8 +315,19 @@ impl Endpoint {
     pub(super) fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } => Some(*baud),
+            Self::Bus { line, .. } => line.baud(),
             _ => None,
         }
+    }
+
+    /// Sets the line rate. Returns whether the line has one.
+    pub(super) fn set_baud(&mut self, rate: u32) -> bool {
+        match self {
+            Self::Serial { baud, .. } => *baud = rate,
+            Self::Bus { line, .. } => return line.set_baud(rate),
+            _ => return false,
+        }
+        true
     }
 }
 
@@ -327,7 +397,25 @@ mod tests {
                 address: "localhost:7000".to_owned()
             })
         );
+        let bus = |line, wait| Endpoint::Bus {
+            line: Box::new(line),
+            wait: Duration::from_millis(wait),
+        };
+        assert_eq!(
+            "rs485:/dev/ttyUSB0?baud=9600&wait=20".parse(),
+            Ok(bus(serial("/dev/ttyUSB0", 9600), 20))
+        );
+        let address = "localhost:7000".to_owned();
+        assert_eq!(
+            "rs485:tcp:localhost:7000".parse(),
+            Ok(bus(Endpoint::Tcp { address }, 8))
+        );
         for (text, part) in [
+            ("rs485:", "rs485:/dev/ttyUSB0"),
+            ("rs485:tcp:7000", "tcp:HOST:PORT"),
+            ("rs485:/dev/x?wait=7", "?wait=8"),
+            ("rs485:tcp:localhost:7000?wait=251", "?wait=8"),
+            ("serial:/dev/x?wait=20", "'wait=20' is not"),
             ("usb:1", "serial:/dev/ttyACM0"),
             ("/dev/ttyACM0", "serial:/dev/ttyACM0"),
             ("serial:", "serial:PATH"),

@@ -77,11 +77,16 @@ impl Gateway {
     }
 
     /// Serves a device under a name. It need not be there yet: its line is opened when possible, and reopened when
-    /// it breaks. A second device with the same name replaces the first.
+    /// it breaks. A second device with the same name replaces the first. The nodes of a shared line become devices `name.NODE`
+    /// when they are found.
     ///
     /// # Errors
     /// The system's error if it has no more threads.
     pub fn add(&mut self, name: &str, endpoint: Endpoint) -> io::Result<()> {
+        if matches!(endpoint, Endpoint::Bus { .. }) {
+            self.devices.remove(name);
+            return self.devices.add(name, endpoint).map_err(io::Error::other);
+        }
         self.serve(name, endpoint.into())
     }
 
@@ -101,6 +106,7 @@ impl Gateway {
             baud: None,
             may_be_half_open: false,
             path: None,
+            seat: None,
             open: Arc::new(open),
         };
         self.serve(name, opener)
@@ -125,7 +131,9 @@ impl Gateway {
             if map.device(&name).is_some() {
                 continue;
             }
-            warn!(target: GATEWAY, "Device '{name}' has tasks in the journal but is no longer served.");
+            if !map.is_expected(&name) {
+                warn!(target: GATEWAY, "Device '{name}' has tasks in the journal but is no longer served.");
+            }
             // Without a thread its tasks stay unended.
             if let Ok(device) = self.devices.spawn(&map, &name, None) {
                 map.retired.insert(name, device);
@@ -259,7 +267,7 @@ impl TaskHandler for Gateway {
         let (ended, unended) = (tasks.len(), map.unended.len());
         info!(target: GATEWAY, "Journal {}: tasks without an end {unended}, ends remembered {ended}.", journal.path().display());
         tasks.extend(map.unended.values().map(|(device, task)| {
-            let text = if map.served.contains_key(device) {
+            let text = if map.served.contains_key(device) || map.is_expected(device) {
                 "device is not answering yet".to_owned()
             } else {
                 format!("device '{device}' is not served any more")

@@ -3,6 +3,7 @@
 //! Each device has a [session](ztl_link::Session) on its own thread, so a slow or dead device does not affect
 //! others. A client's `gripper:finger:40` goes to the device named `gripper`.
 
+mod bus;
 pub mod config;
 mod description;
 mod device;

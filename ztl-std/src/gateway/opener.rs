@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use super::bus::Seat;
 use super::endpoint::{Endpoint, Line};
 
 /// Opens a device's line, as often as needed.
@@ -17,6 +18,8 @@ pub(super) struct Opener {
     pub(super) may_be_half_open: bool,
     /// Its path in the file system, whose target may change.
     pub(super) path: Option<PathBuf>,
+    /// Its place, if it is a node of a shared line.
+    pub(super) seat: Option<Arc<Seat>>,
     pub(super) open: Arc<dyn Fn() -> io::Result<Line> + Send + Sync>,
 }
 
@@ -37,6 +40,7 @@ impl From<Endpoint> for Opener {
                 Endpoint::Serial { path, .. } => Some(PathBuf::from(path)),
                 _ => None,
             },
+            seat: None,
             open: Arc::new(move || endpoint.open()),
         }
     }

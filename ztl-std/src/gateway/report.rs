@@ -69,6 +69,25 @@ pub struct ComponentReport {
     pub is: Option<serde_json::Value>,
 }
 
+impl DeviceReport {
+    /// The report on a shared line, which has no components of its own.
+    pub(super) fn of_line(url: String, ready: bool, problem: Option<String>) -> Self {
+        Self {
+            url,
+            ready,
+            problem,
+            firmware: None,
+            components: Vec::new(),
+            link: LinkReport {
+                counters: LinkCounters::default(),
+                round_trip_p50_us: None,
+                round_trip_p99_us: None,
+                queue: 0,
+            },
+        }
+    }
+}
+
 /// Whether a device would take a task, by its description.
 pub(super) fn would_take(devices: &DeviceReports, spec: &TaskSpec<'_>) -> Result<(), String> {
     let names = |names: Vec<&str>| names.join(", ");

@@ -3,8 +3,10 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use ztl_std::gateway::config::{Config, DeviceConfig, name_mistake, same_line};
-use ztl_std::gateway::{READING_FORMATS, ReadingFormat};
+use ztl_std::gateway::config::{
+    BUS_HAS_NO_FIRMWARE, Config, DeviceConfig, name_mistake, same_line,
+};
+use ztl_std::gateway::{Endpoint, READING_FORMATS, ReadingFormat};
 
 use crate::journal_options::JournalOptions;
 use crate::listen_options::{ConfigError, ListenOptions, ListenPlace};
@@ -12,7 +14,7 @@ use crate::option_values::{one_of, scope_to_serve};
 
 #[derive(Debug, Clone, clap::Args)]
 #[command(
-    after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head\nAn option overrides what FILE says; devices are added to the file's."
+    after_help = "URLs: serial:/dev/ttyACM0?baud=115200 (or a pty's path), tcp:HOST:PORT, sim:gripper, sim:head,\n      rs485:/dev/ttyUSB0?baud=115200 (a shared line, whose nodes are devices NAME.NODE)\nAn option overrides what FILE says; devices are added to the file's."
 )]
 pub(crate) struct Gateway {
     /// Configuration in YAML: scope, port, devices and more (docs/gateway.md)
@@ -86,6 +88,10 @@ fn with_elfs(
             let mistake = format!("--elf: no device '{name}'; there are: {names}");
             return Err(ConfigError::Whole(mistake));
         };
+        if matches!(device.endpoint, Endpoint::Bus { .. }) {
+            let mistake = format!("--elf: '{name}': {BUS_HAS_NO_FIRMWARE}");
+            return Err(ConfigError::Whole(mistake));
+        }
         device.elf = Some(path);
     }
     for device in devices {

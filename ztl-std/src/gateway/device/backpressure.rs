@@ -7,7 +7,7 @@ use std::time::Duration;
 const MAX_CHUNKS: usize = 64;
 
 /// Allows one chunk to be queued, until it is dropped.
-pub(super) struct Permit(Arc<Backpressure>);
+pub(in crate::gateway) struct Permit(Arc<Backpressure>);
 
 /// Limits how many chunks are queued for a device's thread.
 #[derive(Default)]

@@ -1,12 +1,10 @@
 //! Messages to a device's thread.
 
-use std::io::{self, Write};
-
 use ztl_core::repr::put_quoted;
 use ztl_core::{TaskId, TaskSpec};
 use ztl_link::Restored;
 
-use super::backpressure::Permit;
+use super::line_reader::LineEvent;
 use crate::gateway::opener::Opener;
 use crate::server::{Claim, ReservedId, TaskReporter};
 use crate::task_request::TaskRequest;
@@ -23,11 +21,8 @@ pub(super) enum Input {
     Reserved(ReservedId),
     /// A request about parameters, with the text of its goal.
     Parameters(TaskReporter, String),
-    /// The line with this number is open.
-    Opened(u64, Box<dyn Write + Send>),
-    /// Bytes of the line with this number; the permit is dropped when they have been handled.
-    Bytes(u64, Vec<u8>, Permit),
-    Closed(u64, io::Error),
+    /// Of the line with this number.
+    Line(u64, LineEvent),
     /// Abort all tasks, reject new ones, and close the line when all have ended.
     Retire,
     /// Serve the device again, at this line.

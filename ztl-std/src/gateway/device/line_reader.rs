@@ -1,29 +1,40 @@
 //! The thread that reads a device's line.
 
-use std::io;
+use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
 
-use super::backpressure::Backpressure;
-use super::input::Input;
+use super::backpressure::{Backpressure, Permit};
 use crate::gateway::endpoint::is_pause;
 use crate::gateway::opener::Opener;
 
-/// Opens the line and passes on what arrives, until the line breaks or `stop` is set.
-pub(super) fn read_line(
-    number: u64,
+/// What happens to a line.
+pub(in crate::gateway) enum LineEvent {
+    Opened(Box<dyn Write + Send>),
+    /// Received bytes; the permit is dropped when they have been handled.
+    Bytes(Vec<u8>, Permit),
+    Closed(io::Error),
+}
+
+/// Opens the line and passes on what happens to it, until it breaks or `stop` is set. `put` returns whether anybody wants
+/// more.
+pub(in crate::gateway) fn run_line(
     opener: &Opener,
-    inputs: &Sender<Input>,
     stop: &AtomicBool,
-) -> io::Error {
+    put: impl Fn(LineEvent) -> bool,
+) {
+    let error = read_line(opener, stop, &put);
+    put(LineEvent::Closed(error));
+}
+
+fn read_line(opener: &Opener, stop: &AtomicBool, put: &impl Fn(LineEvent) -> bool) -> io::Error {
     let ended = || io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
     let mut line = match (opener.open)() {
         Ok(line) => line,
         Err(error) => return error,
     };
     let writer = std::mem::replace(&mut line.writer, Box::new(io::sink()));
-    if inputs.send(Input::Opened(number, writer)).is_err() {
+    if !put(LineEvent::Opened(writer)) {
         return ended();
     }
     let mut buffer = [0; 1024];
@@ -37,7 +48,7 @@ pub(super) fn read_line(
             Ok(0) => return ended(),
             Ok(count) => {
                 let bytes = buffer.get(..count).unwrap_or_default().to_vec();
-                if inputs.send(Input::Bytes(number, bytes, permit)).is_err() {
+                if !put(LineEvent::Bytes(bytes, permit)) {
                     break;
                 }
             }

@@ -19,6 +19,7 @@ use ztl_link::{Restored, Session};
 
 pub(super) use input::shown;
 use input::{DeviceRequest, Input};
+pub(super) use line_reader::{LineEvent, run_line};
 pub(super) use own::OwnTasksCell;
 use status::SharedStatus;
 use worker::Worker;

@@ -16,10 +16,11 @@ use ztl_core::{Instant, State, TaskId};
 use ztl_link::{LinkEvent, Session};
 
 use super::input::{DeviceRequest, Input};
-use super::line_reader::read_line;
+use super::line_reader::{LineEvent, run_line};
 use super::own::{EventLog, NextId, OwnTasksCell, STARTS};
 use super::parameters::Parameters;
 use super::status::SharedStatus;
+use crate::gateway::bus::Seat;
 use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
 use crate::gateway::journal::{DeviceJournal, JournalFile};
 use crate::gateway::logs::DeviceLog;
@@ -300,8 +301,9 @@ impl Worker {
         let spawned = std::thread::Builder::new()
             .name(format!("ztl-line-{}", self.name))
             .spawn(move || {
-                let error = read_line(number, &opener, &inputs, &stop);
-                let _ = inputs.send(Input::Closed(number, error));
+                run_line(&opener, &stop, |event| {
+                    inputs.send(Input::Line(number, event)).is_ok()
+                });
             });
         if let Err(error) = spawned {
             self.on_closed(&error);
@@ -352,19 +354,8 @@ impl Worker {
                 }
             },
             Input::Abort(id) => self.session.abort(now(), id),
-            Input::Opened(number, writer) if number == self.number => {
-                if let LineState::Opening { stop, .. } = &self.line {
-                    let stop = Arc::clone(stop);
-                    self.line = LineState::Open { writer, stop };
-                    self.target = self.opener.as_ref().and_then(Opener::target);
-                    self.session.handle_connected(now());
-                }
-            }
-            Input::Bytes(number, bytes, _permit) if number == self.number => {
-                self.session.handle_bytes(now(), &bytes);
-            }
-            Input::Closed(number, error) if number == self.number => self.on_closed(&error),
-            Input::Opened(..) | Input::Bytes(..) | Input::Closed(..) => {}
+            Input::Line(number, event) if number == self.number => self.on_line(event),
+            Input::Line(..) => {}
             Input::Retire => {
                 self.log
                     .log(now(), Severity::Info, " is not served any more.".to_owned());
@@ -382,6 +373,29 @@ impl Worker {
             }
             Input::Stop(leave_running) => self.on_stop(leave_running, now() + STOP),
         }
+    }
+
+    fn on_line(&mut self, event: LineEvent) {
+        match event {
+            LineEvent::Opened(writer) => {
+                if let LineState::Opening { stop, .. } = &self.line {
+                    let stop = Arc::clone(stop);
+                    self.line = LineState::Open { writer, stop };
+                    self.target = self.opener.as_ref().and_then(Opener::target);
+                    if let Some(seat) = self.seat() {
+                        let address = seat.address();
+                        self.session.set_address(address);
+                    }
+                    self.session.handle_connected(now());
+                }
+            }
+            LineEvent::Bytes(bytes, _permit) => self.session.handle_bytes(now(), &bytes),
+            LineEvent::Closed(error) => self.on_closed(&error),
+        }
+    }
+
+    fn seat(&self) -> Option<&Seat> {
+        self.opener.as_ref()?.seat.as_deref()
     }
 
     /// Why it rejects tasks, if it does.
@@ -458,6 +472,9 @@ impl Worker {
 
     pub(super) fn transmit(&mut self) {
         let bytes = self.session.poll_transmit();
+        if let Some(seat) = self.seat() {
+            seat.set_needs(self.session.bus_needs());
+        }
         if bytes.is_empty() {
             return;
         }

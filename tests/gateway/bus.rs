@@ -1,0 +1,184 @@
+//! A shared line behind the gateway: simulated nodes that speak one at a time, on a pty.
+
+use ztl_std::{RemoteTask, State, TaskId};
+use ztl_tests::lab::{
+    ABORTED, COMPLETED, LIMIT, PATIENCE, Process, Scratch, Server, connect, start, until, ztl,
+};
+
+/// A simulated line with a record of what its nodes did.
+struct Line {
+    process: Process,
+    scratch: Scratch,
+}
+
+impl Line {
+    fn of(nodes: &[&str]) -> Self {
+        let scratch = Scratch::new();
+        let mut command = ztl();
+        command.args(["device", "--bus", "--buttons", "--on"]);
+        command.arg(format!("pty:{}", scratch.path("line").display()));
+        command.arg("--record").arg(scratch.path("record"));
+        let process = Process::start(command.args(nodes));
+        process.wait_for("Serve it with");
+        Self { process, scratch }
+    }
+
+    /// For `ztl gateway --device`. Patient, since the threads of a busy system answer late.
+    fn device(&self) -> String {
+        let path = self.scratch.path("line");
+        format!("arm=rs485:{}?wait=100", path.display())
+    }
+
+    fn gateway(&self) -> (Server, RemoteTask) {
+        let gateway = Server::gateway(&[&self.device()]);
+        let remote = connect(&gateway.endpoint());
+        (gateway, remote)
+    }
+
+    /// How often something is in the record.
+    fn count(&self, what: &str) -> usize {
+        let record = std::fs::read_to_string(self.scratch.path("record")).expect("the record");
+        record.lines().filter(|line| line.contains(what)).count()
+    }
+}
+
+fn ended(remote: &mut RemoteTask, id: TaskId) -> State {
+    remote.wait(id, LIMIT).expect("an answer").state
+}
+
+#[test]
+fn tasks_of_the_original_client_run_once_on_many_nodes_at_once() {
+    let names: Vec<String> = (1..=14).map(|number| format!("n{number}")).collect();
+    let mut nodes: Vec<String> = names
+        .iter()
+        .zip(1..)
+        .map(|(name, address)| format!("{name}=sim:gripper@{address}"))
+        .collect();
+    // These two have no address.
+    nodes.extend(["top=sim:head".to_owned(), "low=sim:head".to_owned()]);
+    let nodes: Vec<&str> = nodes.iter().map(String::as_str).collect();
+    let line = Line::of(&nodes);
+    let (gateway, _) = line.gateway();
+    for name in names.iter().map(String::as_str).chain(["top", "low"]) {
+        gateway.wait_ready(&format!("arm.{name}"));
+    }
+    let mut client = gateway.original_client();
+    let tasks: Vec<(&str, i64)> = names
+        .iter()
+        .map(|name| {
+            let device = format!("arm.{name}");
+            (name.as_str(), client.start(&device, "finger", "90"))
+        })
+        .collect();
+    let turned = client.start("arm.low", "pan", "left");
+    let (_, aborted) = tasks[4];
+    client.abort(aborted);
+    for (name, id) in tasks {
+        let state = client.wait(id, 60.0).number;
+        let wanted = if id == aborted { ABORTED } else { COMPLETED };
+        assert_eq!(state, wanted, "{name}");
+        assert!(
+            line.count(&format!(" {name}.finger begins ")) <= 1,
+            "{name}"
+        );
+        if id != aborted {
+            assert_eq!(line.count(&format!(" {name}.finger begins ")), 1, "{name}");
+        }
+    }
+    assert_eq!(client.wait(turned, 60.0).number, COMPLETED);
+    assert_eq!(line.count(" low.pan begins "), 1);
+    assert_eq!(line.count(" top.pan begins "), 0);
+}
+
+#[test]
+fn a_node_that_dies_loses_its_task_alone_and_is_served_again() {
+    let mut line = Line::of(&["left=sim:gripper@1", "right=sim:gripper@2"]);
+    let (gateway, mut remote) = line.gateway();
+    gateway.wait_ready("arm.left");
+    gateway.wait_ready("arm.right");
+    let left = start(&mut remote, "arm.left", "finger", "100");
+    let right = start(&mut remote, "arm.right", "finger", "100");
+    line.process.write_line("left off");
+    assert_eq!(ended(&mut remote, left), State::Failed);
+    assert_eq!(ended(&mut remote, right), State::Completed);
+    gateway
+        .process
+        .wait_for("Device 'arm.left': device is not answering");
+    line.process.write_line("left on");
+    let again = until("it is served again", PATIENCE, || {
+        remote.trigger("arm.left", "finger", "10").ok()
+    });
+    let again = again.id.number().expect("a task id");
+    assert_eq!(ended(&mut remote, again), State::Completed);
+    assert_eq!(line.count(" left.finger begins '100'"), 1);
+    assert_eq!(line.count(" right.finger begins "), 1);
+    assert_eq!(line.count(" right.finger reset"), 0);
+}
+
+#[test]
+fn nodes_that_flood_leave_the_others_their_turns() {
+    let line = Line::of(&["a=sim:sensor@1", "b=sim:sensor@2", "hand=sim:gripper@3"]);
+    let (gateway, mut remote) = line.gateway();
+    for name in ["arm.a", "arm.b", "arm.hand"] {
+        gateway.wait_ready(name);
+    }
+    for goal in ["40", "0", "30"] {
+        let id = start(&mut remote, "arm.hand", "finger", goal);
+        assert_eq!(ended(&mut remote, id), State::Completed);
+    }
+    let id = start(&mut remote, "arm.hand", "finger", "100");
+    remote.abort(id).expect("it is asked to stop");
+    assert_eq!(ended(&mut remote, id), State::Aborted);
+    assert_eq!(line.count(" hand.finger begins "), 4);
+}
+
+#[test]
+fn two_nodes_with_one_address_are_named_and_do_not_disturb_the_third() {
+    let line = Line::of(&[
+        "left=sim:gripper@3",
+        "right=sim:gripper@3",
+        "top=sim:head@4",
+    ]);
+    let (gateway, mut remote) = line.gateway();
+    gateway.wait_ready("arm.top");
+    let id = start(&mut remote, "arm.top", "pan", "left");
+    assert_eq!(ended(&mut remote, id), State::Completed);
+    gateway.process.wait_for("have the same address 3");
+    let port = gateway.port.to_string();
+    let shown = Process::run(ztl().args(["devices", "-p", &port])).stdout;
+    let row = shown.lines().find(|row| row.contains(" arm at rs485:"));
+    let row = row.unwrap_or_else(|| panic!("{shown}"));
+    for part in ["not ready: '", "'left' (id ", "'right' (id ", "address 3"] {
+        assert!(row.contains(part), "{row}");
+    }
+    assert!(!shown.contains("arm.left"), "{shown}");
+    let refused = remote.trigger("arm.left", "finger", "10");
+    let why = refused.expect_err("no such device").to_string();
+    assert!(why.contains("no device 'arm.left'"), "{why}");
+}
+
+#[test]
+fn a_line_that_is_not_there_is_named_and_served_when_it_comes() {
+    let scratch = Scratch::new();
+    let path = scratch.path("line");
+    let device = format!("arm=rs485:{}?wait=100", path.display());
+    let gateway = Server::gateway(&[&device]);
+    gateway.process.wait_for("there is no such port");
+    let on = format!("pty:{}", path.display());
+    let _line = Process::start(ztl().args(["device", "--bus", "sim:head", "--on", &on]));
+    gateway.wait_ready("arm.head");
+}
+
+#[test]
+fn mistakes_of_a_shared_line_say_what_is_right() {
+    let run = |args: &[&str]| {
+        let ended = Process::run(ztl().args(args));
+        assert_eq!(ended.code, Some(2), "{ended:?}");
+        ended.stderr
+    };
+    let gateway = |device| run(&["gateway", "--check", "-s", "/lab", "-p", "1", "-d", device]);
+    assert!(gateway("arm=rs485:").contains("rs485:/dev/ttyUSB0?baud=115200"));
+    assert!(gateway("arm=rs485:/dev/x?wait=1").contains("?wait=8"));
+    let device = |device| run(&["device", "--on", "tcp:0", device]);
+    assert!(device("sim:head@33").contains("'33' is not an address from 1 to 32"));
+}

@@ -1,0 +1,239 @@
+//! The nodes of a shared line: their names, and what is wrong with their addresses.
+
+use std::sync::Arc;
+
+use ztl_core::link::ADDR_NONE;
+use ztl_link::bus::Found;
+
+use super::Seat;
+use crate::gateway::config::name_mistake;
+
+/// A node that was found at some time.
+#[derive(Debug)]
+pub(super) struct Node {
+    id: u64,
+    /// Its name in its firmware.
+    firmware: String,
+    /// Its name on the line, which it keeps.
+    pub(super) name: String,
+    pub(super) seat: Arc<Seat>,
+    /// Why it is not served.
+    pub(super) problem: Option<String>,
+}
+
+/// What a search has changed.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Changes {
+    /// New nodes by their place in the list.
+    pub(super) new: Vec<usize>,
+    /// Addresses whose nodes are not served there any more.
+    pub(super) closed: Vec<u8>,
+}
+
+/// All nodes that were found.
+#[derive(Debug, Default)]
+pub(super) struct Nodes {
+    all: Vec<Node>,
+    /// What is wrong with nodes that are not served.
+    problem: Option<String>,
+}
+
+impl Nodes {
+    pub(super) fn get(&self, index: usize) -> Option<&Node> {
+        self.all.get(index)
+    }
+
+    pub(super) fn of_seat(&self, seat: &Arc<Seat>) -> Option<&Node> {
+        self.all.iter().find(|node| Arc::ptr_eq(&node.seat, seat))
+    }
+
+    pub(super) fn at(&self, address: u8) -> Option<&Node> {
+        self.all.iter().find(|node| node.seat.address() == address)
+    }
+
+    /// What is wrong with the addresses.
+    pub(super) fn problem(&self) -> Option<&String> {
+        self.problem.as_ref()
+    }
+
+    /// Takes what a search has found.
+    pub(super) fn update(&mut self, found: &[Found]) -> Changes {
+        let mut changes = Changes::default();
+        self.problem = problem(found);
+        let there = |id: u64| found.iter().any(|node| node.id == id);
+        for one in found {
+            let address = one.address;
+            let problem = mistake(found, one);
+            let replaced = |node: &&mut Node| {
+                // Another board with the same firmware and address.
+                !there(node.id) && node.seat.address() == address && node.firmware == one.name
+            };
+            let index = self.all.iter().position(|node| node.id == one.id);
+            let known = match index {
+                Some(index) => self.all.get_mut(index),
+                None => self.all.iter_mut().find(replaced),
+            };
+            let Some(node) = known else {
+                if problem.is_none() {
+                    let name = self.name_for(found, one);
+                    changes.new.push(self.all.len());
+                    let seat = Arc::<Seat>::default();
+                    seat.set_address(address);
+                    self.all.push(Node {
+                        id: one.id,
+                        firmware: one.name.clone(),
+                        name,
+                        seat,
+                        problem,
+                    });
+                }
+                continue;
+            };
+            let before = node.seat.address();
+            if before != address || problem.is_some() {
+                changes.closed.push(before);
+            }
+            node.id = one.id;
+            node.problem = problem;
+            if address != ADDR_NONE {
+                node.seat.set_address(address);
+            }
+        }
+        for node in self.all.iter_mut().filter(|node| !there(node.id)) {
+            let address = node.seat.address();
+            if let Some(other) = found.iter().find(|one| one.address == address) {
+                let (name, id) = (&other.name, other.id);
+                let text = format!("'{name}' (id {id:016x}) has its address {address} now");
+                node.problem = Some(text);
+                changes.closed.push(address);
+            }
+        }
+        changes
+    }
+
+    /// A name on the line. Nodes whose firmware has the same name are told apart by their address.
+    fn name_for(&self, found: &[Found], one: &Found) -> String {
+        let name = match name_mistake(&one.name) {
+            None => one.name.as_str(),
+            Some(_) => "node",
+        };
+        let others = found.iter().filter(|other| other.id != one.id);
+        let shared = others.into_iter().any(|other| other.name == one.name)
+            || self.all.iter().any(|node| node.name == name);
+        if shared || name != one.name {
+            let mut unique = format!("{name}-{}", one.address);
+            // It was the name of a node that has another address now.
+            while self.all.iter().any(|node| node.name == unique) {
+                unique.push_str(&format!("-{:016x}", one.id));
+            }
+            return unique;
+        }
+        name.to_owned()
+    }
+}
+
+/// Nodes with the same address.
+fn sharing<'a>(found: &'a [Found], one: &Found) -> Vec<&'a Found> {
+    let same = |other: &&Found| other.address == one.address && one.address != ADDR_NONE;
+    found.iter().filter(same).collect()
+}
+
+/// Why a node cannot be served.
+fn mistake(found: &[Found], one: &Found) -> Option<String> {
+    let (name, id) = (&one.name, one.id);
+    if one.address == ADDR_NONE {
+        return Some(match name.as_str() {
+            "" => format!("several nodes have the id {id:016x}; give each its own"),
+            name => format!("'{name}' (id {id:016x}) has no address and takes none"),
+        });
+    }
+    let sharing = sharing(found, one);
+    (sharing.len() > 1).then(|| {
+        let nodes: Vec<String> = sharing
+            .iter()
+            .map(|node| format!("'{}' (id {:016x})", node.name, node.id))
+            .collect();
+        let (nodes, address) = (nodes.join(" and "), one.address);
+        format!("{nodes} have the same address {address}; give each its own")
+    })
+}
+
+/// All mistakes, each once.
+fn problem(found: &[Found]) -> Option<String> {
+    let mut mistakes: Vec<String> = Vec::new();
+    for one in found {
+        let mistake = mistake(found, one).filter(|mistake| !mistakes.contains(mistake));
+        mistakes.extend(mistake);
+    }
+    (!mistakes.is_empty()).then(|| mistakes.join("; "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(id: u64, address: u8, name: &str) -> Found {
+        let name = name.to_owned();
+        Found { id, address, name }
+    }
+
+    fn names(nodes: &Nodes) -> Vec<&str> {
+        nodes.all.iter().map(|node| node.name.as_str()).collect()
+    }
+
+    #[test]
+    fn nodes_with_one_name_are_told_apart_by_address_and_keep_their_names() {
+        let mut nodes = Nodes::default();
+        let changes = nodes.update(&[
+            found(1, 4, "finger"),
+            found(2, 5, "finger"),
+            found(3, 6, "pan"),
+            found(4, 7, "a b"),
+        ]);
+        assert_eq!(changes.new, [0, 1, 2, 3]);
+        assert_eq!(names(&nodes), ["finger-4", "finger-5", "pan", "node-7"]);
+        let changes = nodes.update(&[found(1, 4, "finger"), found(5, 8, "pan")]);
+        assert_eq!(changes.new, [4]);
+        assert_eq!(nodes.all[4].name, "pan-8");
+        assert_eq!(nodes.problem(), None);
+    }
+
+    #[test]
+    fn two_nodes_with_one_address_are_named_and_neither_is_served() {
+        let mut nodes = Nodes::default();
+        nodes.update(&[found(1, 4, "finger")]);
+        let both = [found(1, 4, "finger"), found(2, 4, "pan")];
+        let changes = nodes.update(&both);
+        assert_eq!((changes.new, changes.closed), (vec![], vec![4]));
+        let text = "'finger' (id 0000000000000001) and 'pan' (id 0000000000000002) have the same address 4; give each its own";
+        assert_eq!(nodes.problem().map(String::as_str), Some(text));
+        assert_eq!(nodes.all[0].problem.as_deref(), Some(text));
+        let changes = nodes.update(&[found(1, 4, "finger"), found(2, 5, "pan")]);
+        assert_eq!(changes.new, [1]);
+        assert_eq!((nodes.problem(), &nodes.all[0].problem), (None, &None));
+    }
+
+    #[test]
+    fn a_new_board_with_the_same_firmware_and_address_takes_the_place_of_the_old_one() {
+        let mut nodes = Nodes::default();
+        nodes.update(&[found(1, 4, "finger")]);
+        assert_eq!(nodes.update(&[found(9, 4, "finger")]), Changes::default());
+        assert_eq!(names(&nodes), ["finger"]);
+        // Another firmware is another device.
+        let changes = nodes.update(&[found(7, 4, "pan")]);
+        assert_eq!((changes.new, changes.closed), (vec![1], vec![4]));
+        assert!(nodes.all[0].problem.as_ref().unwrap().contains("'pan'"));
+    }
+
+    #[test]
+    fn a_node_that_moved_is_served_at_its_new_address() {
+        let mut nodes = Nodes::default();
+        nodes.update(&[found(1, 4, "finger")]);
+        let changes = nodes.update(&[found(1, 6, "finger")]);
+        assert_eq!(changes.closed, [4]);
+        assert_eq!(nodes.all[0].seat.address(), 6);
+        let none = nodes.update(&[found(1, 0, "")]);
+        assert_eq!(none.closed, [6]);
+        assert!(nodes.problem().unwrap().contains("several nodes"));
+    }
+}
