@@ -1,9 +1,61 @@
 //! `ztl param`: parameters of devices, from the firmware over the line and the gateway to people and programs.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use serde_json::Value;
+use ztl_mcu::link::Offer;
+use ztl_mcu::parameters::{self, Declaration, Parameter, Tunable, Tuned};
+use ztl_mcu::{Component, Instant, Refused, Report, Run};
 use ztl_tests::lab::{
     Ended, Keys, PATIENCE, Process, SCOPE, Scratch, Server, simulated_gripper, until, ztl,
 };
+
+use crate::firmware::Firmware;
+
+/// Does nothing but note which parameters are read.
+struct Shelf(u32, [&'static AtomicBool; 4]);
+
+impl Component for Shelf {
+    fn offer(&self) -> Offer<'_> {
+        Offer::new("shelf")
+    }
+
+    fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Err(Refused)
+    }
+
+    fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Err(Refused)
+    }
+
+    fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run {
+        Run::Failed
+    }
+
+    fn abort(&mut self, _: Instant) {}
+
+    fn make_safe(&mut self, _: Instant) {}
+}
+
+impl Tunable for Shelf {
+    const PARAMETERS: &'static [Declaration] = &[
+        Parameter::<u32>::new(0).declare("a"),
+        Parameter::<u32>::new(0).declare("b"),
+        Parameter::<u32>::new(0).declare("c"),
+        Parameter::<u32>::new(0).declare("d"),
+    ];
+
+    fn value(&self, index: usize) -> Option<parameters::Value<'_>> {
+        self.1.get(index)?.store(true, Ordering::SeqCst);
+        Some(parameters::Value::U32(self.0))
+    }
+
+    fn set(&mut self, _: usize, value: parameters::Value<'_>) {
+        if let parameters::Value::U32(number) = value {
+            self.0 = number;
+        }
+    }
+}
 
 /// Runs `ztl param` with these words and options.
 #[track_caller]
@@ -136,6 +188,48 @@ fn mistakes_are_told_with_what_would_be_right() {
     assert_eq!(told(&gateway, &["get", "hand", "speed"]), "1\n");
     let ended = Process::run(ztl().args(["param", "set", "hand", "speed"]));
     assert_eq!(ended.code, Some(2), "{ended:?}");
+    // A long text is not repeated.
+    let long = "x".repeat(5000);
+    let why = refused(&gateway, &["set", "hand", "label", &long]);
+    let x300 = "x".repeat(300);
+    let takes = "hand: finger.label takes a text of at most 16 bytes";
+    assert_eq!(why, format!("ztl: {takes}, not '{x300}… (5000 bytes)'\n"));
+    let why = refused(&gateway, &["get", "hand", &long]);
+    assert!(why.len() < 500, "{why}");
+    let log = gateway.process.stderr();
+    assert!(log.contains("… (5000 bytes)'"), "{log}");
+    assert!(!log.contains(&"x".repeat(400)), "{log}");
+}
+
+#[test]
+fn only_the_parameters_that_a_request_needs_are_read() {
+    static READ: [AtomicBool; 4] = [const { AtomicBool::new(false) }; 4];
+    let shelf = Shelf(0, READ.each_ref());
+    let firmware = Firmware::start(Tuned::new((shelf,)));
+    let gateway = Server::gateway(&[&format!("hand=tcp:{}", firmware.address)]);
+    gateway.wait_ready("hand");
+    for (words, read) in [
+        // In each boot of the device, names are read until this one.
+        (&["get", "hand", "shelf.b"][..], [true, true, false, false]),
+        (&["get", "hand", "shelf.b"], [false, true, false, false]),
+        // Another component may have this name, too.
+        (&["get", "hand", "c"], [false, false, true, true]),
+        (&["get", "hand", "c"], [false, false, true, false]),
+        (&["set", "hand", "a", "5"], [true, false, false, false]),
+        (&["list", "hand"], [true; 4]),
+    ] {
+        READ.iter()
+            .for_each(|read| read.store(false, Ordering::SeqCst));
+        let told = told(&gateway, words);
+        let were = READ.each_ref().map(|read| read.load(Ordering::SeqCst));
+        assert_eq!(were, read, "{words:?}: {told}");
+    }
+    assert_eq!(told(&gateway, &["get", "hand", "d"]), "5\n");
+    let why = refused(&gateway, &["get", "hand", "f"]);
+    assert_eq!(
+        why,
+        "ztl: hand: no parameter 'f'; there are: shelf.a, shelf.b, shelf.c, shelf.d\n"
+    );
 }
 
 #[test]

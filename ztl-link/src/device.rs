@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use ztl_core::link::{Busy, Loss};
 
+use crate::parameters::ParameterInfo;
+
 /// A component, as its device describes it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ComponentInfo {
@@ -44,9 +46,20 @@ pub struct DeviceInfo {
     pub components: Vec<ComponentInfo>,
     /// Number of its parameters; 0 until it has announced them (`docs/link.md` [13.1]).
     pub parameters: u8,
+    /// The parameters read so far, as they were read last: from the first on, without gaps.
+    pub known_parameters: Vec<ParameterInfo>,
 }
 
 impl DeviceInfo {
+    pub(crate) fn note_parameter(&mut self, index: usize, info: &ParameterInfo) {
+        let next = self.known_parameters.len();
+        match self.known_parameters.get_mut(index) {
+            Some(known) => known.clone_from(info),
+            None if index == next => self.known_parameters.push(info.clone()),
+            None => {}
+        }
+    }
+
     /// The component and the name of a topic. Topics are numbered in the order of their components.
     #[must_use]
     pub fn topic(&self, number: u8) -> Option<(&str, &str)> {

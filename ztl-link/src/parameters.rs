@@ -171,7 +171,13 @@ impl<J: SessionJournal> Session<J> {
             (
                 ParameterRequest::Read(asked) | ParameterRequest::Set(asked, _),
                 Body::Parameter(ParameterMessage::Is(parameter)),
-            ) if parameter.index == *asked => Ok(Some(parameter.into())),
+            ) if parameter.index == *asked => {
+                let info = ParameterInfo::from(parameter);
+                if let Some(device) = &mut self.device {
+                    device.note_parameter((*asked).into(), &info);
+                }
+                Ok(Some(info))
+            }
             (ParameterRequest::Save, Body::Parameter(ParameterMessage::Saved)) => Ok(None),
             (_, Body::Refused { reason }) => Err(ParameterFailure::Refused(reason.to_owned())),
             _ => return false,

@@ -140,8 +140,14 @@ impl<J: SessionJournal> Session<J> {
             self.own.on_boot(welcome.replaces);
         }
         self.on_reset(now, welcome);
-        let parameters = known.as_ref().map_or(0, |device| device.parameters);
-        let components = known.map(|device| device.components).unwrap_or_default();
+        let (components, parameters, known_parameters) = match known {
+            Some(it) => (it.components, it.parameters, it.known_parameters),
+            None => {
+                // Their numbers are those of another boot [13.9].
+                self.fail_parameter_requests();
+                Default::default()
+            }
+        };
         self.device = Some(DeviceInfo {
             name: welcome.name.to_owned(),
             firmware: welcome.firmware.to_owned(),
@@ -151,6 +157,7 @@ impl<J: SessionJournal> Session<J> {
             count: welcome.components,
             components,
             parameters,
+            known_parameters,
         });
         self.compare_held(now, welcome);
         self.ask_about_own_soon(now);

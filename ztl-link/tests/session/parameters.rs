@@ -221,6 +221,33 @@ fn parameters_are_announced_read_and_set() {
 }
 
 #[test]
+fn a_request_for_a_boot_of_the_node_never_reaches_another() {
+    let sets = RefCell::default();
+    let mut talk = Talk::new(&sets);
+    talk.pass(300);
+    // More than the commands of a session.
+    for number in 1..=300 {
+        let set = ParameterRequest::Set(0, ParameterValue::U32(number));
+        talk.session.request_parameter(talk.now, number.into(), set);
+    }
+    while talk.session.counters().sessions == 1 {
+        talk.pass(1);
+    }
+    talk.node = node(&sets, 2);
+    talk.pass(1000);
+    let done = sets.borrow().len();
+    assert!((200..256).contains(&done), "{done}");
+    assert_eq!(talk.answers.len(), 300);
+    let told = talk.answers.values().filter(|it| it.is_ok()).count();
+    assert_eq!(told, done);
+    assert!(matches!(
+        talk.answers[&300],
+        Err(ParameterFailure::NotSent(_))
+    ));
+    assert!(talk.session.is_up());
+}
+
+#[test]
 fn a_node_without_parameters_is_never_asked() {
     let sets = RefCell::default();
     let Tuned { components, .. } = Tuned::new((Part {

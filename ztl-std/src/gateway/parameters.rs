@@ -6,6 +6,8 @@ use ztl_core::link::parameter::{Domain, Kept};
 use ztl_link::{DeviceInfo, ParameterInfo, ParameterValue};
 use ztl_yaml::closest;
 
+use crate::terminal::quoted;
+
 /// The component of a device under which its gateway answers requests about parameters. Its goals are the
 /// [`ParameterGoal`]s.
 pub const PARAMETERS: &str = "$param";
@@ -162,18 +164,19 @@ pub(super) fn full_name(device: &DeviceInfo, info: &ParameterInfo) -> String {
     }
 }
 
-/// The index of the parameter of this name: with its component, or without if no other has the same.
+/// The index of the parameter of this name: with its component, or without if no other has the same. While the device has
+/// more parameters than are known, that of the next to read.
 ///
 /// # Errors
 /// Which there are.
-pub(super) fn find(
-    device: &DeviceInfo,
-    known: &[ParameterInfo],
-    name: &str,
-) -> Result<usize, String> {
+pub(super) fn find(device: &DeviceInfo, name: &str) -> Result<usize, String> {
+    let known = &device.known_parameters;
     let full: Vec<String> = known.iter().map(|info| full_name(device, info)).collect();
     if let Some(index) = full.iter().position(|full| full == name) {
         return Ok(index);
+    }
+    if known.is_empty() || known.len() < device.parameters.into() {
+        return Ok(known.len());
     }
     let mut same =
         (0..known.len()).filter(|index| known.get(*index).is_some_and(|it| it.name == name));
@@ -194,7 +197,7 @@ pub(super) fn find(
                 Some(meant) => format!("did you mean '{meant}'?"),
                 None => format!("there are: {}", names.collect::<Vec<_>>().join(", ")),
             };
-            Err(format!("no parameter '{name}'; {hint}"))
+            Err(format!("no parameter '{}'; {hint}", quoted(name)))
         }
     }
 }
@@ -225,7 +228,7 @@ pub(super) fn read_value(
             Domain::F32 { least, most } => format!("a number from {least} to {most} {unit}"),
             Domain::Text { longest } => format!("a text of at most {longest} bytes"),
         };
-        format!("{name} takes {}, not '{text}'", takes.trim_end())
+        format!("{name} takes {}, not '{}'", takes.trim_end(), quoted(text))
     })
 }
 

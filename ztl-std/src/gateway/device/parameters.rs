@@ -14,6 +14,7 @@ use crate::gateway::parameters::{
 };
 use crate::log_targets::GATEWAY;
 use crate::server::TaskReporter;
+use crate::terminal::quoted;
 
 /// A request of a client.
 struct Job {
@@ -21,10 +22,10 @@ struct Job {
     /// The goal's text.
     text: String,
     goal: ParameterGoal,
-    /// The parameters read so far.
-    known: Vec<ParameterInfo>,
-    /// The index of the parameter that is being set.
-    setting: Option<usize>,
+    /// The index of the parameter that was asked for last.
+    reading: u8,
+    /// The parameter that is being set, as it was before.
+    before: Option<ParameterInfo>,
 }
 
 /// The requests that wait and the one that is being carried out, the first.
@@ -56,8 +57,8 @@ impl Parameters {
             task,
             text,
             goal,
-            known: Vec::new(),
-            setting: None,
+            reading: 0,
+            before: None,
         });
         if self.jobs.len() == 1 {
             self.begin(now, session);
@@ -65,11 +66,8 @@ impl Parameters {
     }
 
     fn begin<J: SessionJournal>(&mut self, now: Instant, session: &mut Session<J>) {
-        if let Some(job) = self.jobs.front() {
-            let first = match job.goal {
-                ParameterGoal::Save => ParameterRequest::Save,
-                _ => ParameterRequest::Read(0),
-            };
+        if let Some(job) = self.jobs.front_mut() {
+            let first = job.first(session.device());
             self.ask(now, session, first);
         }
     }
@@ -132,62 +130,57 @@ impl Next {
 }
 
 impl Job {
+    fn first(&mut self, device: Option<&DeviceInfo>) -> ParameterRequest {
+        let index = match (&self.goal, device) {
+            (ParameterGoal::Save, _) => return ParameterRequest::Save,
+            // The answer to any other tells that there is none of this name.
+            (ParameterGoal::Get(name) | ParameterGoal::Set(name, _), Some(device)) => {
+                find(device, name).unwrap_or(0)
+            }
+            _ => 0,
+        };
+        self.read(index)
+    }
+
+    /// Asks for the parameter with this index.
+    fn read(&mut self, index: usize) -> ParameterRequest {
+        // A device has at most 255.
+        self.reading = u8::try_from(index).unwrap_or(u8::MAX);
+        ParameterRequest::Read(self.reading)
+    }
+
     fn on_answer(&mut self, device: &DeviceInfo, answer: Option<ParameterInfo>) -> Next {
         let Some(info) = answer else {
             return Next::End(Ok(("saved".to_owned(), "saved".to_owned())));
         };
-        if let Some(index) = self.setting {
-            return self.on_set(device, index, &info);
+        if let Some(before) = &self.before {
+            return on_set(device, before, &info);
         }
-        self.known.push(info);
-        match u8::try_from(self.known.len()) {
-            Ok(next) if next < device.parameters => Next::Ask(ParameterRequest::Read(next)),
-            _ => self.on_all_known(device),
-        }
-    }
-
-    fn on_all_known(&mut self, device: &DeviceInfo) -> Next {
-        let report = |info| ParameterReport::new(device, info);
-        let found = |name: &str| {
-            let index = find(device, &self.known, name)?;
-            let info = self.known.get(index).ok_or("no such parameter")?;
-            Ok::<_, String>((index, info))
+        let (Self { goal, .. }, reading) = (&self, usize::from(self.reading));
+        let (ParameterGoal::Get(name) | ParameterGoal::Set(name, _)) = goal else {
+            return match reading + 1 {
+                next if next < device.parameters.into() => Next::Ask(self.read(next)),
+                _ => {
+                    let known = device.known_parameters.iter();
+                    let all: Vec<_> = known.map(|it| ParameterReport::new(device, it)).collect();
+                    Next::done(&all, "read".to_owned())
+                }
+            };
         };
-        match &self.goal {
-            ParameterGoal::List | ParameterGoal::Save => {
-                let all: Vec<_> = self.known.iter().map(report).collect();
-                Next::done(&all, "read".to_owned())
-            }
-            ParameterGoal::Get(name) => match found(name) {
-                Ok((_, info)) => Next::done(&report(info), "read".to_owned()),
-                Err(reason) => Next::End(Err(reason)),
-            },
-            ParameterGoal::Set(name, text) => {
-                let value = found(name).and_then(|(index, info)| {
-                    let value = read_value(&full_name(device, info), info, text)?;
-                    Ok((index, value))
-                });
-                match value.map(|(index, value)| (index, u8::try_from(index), value)) {
-                    Ok((index, Ok(number), value)) => {
-                        self.setting = Some(index);
-                        Next::Ask(ParameterRequest::Set(number, value))
+        match (find(device, name), goal) {
+            (Err(reason), _) => Next::End(Err(reason)),
+            (Ok(index), _) if index != reading => Next::Ask(self.read(index)),
+            (Ok(_), ParameterGoal::Set(_, text)) => {
+                match read_value(&full_name(device, &info), &info, text) {
+                    Ok(value) => {
+                        self.before = Some(info);
+                        Next::Ask(ParameterRequest::Set(self.reading, value))
                     }
-                    Ok(_) => Next::End(Err("no such parameter".to_owned())),
                     Err(reason) => Next::End(Err(reason)),
                 }
             }
+            (Ok(_), _) => Next::done(&ParameterReport::new(device, &info), "read".to_owned()),
         }
-    }
-
-    fn on_set(&self, device: &DeviceInfo, index: usize, info: &ParameterInfo) -> Next {
-        let report = ParameterReport::new(device, info);
-        let before = self
-            .known
-            .get(index)
-            .map(|info| ParameterReport::new(device, info));
-        let before = before.map_or_else(String::new, |it| format!(", was {}", it.value));
-        let told = format!("{} is {} {}", report.name, report.value, report.unit);
-        Next::done(&report, format!("{}{before}", told.trim_end()))
     }
 
     /// Tells the log, the journal and the client.
@@ -210,7 +203,7 @@ impl Job {
         // The device has acted already, so the client gets the true outcome even if the disk is full.
         let _ = session.journal_mut().ended(&entry, state, told);
         if matches!(self.goal, ParameterGoal::Set(..) | ParameterGoal::Save) {
-            let (task, goal) = (self.task.id().get(), &self.text);
+            let (task, goal) = (self.task.id().get(), quoted(&self.text));
             info!(target: GATEWAY, device, task, "Device '{device}': parameters, {goal:?}: {told}");
         }
         match end {
@@ -218,6 +211,13 @@ impl Job {
             Err(reason) => self.task.failed(reason),
         }
     }
+}
+
+fn on_set(device: &DeviceInfo, before: &ParameterInfo, info: &ParameterInfo) -> Next {
+    let report = ParameterReport::new(device, info);
+    let before = ParameterReport::new(device, before).value;
+    let told = format!("{} is {} {}", report.name, report.value, report.unit);
+    Next::done(&report, format!("{}, was {before}", told.trim_end()))
 }
 
 /// Why a request has failed, for people.
