@@ -68,8 +68,8 @@ pub(crate) fn web(port: u16, robots: &[(&str, u16)], options: &[&str]) -> (Proce
 
 /// The files of a certificate for localhost and its key, `NAME-certificate.pem` and `NAME.pem`.
 pub(crate) fn certificate_and_key(files: &Scratch, name: &str) -> (String, String) {
-    let certificate = files.path(&format!("{name}-certificate.pem"));
-    let key = files.path(&format!("{name}.pem"));
+    let certificate = files.path(format!("{name}-certificate.pem"));
+    let key = files.path(format!("{name}.pem"));
     let mut openssl = Command::new("openssl");
     let words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=localhost";
     openssl.args(words.split(' '));
