@@ -169,7 +169,7 @@ impl<S: Socket> Inbound<S> {
         Ok(())
     }
 
-    /// Accepts the peer that [asks](Step::Asks).
+    /// Accepts the peer that [asks](super::Step::Asks).
     pub fn accept(&mut self, out: &mut Outbound) {
         if self.phase != Phase::Asking {
             return;
