@@ -41,8 +41,8 @@ fn threads_are_woken_by_eventfd() {
 #[test]
 fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
     let _busy = busy();
-    // A test build is larger by itself; the released one counts as a whole.
     let rig = Rig::of_command(program(), "echo: {run: [echo, 'said {goal}']}");
+    let [_, at_start] = resident(rig.server.process.id());
     for number in 0..1000 {
         let (state, _) = rig.run("echo", &number.to_string());
         assert_eq!(state, State::Completed);
@@ -53,14 +53,18 @@ fn a_thousand_remembered_tasks_fit_into_eight_mebibytes() {
         [all + more, own + more_own]
     });
     println!(
-        "resident: {all} KiB, of its own {own} KiB; the watchdog {watchdog} KiB, of its own {watchdogs_own} KiB"
+        "resident: {all} KiB, of its own {own} KiB, {at_start} KiB at the start; the watchdog {watchdog} KiB, of its own {watchdogs_own} KiB"
     );
     // libzmq has a thread and buffers of its own.
     let most = match std::env::var_os("ZTL_TRANSPORT") {
         Some(_) => 4 * 1024,
         None => 3 * 1024,
     };
-    assert!(own <= most, "{own} KiB");
+    // A test build is larger by itself, by the addresses that are relocated when it starts; the released one counts as a whole.
+    match std::env::var_os("ZTL_RELEASED") {
+        Some(_) => assert!(own <= most, "{own} KiB"),
+        None => assert!(own - at_start <= most / 2, "{own} KiB after {at_start} KiB"),
+    }
     assert!(watchdogs_own <= 2 * 1024, "{watchdogs_own} KiB");
     if std::env::var_os("ZTL_RELEASED").is_some() {
         assert!(all <= 8 * 1024, "{all} KiB");
