@@ -311,7 +311,7 @@ devices:
             "lab.yaml:4:10: 'many' is not a port, a whole number from 0 to 65535",
             "lab.yaml:5:6: 'loud' is not known here; there are: error, warn, info, debug",
             "lab.yaml:6:17: 'xml' is not known here; there are: values, raw",
-            "lab.yaml:8:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT",
+            "lab.yaml:8:12: unknown kind of device 'usb'; use serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT, or rs485:/dev/ttyUSB0?baud=115200 for a shared line",
             "lab.yaml:11:11: only a serial port has a line rate",
             "lab.yaml:12:5: unknown key 'efl'; did you mean 'elf'?",
             "lab.yaml:13:3: 'a/b' is not a device name: one word without ':' and '/'",
