@@ -47,17 +47,17 @@ fn line(mut rest: &[u8]) {
         bus.queue(now, address, &Turn::Poll.encode(address));
     }
     bus.search(now);
+    let mut searching = true;
     while let [pause, len, after @ ..] = rest {
         let (piece, after) = after.split_at(usize::from(*len).min(after.len()));
         rest = after;
         now = now + Duration::from_millis(u64::from(*pause) % PAUSE);
-        step(&mut bus, now);
+        searching &= !step(&mut bus, now).1;
         bus.handle_bytes(now, piece);
-        step(&mut bus, now);
+        searching &= !step(&mut bus, now).1;
     }
     // On a silent line the search ends, and each node is asked again.
     let mut asked = [false; 4];
-    let mut searching = true;
     for _ in 0..SEARCH {
         let (questions, ended) = step(&mut bus, now);
         searching &= !ended;
