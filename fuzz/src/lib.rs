@@ -5,6 +5,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod bus;
 pub mod client_and_server;
 pub mod client_rules;
 pub mod dispatcher;

@@ -169,6 +169,60 @@ fn a_line_that_is_not_there_is_named_and_served_when_it_comes() {
     gateway.wait_ready("arm.head");
 }
 
+/// The walk of `docs/bus.md`.
+const WALK: &str = include_str!("../../docs/bus.md");
+
+/// The options of the walk's only line that begins like this, with its own path and port.
+#[track_caller]
+fn of_walk(begin: &str, path: &str, port: &str) -> Vec<String> {
+    let lines = WALK.lines().filter_map(|line| line.strip_prefix("ztl "));
+    let mut lines = lines.filter(|line| line.starts_with(begin));
+    let (line, others) = (lines.next().expect("a line"), lines.count());
+    assert_eq!(others, 0, "{begin}");
+    let own = |word: &str| word.replace("/tmp/arm", path).replace("12345", port);
+    line.split(' ').map(own).collect()
+}
+
+#[test]
+fn the_walk_of_the_documentation_works() {
+    let scratch = Scratch::new();
+    let path = scratch.path("arm").display().to_string();
+    let mut line = Process::start(ztl().args(of_walk("device ", &path, "0")));
+    line.wait_for("Serve it with");
+    let begin = "gateway --device arm=rs485:/tmp/arm ";
+    let mut command = ztl();
+    command
+        .args(of_walk(begin, &path, "0"))
+        .args(["--journal", "off"]);
+    let gateway = Server::start(&mut command);
+    let port = gateway.port.to_string();
+    for node in ["arm.left", "arm.right", "arm.head"] {
+        gateway.wait_ready(node);
+    }
+    let shown = Process::run(ztl().args(of_walk("devices ", &path, &port)));
+    assert!(shown.stdout.contains("arm.head at rs485:"), "{shown:?}");
+    for task in ["arm.left:finger:40", "arm.head:pan:left"] {
+        let begin = format!("task-client -r 127.0.0.1 -p 12345 -s /lab {task}");
+        let mut command = ztl();
+        command
+            .args(of_walk(&begin, &path, &port))
+            .arg("--exit-status");
+        let ended = Process::run(&mut command);
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+    }
+    line.write_line("left off");
+    gateway
+        .process
+        .wait_for("'arm.left': device is not answering");
+    line.write_line("left on");
+    gateway.process.wait_for("Device 'arm.left' is ready");
+    until("the button starts a task", PATIENCE, || {
+        line.write_line("left press 40");
+        let tasks = Process::run(ztl().args(["ps", "-p", &port])).stdout;
+        tasks.contains("arm.left:finger:40").then_some(())
+    });
+}
+
 #[test]
 fn mistakes_of_a_shared_line_say_what_is_right() {
     let run = |args: &[&str]| {

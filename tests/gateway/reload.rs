@@ -80,6 +80,31 @@ fn started(remote: &mut RemoteTask, device: &str, component: &str, goal: &str) -
 }
 
 #[test]
+fn a_reload_removes_a_shared_line_and_serves_it_again() {
+    let mut line = Process::start(ztl().args(["device", "--bus", "sim:head", "--on", "tcp:0"]));
+    let said = line.next_line(PATIENCE);
+    let url = said.trim_start_matches("Simulated bus at ");
+    let (url, _) = url.split_once(". ").expect("a URL");
+    let served = format!("devices: {{arm: '{url}?wait=100', other: sim:gripper}}\n");
+    let mut rig = ReloadRig::new(&served);
+    let mut remote = rig.remote();
+    let head = started(&mut remote, "arm.head", "pan", "left");
+    rig.reload("devices: {other: sim:gripper}\n");
+    let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Aborted);
+    let refused = remote.trigger("arm.head", "pan", "left");
+    let why = refused.expect_err("it is gone").to_string();
+    assert!(
+        why.contains("no device 'arm.head'; there are: other"),
+        "{why}"
+    );
+    rig.reload(&served);
+    let head = started(&mut remote, "arm.head", "pan", "straight");
+    let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Completed);
+}
+
+#[test]
 fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
     let firmware = Firmware::start((Endless::new("arm", Loss::Abort),));
     let bench = format!("devices:\n  bench: tcp:{}\n", firmware.address);

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
 use tracing::{info, warn};
-use ztl_core::link::Loss;
+use ztl_core::link::{ADDR_ONLY_NODE, Loss};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
@@ -382,10 +382,8 @@ impl Worker {
                     let stop = Arc::clone(stop);
                     self.line = LineState::Open { writer, stop };
                     self.target = self.opener.as_ref().and_then(Opener::target);
-                    if let Some(seat) = self.seat() {
-                        let address = seat.address();
-                        self.session.set_address(address);
-                    }
+                    let address = self.seat().map_or(ADDR_ONLY_NODE, Seat::address);
+                    self.session.set_address(address);
                     self.session.handle_connected(now());
                 }
             }
@@ -443,10 +441,9 @@ impl Worker {
             retry: now() + self.pause.max(READ_TIMEOUT * 2),
         };
         let opener = self.opener.as_ref();
-        let longest = if opener.is_some_and(|opener| opener.may_be_half_open) {
-            RETRY_HALF_OPEN
-        } else {
-            RETRY.1
+        let longest = match opener.is_some_and(|opener| opener.may_be_half_open) {
+            true => RETRY_HALF_OPEN,
+            false => RETRY.1,
         };
         self.pause = (self.pause * 2).min(longest);
         // The system reports it in one of several ways, and each would be logged in turn.
