@@ -272,7 +272,8 @@ impl Process {
     }
 }
 
-/// Sends a process a signal by name.
+/// Sends a process a signal by name. After `STOP`, waits until all its threads have stopped: on a busy machine some still run
+/// for a while.
 #[track_caller]
 pub fn signal(process: u32, name: &str) {
     // The shell's built-in: a small system has no program `kill`.
@@ -280,6 +281,21 @@ pub fn signal(process: u32, name: &str) {
     kill.args(["-c", "kill -$0 $1", name])
         .arg(process.to_string());
     assert!(kill.status().expect("`sh`").success(), "{kill:?}");
+    if name == "STOP" {
+        until("all threads have stopped", PATIENCE, || {
+            has_stopped(process).then_some(())
+        });
+    }
+}
+
+/// Whether all threads of a process are stopped, or it has ended.
+fn has_stopped(process: u32) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task"));
+    threads.into_iter().flatten().flatten().all(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+        let state = stat.rsplit_once(") ").map_or("", |(_, fields)| fields);
+        !state.starts_with(['R', 'S', 'D'])
+    })
 }
 
 /// The processor time that a process has used, in steps of 10 ms.
