@@ -122,6 +122,8 @@ fn a_silent_server_is_shown_with_the_tasks_waiting_for_it() {
  · 3 Questions
  · 4 Goodbye
 
+
+
 ─ in the background: 1 ─────────────────────────────────────────────────────────
    ▶ light:ring:{'colour': 'warm', 'level': 0.8}  accepted                15.8 s
 ────────────────────────────────────────────────────────────────────────────────
