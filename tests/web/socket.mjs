@@ -108,6 +108,27 @@ const scenarios = {
     assert.equal((await client.call('/ztl/stop')).values.robots[0].confirmed, true);
   },
 
+  // Long messages count more; beyond the limit each goal is refused unread, and Stop comes through. No answer repeats a long name.
+  async large() {
+    const client = await new Client().open();
+    const args = { goal: 'x', more: Array(15_000).fill([1]) };
+    const ids = Array.from({ length: 100 }, (_, number) => `n${number}`);
+    for (const id of ids) client.send({ op: 'send_action_goal', id, action: '/test/test/echo', args });
+    const results = [];
+    for (const id of ids) results.push(await client.result(id));
+    assert.ok(results.some((message) => /^too many messages/.test(message.values)));
+    assert.equal((await client.call('/ztl/stop')).values.robots[0].confirmed, true);
+    const other = await new Client().open();
+    const long = 'x'.repeat(3000);
+    for (const message of [
+      { op: 'subscribe', topic: long }, { op: 'cancel_action_goal', id: long, action: '/test/test/echo' },
+      { op: 'send_action_goal', id: 'g', action: long }, { op: 'call_service', id: [long], service: '/ztl/time' },
+    ]) {
+      other.send(message);
+      assert.match((await other.next((told) => told.op === 'status')).msg, /longer than 2048 bytes/);
+    }
+  },
+
   // A watcher looks and stops, and starts nothing.
   async watcher() {
     const client = await new Client().open();

@@ -32,6 +32,11 @@ fn too_many_goals_are_refused_and_one_id_starts_one_task() {
 }
 
 #[test]
+fn long_messages_of_one_client_do_not_keep_a_stop_waiting() {
+    passes("large", &Console::of_one().socket());
+}
+
+#[test]
 fn a_watcher_stops_and_starts_nothing() {
     let (_process, link) = web(0, &[("ours", reserve_port())], &["--bind", "0.0.0.0"]);
     let link = from_port(&link).replace("/?", "/rosbridge?");

@@ -38,6 +38,38 @@ pub(crate) enum Incoming {
     },
 }
 
+impl Incoming {
+    /// The length of its longest id or name, in bytes: an answer repeats them.
+    pub(crate) fn longest_name(&self) -> usize {
+        match self {
+            Self::SendActionGoal { id, action, .. } | Self::CancelActionGoal { id, action } => {
+                id.len().max(action.len())
+            }
+            Self::CallService { id, service, .. } => {
+                let id = id.as_ref().map_or(0, |id| id.to_string().len());
+                id.max(service.len())
+            }
+            Self::Subscribe { topic } | Self::Unsubscribe { topic } => topic.len(),
+        }
+    }
+}
+
+/// What a message is about, read without its arguments, which takes little time also for hostile ones.
+#[derive(Debug, Deserialize)]
+pub(crate) struct Head {
+    op: String,
+    id: Option<String>,
+    action: Option<String>,
+}
+
+impl Head {
+    /// The id and action of a goal.
+    pub(crate) fn goal(self) -> Option<(String, String)> {
+        let is_goal = self.op == "send_action_goal";
+        is_goal.then(|| (self.id.unwrap_or_default(), self.action.unwrap_or_default()))
+    }
+}
+
 /// The goal of an action.
 #[derive(Debug, Default, Deserialize)]
 pub(crate) struct GoalArgs {

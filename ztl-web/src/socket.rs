@@ -22,13 +22,13 @@ use crate::gate::Role;
 use crate::goal::Goal;
 use crate::goals::{self, LATEST_MS, News, TOO_LATE};
 use crate::operator;
-use crate::rosbridge::{self, GoalArgs, Incoming};
+use crate::rosbridge::{self, GoalArgs, Head, Incoming};
 use crate::show::Wish;
 use crate::streams::{Listener, Wanted};
 use crate::topics::Topic;
 
 /// Answers that wait to be written.
-const QUEUE: usize = 256;
+const QUEUE: usize = 64;
 /// How long a client may take to receive a message.
 const WRITE: Duration = Duration::from_secs(10);
 /// How long a client may be silent, although it is pinged.
@@ -42,6 +42,11 @@ const MESSAGES: (f64, f64) = (50.0, 100.0);
 const GOAL_RATE: (f64, f64) = (10.0, 20.0);
 /// Stops the scene of the show that plays.
 const STOP_SCENE: &str = "/ztl/show/stop_scene";
+/// A message counts once more for each so many bytes. Beyond the limit, a longer one stops nothing, and is not read: that
+/// takes time, for which a Stop of somebody else would wait.
+const SHORT: usize = 4 * 1024;
+/// Longest id or name in a message.
+const NAMES: usize = 2048;
 /// Longest id of a client's goal.
 pub(crate) const ID: usize = 256;
 
@@ -183,15 +188,25 @@ impl Reader {
             {
                 return;
             }
+            // Others may have pressed Stop.
+            tokio::task::yield_now().await;
         }
     }
 
     fn on_message(&mut self, text: &str) -> Option<Out> {
         let error = |text: &str| Some(Out::Text(rosbridge::error(text)));
-        let message = match serde_json::from_str(text) {
+        let is_allowed = self.messages.allows(1 + text.len() / SHORT);
+        if !is_allowed && text.len() > SHORT {
+            let head = serde_json::from_str::<Head>(text).ok();
+            return self.refuse_too_many(head.and_then(Head::goal));
+        }
+        let message = match serde_json::from_str::<Incoming>(text) {
             Ok(message) => message,
             Err(wrong) => return error(&format!("cannot read the message: {wrong}")),
         };
+        if message.longest_name() > NAMES {
+            return error(&format!("an id or a name is longer than {NAMES} bytes"));
+        }
         // What stops something is never limited.
         let stops = match &message {
             Incoming::CancelActionGoal { .. } => true,
@@ -200,15 +215,11 @@ impl Reader {
             }
             _ => false,
         };
-        if !self.messages.allows() && !stops {
-            return match message {
-                Incoming::SendActionGoal { id, action, .. } => {
-                    let why = "too many messages: send fewer";
-                    self.client.refuse(&id, &action, why);
-                    Some(Out::Text(rosbridge::goal_refused(&id, &action, why)))
-                }
-                _ => error("too many messages: send fewer"),
-            };
+        if !is_allowed && !stops {
+            return self.refuse_too_many(match message {
+                Incoming::SendActionGoal { id, action, .. } => Some((id, action)),
+                _ => None,
+            });
         }
         match message {
             Incoming::SendActionGoal {
@@ -232,6 +243,20 @@ impl Reader {
         }
     }
 
+    /// The answer to a message, which may be a goal, beyond the limit.
+    fn refuse_too_many(&self, goal: Option<(String, String)>) -> Option<Out> {
+        let why = "too many messages: send fewer";
+        let goal = goal.filter(|(id, action)| id.len().max(action.len()) <= NAMES);
+        let text = match goal {
+            Some((id, action)) => {
+                self.client.refuse(&id, &action, why);
+                rosbridge::goal_refused(&id, &action, why)
+            }
+            None => rosbridge::error(why),
+        };
+        Some(Out::Text(text))
+    }
+
     fn subscribe(&self, topic: &str, on: bool) -> Out {
         match (self.board.streams.find(topic), Topic::of(topic)) {
             (Some(wanted), _) => Out::Listen(wanted, on),
@@ -250,7 +275,7 @@ impl Reader {
         if id.len() > ID {
             return Err(format!("the id is longer than {ID} bytes"));
         }
-        if !self.goal_rate.allows() {
+        if !self.goal_rate.allows(1) {
             return Err("too many goals: send fewer".to_owned());
         }
         let now = now_ms();
@@ -406,7 +431,7 @@ impl Reader {
             let show = show.ok_or("there is no show: start `ztl web` with --script")?;
             // Whoever may stop everything may stop a scene.
             if !wish.stops() {
-                if !self.goal_rate.allows() {
+                if !self.goal_rate.allows(1) {
                     return Err("too many commands: send fewer".to_owned());
                 }
                 self.board.begins_to_operate(&self.who)?;
@@ -487,14 +512,16 @@ impl Rate {
         }
     }
 
-    fn allows(&mut self) -> bool {
+    /// Whether so much more is allowed now.
+    fn allows(&mut self, count: usize) -> bool {
+        let count = count as f64;
         let now = Instant::now();
         let earned = now.duration_since(self.at).as_secs_f64() * self.a_second;
         self.left = (self.left + earned).min(self.at_once);
         self.at = now;
-        let allowed = self.left >= 1.0;
+        let allowed = self.left >= count;
         if allowed {
-            self.left -= 1.0;
+            self.left -= count;
         }
         allowed
     }
