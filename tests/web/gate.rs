@@ -299,6 +299,11 @@ fn a_page_of_ones_own_and_its_forms_are_answered_as_by_the_original() {
     }
     let foreign = format!("{here}Origin: http://evil.example\r\n");
     assert_eq!(self::post(&port, &foreign, "test:mark=x").0, 403);
+    let elsewhere = format!(
+        "{here}Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: navigate\r\nSec-Fetch-Dest: document\r\n"
+    );
+    assert_eq!(self::post(&port, &elsewhere, "test:mark=x").0, 403);
+    assert_eq!(ask(&port, "/", &elsewhere).0, 200);
     let forwarded = format!("{here}X-Forwarded-For: 10.0.0.9\r\n");
     assert_eq!(self::post(&port, &forwarded, "test:mark=x").0, 401);
     fs::remove_file(&page).expect("no page");

@@ -9,7 +9,7 @@ use axum::body::Bytes;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::header::{self, HeaderName, HeaderValue};
-use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
@@ -244,8 +244,8 @@ async fn check(
 ) -> Response {
     let path = request.uri().path();
     let is_page = path == "/";
-    // A report takes time and memory: only our own page, or whoever types it, asks for one.
-    let is_linked = !["/record", "/report"].contains(&path);
+    // A link posts no form. A report takes time and memory: only our own page, or whoever types it, asks for one.
+    let is_linked = request.method() == Method::GET && !["/record", "/report"].contains(&path);
     let query = request.uri().query();
     let token = token_in(query).filter(|token| console.gate.role_of(token).is_some());
     let checked = console
