@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use ztl_std::State::{Aborted, Completed, Failed, Rejected};
-use ztl_std::{
-    RemoteTask, RequestError, RunError, State, Subscriber, TaskId, TriggerError, WaitError,
+use ztl_std::{RemoteTask, State, Subscriber};
+use ztl_tests::lab::{
+    PATIENCE, Process, Scratch, Server, connect_to, end, outcome, reserve_port, start, until, ztl,
 };
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, until, ztl};
 
 use crate::robot::Robot;
 
@@ -70,9 +70,7 @@ impl Served {
 
     #[track_caller]
     fn remote(&self) -> RemoteTask {
-        RemoteTask::connect(&self.server.endpoint(), self.scope)
-            .expect("an address")
-            .with_timeout(PATIENCE)
+        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
     }
 
     /// Runs a task and returns its outcome, or why it was rejected; not before the service is found, which may take longer
@@ -89,30 +87,7 @@ impl Served {
 
     #[track_caller]
     fn run_once(&self, handler: &str, component: &str, goal: &str) -> (State, String) {
-        match self.remote().run(handler, component, goal, Some(PATIENCE)) {
-            Ok(status) => (status.state, status.text),
-            Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => (Rejected, reason),
-            Err(error) => panic!("{component}:{goal}: {error}"),
-        }
-    }
-}
-
-#[track_caller]
-fn trigger(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> TaskId {
-    let task = remote.trigger(handler, component, goal);
-    let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
-    task.id.number().expect("a task id")
-}
-
-#[track_caller]
-fn end(remote: &mut RemoteTask, task: TaskId) -> (State, String) {
-    match remote.wait(task, Some(PATIENCE)) {
-        Ok(end) => (end.state, end.text),
-        Err(WaitError {
-            last: Err(RequestError::UnknownOutcome { text }),
-            ..
-        }) => (Failed, text),
-        Err(error) => panic!("{error:?}"),
+        outcome(&mut self.remote(), handler, component, goal)
     }
 }
 
@@ -176,7 +151,7 @@ fn the_example_for_nao_speaks_moves_and_shows_colors() {
         ),
         ("behavior", "run", "dance", "behavior dance", "stop dance"),
     ] {
-        let task = trigger(&mut remote, handler, component, goal);
+        let task = start(&mut remote, handler, component, goal);
         robot.line_with(begun);
         remote.abort(task).expect("an answer");
         robot.line_with(stopped);
@@ -334,7 +309,7 @@ fn a_lost_service_leaves_the_outcome_unknown_and_nothing_is_called_twice() {
     );
     let mut remote = nao.remote();
     assert_eq!(nao.run("p", "say", "hello"), completed("None"));
-    let task = trigger(&mut remote, "p", "say", "a long story");
+    let task = start(&mut remote, "p", "say", "a long story");
     robot.line_with("say a long story");
     robot.tell("unregister ALTextToSpeech");
     let (state, text) = end(&mut remote, task);
@@ -363,7 +338,7 @@ fn a_directory_that_is_restarted_is_found_again() {
     );
     let mut remote = nao.remote();
     assert_eq!(nao.run("p", "say", "hello"), completed("None"));
-    let task = trigger(&mut remote, "p", "say", "a long story");
+    let task = start(&mut remote, "p", "say", "a long story");
     robot.line_with("say a long story");
     drop(robot);
     let (state, text) = end(&mut remote, task);
@@ -389,7 +364,7 @@ fn an_abort_that_the_method_ignores_is_rejected_and_the_task_goes_on() {
     );
     assert_eq!(nao.run("p", "hush", ""), completed("None"));
     let mut remote = nao.remote();
-    let task = trigger(&mut remote, "p", "say", "a long story");
+    let task = start(&mut remote, "p", "say", "a long story");
     robot.line_with("say a long story");
     let answer = remote.abort(task).expect("an answer");
     assert!(answer.is_abort_rejected(), "{answer:?}");
@@ -408,7 +383,7 @@ fn sigterm_stops_what_moves() {
         "walk: {naoqi: ALMotion.moveTo, arguments: ['{goal}', 0, 0], abort: ALMotion.stopMove}",
     );
     assert_eq!(nao.run("p", "walk", "1"), completed("True"));
-    trigger(&mut nao.remote(), "p", "walk", "2");
+    start(&mut nao.remote(), "p", "walk", "2");
     robot.line_with("move 2.0");
     let server = nao.server;
     server.process.signal("TERM");

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use ztl_std::State::{Aborted, Completed};
 use ztl_std::{RemoteTask, Subscriber};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, Scratch, Server, connect_to, end, reserve_port, start, ztl,
+};
 
 use crate::rig::{Master, wait};
 use crate::serve::run;
@@ -61,8 +63,7 @@ impl Robot {
     }
 
     fn remote(&self) -> RemoteTask {
-        let remote = RemoteTask::connect(&self.server.endpoint(), self.scope);
-        remote.expect("an address").with_timeout(PATIENCE)
+        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
     }
 
     /// Runs `handler:component:goal`, which completes, and waits until the robot prints this.
@@ -94,19 +95,17 @@ impl Robot {
 
         let mut remote = self.remote();
         let place = "{x: 1, y: 2, yaw: 3.14159265}";
-        let task = remote.trigger("base", "goto", place).expect("a task").id;
+        let task = start(&mut remote, "base", "goto", place);
         self.prints("go map 1.0 2.0 1.0 0.0");
         self.node.write_line("arrive");
-        let task = task.number().expect("a task id");
-        let end = remote.wait(task, Some(PATIENCE)).expect("an end");
-        assert_eq!(end.state, Completed, "{}", end.text);
+        let (state, text) = end(&mut remote, task);
+        assert_eq!(state, Completed, "{text}");
 
         let place = "{x: 5, y: 0, yaw: 0}";
-        let task = remote.trigger("base", "goto", place).expect("a task").id;
-        let task = task.number().expect("a task id");
+        let task = start(&mut remote, "base", "goto", place);
         remote.abort(task).expect("an answer");
-        let end = remote.wait(task, Some(PATIENCE)).expect("an end");
-        assert_eq!(end.state, Aborted, "{}", end.text);
+        let (state, text) = end(&mut remote, task);
+        assert_eq!(state, Aborted, "{text}");
     }
 
     /// The next value of a stream.

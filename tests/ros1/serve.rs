@@ -1,9 +1,10 @@
 //! `ztl serve` with a robot of ROS 1: its kinds of components, and what becomes of a robot that moves.
 
 use ztl_std::State::{Aborted, Completed, Failed, Rejected};
-use ztl_std::{RemoteTask, RunError, State, Subscriber, TaskId, TriggerError};
+use ztl_std::{RemoteTask, State, Subscriber, TaskId};
 use ztl_tests::lab::{
-    PATIENCE, Process, Scratch, Server, connect, our_client_at, reserve_port, until, ztl,
+    PATIENCE, Process, Scratch, Server, connect, our_client_at, outcome, reserve_port, start,
+    until, ztl,
 };
 
 use crate::rig::{Master, unique, wait};
@@ -97,19 +98,15 @@ pub(crate) fn run(
 
 #[track_caller]
 fn run_once(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> Ended {
-    match remote.run(handler, component, goal, Some(PATIENCE)) {
-        Ok(status) if status.state == Rejected => Err(status.text),
-        Ok(status) => Ok((status.state, status.text)),
-        Err(RunError::NotStarted(TriggerError::Rejected { reason, .. })) => Err(reason),
-        Err(error) => panic!("{handler}:{component}:{goal}: {error}"),
+    match outcome(remote, handler, component, goal) {
+        (Rejected, reason) => Err(reason),
+        ended => Ok(ended),
     }
 }
 
 #[track_caller]
 fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
-    let task = remote.trigger("p", component, goal);
-    let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
-    task.id.number().expect("a task id")
+    start(remote, "p", component, goal)
 }
 
 const DRIVE: &str = "scopes: {/test: {p: {

@@ -6,8 +6,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ztl_std::State::{Aborted, Completed, Failed};
-use ztl_std::{RemoteTask, State, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, until, ztl};
+use ztl_std::{RemoteTask, State, TaskId};
+use ztl_tests::lab::{
+    PATIENCE, Process, Scratch, Server, connect_to, end, outcome, start, until, ztl,
+};
 
 use crate::rig::project;
 
@@ -114,41 +116,20 @@ impl Served {
 
     #[track_caller]
     fn remote(&self) -> RemoteTask {
-        let remote = RemoteTask::connect(&self.server.endpoint(), self.scope);
-        remote.expect("an address").with_timeout(PATIENCE)
+        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
     }
 
-    /// Runs a task and returns its outcome.
+    /// [`outcome`] of a task.
     #[track_caller]
     fn run(&self, handler: &str, component: &str, goal: &str) -> (State, String) {
-        let mut remote = self.remote();
-        let started = remote.trigger(handler, component, goal);
-        match started {
-            Ok(started) => end(&mut remote, started.id.number().expect("a task id")),
-            Err(TriggerError::Rejected { reason, .. }) => (State::Rejected, reason),
-            Err(error) => panic!("{component}:{goal}: {error}"),
-        }
+        outcome(&mut self.remote(), handler, component, goal)
     }
 
     #[track_caller]
     fn trigger(&self, handler: &str, component: &str, goal: &str) -> (RemoteTask, TaskId) {
         let mut remote = self.remote();
-        let started = remote.trigger(handler, component, goal).expect("a task");
-        let id = started.id.number().expect("a task id");
+        let id = start(&mut remote, handler, component, goal);
         (remote, id)
-    }
-}
-
-#[track_caller]
-fn end(remote: &mut RemoteTask, task: TaskId) -> (State, String) {
-    use ztl_std::{RequestError, WaitError};
-    match remote.wait(task, Some(PATIENCE)) {
-        Ok(end) => (end.state, end.text),
-        Err(WaitError {
-            last: Err(RequestError::UnknownOutcome { text }),
-            ..
-        }) => (Failed, text),
-        Err(error) => panic!("{error:?}"),
     }
 }
 

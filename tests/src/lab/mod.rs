@@ -30,7 +30,7 @@ pub use peers::{Peer, javascript_packages, node_packages, python27};
 pub use ports::reserve_port;
 pub use process::{Ended, Process, process_status, processor_time, signal};
 pub use random::{Random, number, seed};
-pub use remote::{LIMIT, connect, port_of, serve, start, status};
+pub use remote::{LIMIT, connect, connect_to, end, outcome, port_of, serve, start, status};
 pub use server::{SCOPE, Server, gateway, simulated_gripper};
 pub use service_manager::{ServiceManager, verify_unit};
 pub use terminal::Terminal;

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use ztl_std::{
-    RemoteTask, RunningServer, State, Status, TaskController, TaskId, TaskServer, Transport,
+    RemoteTask, RequestError, RunningServer, State, Status, TaskController, TaskId, TaskServer,
+    Transport, TriggerError, WaitError,
 };
 
 use super::{PATIENCE, SCOPE};
@@ -14,7 +15,13 @@ pub const LIMIT: Option<Duration> = Some(PATIENCE);
 /// A client of [`SCOPE`] at this ZeroMQ address.
 #[track_caller]
 pub fn connect(endpoint: &str) -> RemoteTask {
-    let remote = RemoteTask::connect(endpoint, SCOPE).expect("an address");
+    connect_to(endpoint, SCOPE)
+}
+
+/// A client of a scope at this ZeroMQ address.
+#[track_caller]
+pub fn connect_to(endpoint: &str, scope: &str) -> RemoteTask {
+    let remote = RemoteTask::connect(endpoint, scope).expect("an address");
     remote.with_transport(transport()).expect("a socket")
 }
 
@@ -31,6 +38,34 @@ pub fn start(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str
     let task = remote.trigger(handler, component, goal);
     let task = task.unwrap_or_else(|error| panic!("{handler}:{component}:{goal}: {error}"));
     task.id.number().expect("a number")
+}
+
+/// Runs a task to its end: its final state and text. If it is rejected, the text is the reason.
+#[track_caller]
+pub fn outcome(
+    remote: &mut RemoteTask,
+    handler: &str,
+    component: &str,
+    goal: &str,
+) -> (State, String) {
+    match remote.trigger(handler, component, goal) {
+        Ok(started) => end(remote, started.id.number().expect("a number")),
+        Err(TriggerError::Rejected { reason, .. }) => (State::Rejected, reason),
+        Err(error) => panic!("{handler}:{component}:{goal}: {error}"),
+    }
+}
+
+/// Waits for the end of a task: its final state and text. A task of unknown outcome is FAILED on the wire.
+#[track_caller]
+pub fn end(remote: &mut RemoteTask, task: TaskId) -> (State, String) {
+    match remote.wait(task, LIMIT) {
+        Ok(end) => (end.state, end.text),
+        Err(WaitError {
+            last: Err(RequestError::UnknownOutcome { text }),
+            ..
+        }) => (State::Failed, text),
+        Err(error) => panic!("{error:?}"),
+    }
 }
 
 /// A status to compare with.
