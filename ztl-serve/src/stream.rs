@@ -2,9 +2,9 @@
 
 mod outlet;
 pub(crate) mod read;
+pub(crate) mod received;
 mod source;
 pub(crate) mod splitter;
-pub(crate) mod waiting;
 mod worker;
 
 use std::sync::Arc;

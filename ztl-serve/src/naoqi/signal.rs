@@ -1,7 +1,6 @@
 //! `naoqi-event` and `naoqi-signal`: what a robot tells, as a stream.
 
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::sync::Arc;
 
 use tracing::{debug, warn};
 use ztl_naoqi::{Client, Event, SignalOf, SubscriptionHandle, Value};
@@ -9,10 +8,10 @@ use ztl_yaml::Node;
 
 use super::connection::Robot;
 use super::names::What;
-use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
+use crate::kind::{Job, JobContext};
 use crate::log::LOG;
 use crate::reader::ConfigReader;
-use crate::stream::waiting::Waiting;
+use crate::stream::received::{Inbox, ReceivingJob};
 
 /// An event of the robot's memory, or a signal or property of a service.
 #[derive(Debug)]
@@ -72,85 +71,49 @@ fn line(values: Value) -> Vec<u8> {
     line
 }
 
-/// A subscription for a stream.
-pub(crate) struct SignalJob {
-    waiting: Arc<Mutex<Waiting>>,
-    /// `Err`: why there is none.
-    subscription: Result<(Client, SubscriptionHandle), String>,
-    is_accepted: bool,
-}
-
-impl SignalJob {
-    pub(crate) fn new(signal: &Arc<Signal>, context: JobContext) -> Self {
-        let waiting = Arc::new(Mutex::new(Waiting::default()));
-        let (shared, told) = (Arc::clone(&waiting), Arc::clone(signal));
-        let subscription = signal.robot.client().map(|client| {
+impl Signal {
+    /// The job that receives it.
+    pub(crate) fn job(self: &Arc<Self>, context: JobContext) -> Box<dyn Job> {
+        let signal = Arc::clone(self);
+        let subscribe = |inbox: Inbox| {
+            let client = signal.robot.client()?;
+            let name = signal.name.clone();
             // A flood is told once.
             let mut is_told = false;
             let each = move |event| match event {
                 Event::Signal {
                     values, dropped, ..
                 } => {
-                    let name = &told.name;
                     if dropped > 0 && !std::mem::replace(&mut is_told, true) {
                         warn!(target: LOG, "{dropped} signals {name} were dropped, since too many came at once.");
                     }
                     match values {
-                        Ok(values) => {
-                            let line = line(values);
-                            let mut waiting =
-                                shared.lock().unwrap_or_else(PoisonError::into_inner);
-                            if waiting.push(line) {
-                                context.mailbox.wake();
-                            }
+                        Ok(values) => inbox.push(line(values)),
+                        Err(error) => {
+                            debug!(target: LOG, "A signal {name} cannot be read: {error}")
                         }
-                        Err(error) => debug!(target: LOG, "A signal {name} cannot be read: {error}"),
                     }
                 }
                 Event::Unsubscribed { reason, .. } => {
-                    let name = &told.name;
                     warn!(target: LOG, "No signals {name} until they are found again: {reason}");
                 }
                 _ => {}
             };
-            let subscription = client.subscribe(signal.of.clone(), each);
-            (client, subscription)
-        });
-        Self {
-            waiting,
-            subscription,
-            is_accepted: false,
-        }
+            let handle = client.subscribe(signal.of.clone(), each);
+            Ok(Subscription { client, handle })
+        };
+        Box::new(ReceivingJob::new(context, subscribe, |line| line))
     }
 }
 
-impl Job for SignalJob {
-    fn stop(&mut self, _: Instant, _: StopReason, effects: &mut Vec<Effect>) {
-        effects.push(Effect::End(Outcome::Aborted(String::new())));
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        let is_due = !self.is_accepted || self.subscription.is_err();
-        is_due.then(Instant::now)
-    }
-
-    fn handle_timeout(&mut self, _: Instant, effects: &mut Vec<Effect>) {
-        if !std::mem::replace(&mut self.is_accepted, true) {
-            effects.push(Effect::Accept);
-        }
-        if let Err(reason) = &self.subscription {
-            return effects.push(Effect::End(Outcome::Failed(reason.clone())));
-        }
-        let waiting = self.waiting.lock();
-        let messages = waiting.unwrap_or_else(PoisonError::into_inner).take();
-        effects.extend(messages.into_iter().map(Effect::Output));
-    }
+/// Ends when it is dropped.
+struct Subscription {
+    client: Client,
+    handle: SubscriptionHandle,
 }
 
-impl Drop for SignalJob {
+impl Drop for Subscription {
     fn drop(&mut self) {
-        if let Ok((client, subscription)) = &self.subscription {
-            client.unsubscribe(*subscription);
-        }
+        self.client.unsubscribe(self.handle);
     }
 }

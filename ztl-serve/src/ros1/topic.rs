@@ -1,18 +1,16 @@
 //! `ros1-topic`: the messages of a topic as a stream.
 
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::sync::Arc;
 
-use ztl_ros1::Subscription;
 use ztl_ros1::message::{MessageType, Value};
 use ztl_yaml::{Fields, Node};
 
 use super::connection::{Connection, wire};
 use super::shown::has;
-use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
+use crate::kind::{Job, JobContext};
 use crate::reader::ConfigReader;
+use crate::stream::received::{Inbox, ReceivingJob};
 use crate::stream::splitter::Framing;
-use crate::stream::waiting::Waiting;
 
 /// A topic of a robot.
 #[derive(Debug)]
@@ -56,6 +54,19 @@ impl<'d> ConfigReader<'d> {
 }
 
 impl Topic {
+    /// The job that receives it.
+    pub(crate) fn job(self: &Arc<Self>, context: JobContext) -> Box<dyn Job> {
+        let (node, wire) = (self.connection.node(), wire(&self.message));
+        let subscribe = |inbox: Inbox| {
+            let on_message = move |_: &str, bytes: &[u8]| inbox.push(bytes.to_vec());
+            let subscription = node?.subscribe(&self.name, wire, on_message);
+            subscription.map_err(|error| error.to_string())
+        };
+        let topic = Arc::clone(self);
+        let output = move |message: Vec<u8>| topic.output(&message);
+        Box::new(ReceivingJob::new(context, subscribe, output))
+    }
+
     /// How the output of its job is split.
     pub(crate) const fn framing(&self) -> Framing {
         self.framing
@@ -82,63 +93,6 @@ impl Topic {
                 line
             }
             _ => Vec::new(),
-        }
-    }
-}
-
-/// A subscription for a stream.
-pub(crate) struct TopicJob {
-    topic: Arc<Topic>,
-    waiting: Arc<Mutex<Waiting>>,
-    /// `Err`: why there is no value.
-    subscription: Result<Subscription, String>,
-    is_accepted: bool,
-}
-
-impl TopicJob {
-    pub(crate) fn new(topic: &Arc<Topic>, context: JobContext) -> Self {
-        let waiting = Arc::new(Mutex::new(Waiting::default()));
-        let shared = Arc::clone(&waiting);
-        let subscription = topic.connection.node().and_then(|node| {
-            let on_message = move |_: &str, bytes: &[u8]| {
-                let mut waiting = shared.lock().unwrap_or_else(PoisonError::into_inner);
-                if waiting.push(bytes.to_vec()) {
-                    context.mailbox.wake();
-                }
-            };
-            let subscription = node.subscribe(&topic.name, wire(&topic.message), on_message);
-            subscription.map_err(|error| error.to_string())
-        });
-        Self {
-            topic: Arc::clone(topic),
-            waiting,
-            subscription,
-            is_accepted: false,
-        }
-    }
-}
-
-impl Job for TopicJob {
-    fn stop(&mut self, _: Instant, _: StopReason, effects: &mut Vec<Effect>) {
-        effects.push(Effect::End(Outcome::Aborted(String::new())));
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        let is_due = !self.is_accepted || self.subscription.is_err();
-        is_due.then(Instant::now)
-    }
-
-    fn handle_timeout(&mut self, _: Instant, effects: &mut Vec<Effect>) {
-        if !std::mem::replace(&mut self.is_accepted, true) {
-            effects.push(Effect::Accept);
-        }
-        if let Err(reason) = &self.subscription {
-            return effects.push(Effect::End(Outcome::Failed(reason.clone())));
-        }
-        let waiting = self.waiting.lock();
-        let messages = waiting.unwrap_or_else(PoisonError::into_inner).take();
-        for message in messages {
-            effects.push(Effect::Output(self.topic.output(&message)));
         }
     }
 }

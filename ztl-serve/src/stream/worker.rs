@@ -18,11 +18,9 @@ use super::{Origin, StreamConfig};
 use crate::jobs;
 use crate::kind::{Effect, Job, JobContext, Message, StopReason};
 use crate::mailbox::{Inbox, Mailbox};
-use crate::naoqi::signal::SignalJob;
 use crate::program::ProgramJob;
 use crate::program::assignment::Assignment;
 use crate::program::processes::ProcessRegistry;
-use crate::ros1::topic::TopicJob;
 
 /// How long no program is read while the publisher has too much to send. Programs wait, and values of others have room.
 const BEHIND: Duration = Duration::from_millis(1);
@@ -165,8 +163,8 @@ impl Worker {
                         &self.processes,
                     ))
                 }
-                Origin::Topic(topic) => Box::new(TopicJob::new(topic, context)),
-                Origin::Signal(signal) => Box::new(SignalJob::new(signal, context)),
+                Origin::Topic(topic) => topic.job(context),
+                Origin::Signal(signal) => signal.job(context),
             };
             source.started(now, id, job);
         }

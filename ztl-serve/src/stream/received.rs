@@ -1,0 +1,126 @@
+//! Streams of what a subscription receives: messages wait for the thread of all streams.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
+
+/// The most bytes of messages that wait for the thread of all streams. Then the oldest is dropped.
+const MOST: usize = 16 << 20;
+
+/// Where the callback of a subscription leaves its messages.
+pub(crate) struct Inbox {
+    waiting: Arc<Mutex<Waiting>>,
+    context: JobContext,
+}
+
+impl Inbox {
+    pub(crate) fn push(&self, message: Vec<u8>) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.push(message) {
+            self.context.mailbox.wake();
+        }
+    }
+}
+
+/// A stream from a subscription, which ends when it is dropped.
+pub(crate) struct ReceivingJob<S> {
+    waiting: Arc<Mutex<Waiting>>,
+    /// `Err`: why there is none.
+    subscription: Result<S, String>,
+    /// Makes the output for a message.
+    output: Box<dyn Fn(Vec<u8>) -> Vec<u8> + Send>,
+    is_accepted: bool,
+}
+
+impl<S> ReceivingJob<S> {
+    pub(crate) fn new(
+        context: JobContext,
+        subscribe: impl FnOnce(Inbox) -> Result<S, String>,
+        output: impl Fn(Vec<u8>) -> Vec<u8> + Send + 'static,
+    ) -> Self {
+        let waiting = Arc::new(Mutex::new(Waiting::default()));
+        let inbox = Inbox {
+            waiting: Arc::clone(&waiting),
+            context,
+        };
+        Self {
+            waiting,
+            subscription: subscribe(inbox),
+            output: Box::new(output),
+            is_accepted: false,
+        }
+    }
+}
+
+impl<S: Send> Job for ReceivingJob<S> {
+    fn stop(&mut self, _: Instant, _: StopReason, effects: &mut Vec<Effect>) {
+        effects.push(Effect::End(Outcome::Aborted(String::new())));
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let is_due = !self.is_accepted || self.subscription.is_err();
+        is_due.then(Instant::now)
+    }
+
+    fn handle_timeout(&mut self, _: Instant, effects: &mut Vec<Effect>) {
+        if !std::mem::replace(&mut self.is_accepted, true) {
+            effects.push(Effect::Accept);
+        }
+        if let Err(reason) = &self.subscription {
+            return effects.push(Effect::End(Outcome::Failed(reason.clone())));
+        }
+        let waiting = self.waiting.lock();
+        let messages = waiting.unwrap_or_else(PoisonError::into_inner).take();
+        let outputs = messages.into_iter().map(&self.output);
+        effects.extend(outputs.map(Effect::Output));
+    }
+}
+
+/// Messages that were received and not passed on.
+#[derive(Debug, Default)]
+struct Waiting {
+    messages: VecDeque<Vec<u8>>,
+    bytes: usize,
+}
+
+impl Waiting {
+    /// Adds a message. Returns whether it is the only one.
+    fn push(&mut self, message: Vec<u8>) -> bool {
+        let was_empty = self.messages.is_empty();
+        self.bytes += message.len();
+        self.messages.push_back(message);
+        while self.bytes > MOST
+            && let Some(oldest) = self.messages.pop_front()
+        {
+            self.bytes -= oldest.len();
+        }
+        was_empty
+    }
+
+    /// Takes all messages.
+    fn take(&mut self) -> VecDeque<Vec<u8>> {
+        std::mem::take(self).messages
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slow_stream_keeps_the_newest_messages() {
+        let mut waiting = Waiting::default();
+        for count in 0..20 {
+            assert_eq!(waiting.push(vec![count; 1 << 20]), count == 0);
+        }
+        assert_eq!(waiting.messages.len(), 16);
+        assert_eq!(
+            waiting.messages.front().map(|it| it.first().copied()),
+            Some(Some(4))
+        );
+        waiting.push(vec![0; MOST + 1]);
+        assert!(waiting.messages.is_empty());
+    }
+}
