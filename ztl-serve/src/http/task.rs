@@ -30,8 +30,9 @@ const LONGEST_EVERY: Duration = Duration::from_mins(1);
 const QUESTION: Duration = Duration::from_secs(5);
 /// How long an abort may take.
 const ABORT: Duration = Duration::from_secs(5);
-/// How often an abort is sent until it is answered, and the pause between two requests that may be repeated.
+/// How often an abort is sent until it is answered.
 const ABORTS: usize = 3;
+/// The pause between two attempts of a request that may be repeated.
 const PAUSE: Duration = Duration::from_millis(200);
 /// The most repetitions.
 const MOST_REPETITIONS: usize = 10;
@@ -494,13 +495,16 @@ impl Run {
         let until = Instant::now() + ABORT;
         let filled = request.fill(&self.call)?;
         let mut reason = String::new();
-        for _ in 0..ABORTS {
+        for attempt in 0..ABORTS {
+            if attempt > 0 {
+                // The robot may be busy with the request that is aborted.
+                std::thread::sleep(PAUSE);
+            }
             match exchange(&filled, until) {
                 Ok(answer) if done.holds(&answer) => return Ok(()),
                 Ok(answer) => reason = format!("status {}: {}", answer.status, answer.text()),
                 Err(error) => reason = error.to_string(),
             }
-            std::thread::sleep(PAUSE);
         }
         Err(format!("{}: {reason}", request.name()))
     }
