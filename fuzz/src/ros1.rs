@@ -43,7 +43,8 @@ fn message(bytes: &[u8], allocator: &PeakAlloc) {
     };
     match bounded(rest.len(), allocator, || ty.decode(rest)) {
         Ok(value) => {
-            // Texts that are not UTF-8 change once, and numbers that are none are not equal to themselves.
+            // Compared as bytes: a NaN is not equal to itself. Compared after a second pass: the first replaces bytes that
+            // are not UTF-8.
             let written = ty.encode(&value).expect("a value of its type");
             let again = ty.decode(&written).expect("a message");
             assert_eq!(ty.encode(&again).expect("a value of its type"), written);

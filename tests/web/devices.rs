@@ -134,7 +134,7 @@ fn a_device_that_does_not_answer_is_not_called_stopped() {
         told["robots"][0]["devices"][0]["state"] == "up"
     });
     assert_eq!(stopped(&mut client), (true, "nothing ran".to_owned()));
-    // It vanishes while it moves: its gateway calls the task FAILED, and nobody knows what the device does.
+    // The device vanishes while it moves: the gateway reports the task as FAILED, but the device may still move.
     for goal in ["0", "100"] {
         client.goal(goal, "/test/arm/finger", &json!({ "goal": goal }));
         if goal == "0" {

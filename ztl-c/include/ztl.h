@@ -351,7 +351,7 @@ const char *ztl_state_name(int state);
 const char *ztl_error_name(int error);
 
 /**
- * Creates a server that is not started; NULL if there is no memory. Any thread. The caller frees it with
+ * Creates a server that is not started; NULL if the memory is not enough. Any thread. The caller frees it with
  * ztl_server_free.
  */
 ztl_server *ztl_server_new(void);
@@ -514,7 +514,7 @@ int ztl_task_needs_client(ztl_server *server,
                           unsigned int silence_ms);
 
 /**
- * Creates a client that is not connected; NULL if there is no memory. Any thread. The caller frees it with
+ * Creates a client that is not connected; NULL if the memory is not enough. Any thread. The caller frees it with
  * ztl_client_free.
  */
 ztl_client *ztl_client_new(void);

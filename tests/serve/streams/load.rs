@@ -22,13 +22,13 @@ def put(number):
         block = block[os.write(1, block):]
 while not os.path.exists('go'):
     put(99999999)
-    time.sleep(0.02)
+    time.sleep(0.02) # Often enough to show that it runs.
 for batch in range({BATCHES}):
     for number in range({BATCH}):
         put(batch * {BATCH} + number)
     while not os.path.exists('got%d' % batch):
-        time.sleep(0.01)
-time.sleep(600)
+        time.sleep(0.01) # Looks for the file again.
+time.sleep(600) # Until the server stops it: a program that ends would be started again.
 "
     );
     std::fs::write(robot.rig.scratch.path("blocks.py"), script).expect("to write");

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Creates a client that is not connected; NULL if there is no memory. Any thread. The caller frees it with
+/// Creates a client that is not connected; NULL if the memory is not enough. Any thread. The caller frees it with
 /// ztl_client_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_client_new() -> *mut Client {

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Creates a server that is not started; NULL if there is no memory. Any thread. The caller frees it with
+/// Creates a server that is not started; NULL if the memory is not enough. Any thread. The caller frees it with
 /// ztl_server_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn ztl_server_new() -> *mut Server {
