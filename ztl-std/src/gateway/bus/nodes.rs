@@ -8,6 +8,10 @@ use ztl_link::bus::Found;
 use super::Seat;
 use crate::gateway::config::name_mistake;
 
+/// The most nodes of a line while the gateway runs, also those that are gone: a node that says another id at each search
+/// fills no memory.
+const MOST: usize = 64;
+
 /// A node that was found at some time.
 #[derive(Debug)]
 pub(super) struct Node {
@@ -74,7 +78,13 @@ impl Nodes {
                 None => self.all.iter_mut().find(replaced),
             };
             let Some(node) = known else {
-                if problem.is_none() {
+                if self.all.len() >= MOST {
+                    let text = format!(
+                        "'{}' (id {:016x}) is not served: more than {MOST} nodes were found; restart the gateway",
+                        one.name, one.id
+                    );
+                    self.problem.get_or_insert(text);
+                } else if problem.is_none() {
                     let name = self.name_for(found, one);
                     changes.new.push(self.all.len());
                     let seat = Arc::<Seat>::default();
@@ -223,6 +233,20 @@ mod tests {
         let changes = nodes.update(&[found(7, 4, "pan")]);
         assert_eq!((changes.new, changes.closed), (vec![1], vec![4]));
         assert!(nodes.all[0].problem.as_ref().unwrap().contains("'pan'"));
+    }
+
+    #[test]
+    fn a_node_that_says_another_id_at_each_search_fills_no_memory() {
+        let mut nodes = Nodes::default();
+        for id in 0..1000 {
+            nodes.update(&[found(id, 4, &format!("node{id}"))]);
+        }
+        assert_eq!(nodes.all.len(), MOST);
+        let problem = nodes.problem().expect("it is told");
+        assert!(problem.starts_with("'node999' "), "{problem}");
+        // Nodes that are known are served.
+        assert!(nodes.update(&[found(0, 4, "node0")]).new.is_empty());
+        assert_eq!(nodes.problem(), None);
     }
 
     #[test]
