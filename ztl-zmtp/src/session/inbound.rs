@@ -9,14 +9,18 @@ use core::time::Duration;
 use ztl_core::Instant;
 
 use super::ENVELOPES;
-use super::frames::{Message, Scan, header, scan};
+#[cfg(feature = "curve")]
+use super::frames::header;
+use super::frames::{Message, Scan, scan};
 use super::obstacle::Obstacle;
 use super::outbound::Outbound;
 use super::security::Security;
 #[cfg(feature = "curve")]
 use crate::curve::{Cipher, Handshake};
 use crate::fault::Fault;
-use crate::wire::{COMMAND, GREETING, MECHANISM, PARTIAL, PING, Socket};
+#[cfg(feature = "curve")]
+use crate::wire::COMMAND;
+use crate::wire::{GREETING, MECHANISM, PARTIAL, PING, Socket};
 
 /// Most commands between the frames of one message.
 const WITHIN: u8 = 64;
