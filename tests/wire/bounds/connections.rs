@@ -235,7 +235,7 @@ fn median(mut attempt: impl FnMut()) -> Duration {
 #[track_caller]
 fn is_quick_beside_a_crowd(port: u16, mut attempt: impl FnMut()) {
     let crowd = Crowd::besiege(port, 400, true);
-    let took = until("the median is short", PATIENCE, || {
+    let took = until("the median is short", PATIENCE * 3, || {
         let took = median(&mut attempt);
         println!("a median of {took:?} beside {} connections", crowd.opened());
         (took < QUICK && crowd.opened() >= 5000).then_some(took)

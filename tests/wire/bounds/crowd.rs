@@ -6,7 +6,7 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What a connection says first.
 #[derive(Debug, Clone, Copy)]
@@ -59,6 +59,11 @@ pub(super) fn is_closed(stream: &mut TcpStream) -> bool {
     }
 }
 
+/// Whether the server has taken a connection: it greets first, or closes it.
+fn is_taken(stream: &TcpStream) -> bool {
+    !matches!(stream.peek(&mut [0]), Err(error) if error.kind() == ErrorKind::WouldBlock)
+}
+
 /// Threads that open connections until this is dropped.
 pub(super) struct Crowd {
     stop: Arc<AtomicBool>,
@@ -86,12 +91,20 @@ impl Crowd {
                         streams.drain(..20);
                     }
                     streams.retain_mut(|stream| !is_closed(stream));
+                    let start = Instant::now();
+                    let mut is_pending = streams.len() < count / 2;
                     while streams.len() < count / 2 {
                         streams.extend(open(port, kinds.next().unwrap_or(Says::Nothing)));
                         opened.fetch_add(1, Ordering::SeqCst);
                     }
-                    // Leaves the processor to others for a moment.
-                    std::thread::sleep(Duration::from_millis(1));
+                    // Not faster than the server takes connections: those that do not fit into the system's queue wait for
+                    // seconds, also a good client's, whatever the server does.
+                    while is_pending && !stop.load(Ordering::SeqCst) {
+                        std::thread::sleep(Duration::from_millis(1));
+                        is_pending = !streams.back().is_none_or(is_taken);
+                    }
+                    // Leaves the server and its clients as much time as it took for the crowd.
+                    std::thread::sleep(start.elapsed().max(Duration::from_millis(1)));
                 }
             })
         };
