@@ -77,6 +77,7 @@ mod offers;
 pub mod publish;
 mod random;
 mod rate_limit;
+pub mod relay;
 mod remote_id;
 #[cfg(feature = "config")]
 pub mod remotes;

@@ -138,7 +138,9 @@ impl Access {
         }
     }
 
-    pub(super) fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
+    /// Whether a client with an allowed key may use a scope.
+    #[must_use]
+    pub fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
         let of_scope = self.clients_of.get(scope);
         self.clients.contains(client) || of_scope.is_some_and(|clients| clients.contains(client))
     }
@@ -151,6 +153,16 @@ pub(crate) enum Sender {
     Anyone,
     /// The owner of a key.
     Client(PublicKey),
+}
+
+impl Sender {
+    /// The sender's key, if the server encrypts.
+    pub(crate) const fn key(self) -> Option<PublicKey> {
+        match self {
+            Self::Anyone => None,
+            Self::Client(key) => Some(key),
+        }
+    }
 }
 
 /// The access of a running server, which can be changed.

@@ -53,3 +53,9 @@ pub use reporter::TaskReporter;
 pub(crate) use router::{rules, to_bind};
 pub use task_server::{ServerBuilder, TaskServer};
 pub(crate) use waker::WakeBatch;
+
+/// What [`relay`](crate::relay) uses of a server.
+pub(crate) mod relayed {
+    pub(crate) use super::router::Router;
+    pub(crate) use super::waker::{Signal, Waker};
+}

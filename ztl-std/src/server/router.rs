@@ -24,7 +24,7 @@ use crate::random;
 use crate::transport::Transport;
 
 /// The server's end of its connections.
-pub(super) enum Router {
+pub(crate) enum Router {
     Native {
         peers: Box<Peers<RouterType>>,
         access: CurrentAccess,
@@ -35,7 +35,7 @@ pub(super) enum Router {
 
 impl Router {
     /// Binds; also returns the endpoint, with the port that was chosen, and what wakes the thread.
-    pub(super) fn bind(
+    pub(crate) fn bind(
         transport: Transport,
         access: Access,
         limits: Limits,
@@ -70,7 +70,7 @@ impl Router {
     }
 
     /// Waits for a message at most for `longest`, or until the server is woken, and returns it.
-    pub(super) fn wait(&mut self, longest: Duration) -> io::Result<Option<Received>> {
+    pub(crate) fn wait(&mut self, longest: Duration) -> io::Result<Option<Received>> {
         match self {
             Self::Native { peers, .. } => {
                 let longest = (longest != Duration::MAX).then_some(longest);
@@ -83,7 +83,7 @@ impl Router {
     }
 
     /// The next message, if there is one.
-    pub(super) fn receive(&mut self) -> io::Result<Option<Received>> {
+    pub(crate) fn receive(&mut self) -> io::Result<Option<Received>> {
         match self {
             Self::Native { peers, access } => Ok(next(peers, access)),
             #[cfg(feature = "libzmq")]
@@ -92,7 +92,7 @@ impl Router {
     }
 
     /// Looks for messages without waiting.
-    pub(super) fn look(&mut self) -> io::Result<Option<Received>> {
+    pub(crate) fn look(&mut self) -> io::Result<Option<Received>> {
         match self {
             Self::Native { .. } => self.wait(Duration::ZERO),
             #[cfg(feature = "libzmq")]
@@ -104,12 +104,17 @@ impl Router {
     pub(super) fn answer(&mut self, path: ReturnPath, reply: &Reply<'_>) {
         let mut body = Vec::new();
         reply.put(&mut |bytes: &[u8]| body.extend_from_slice(bytes));
+        self.send(path, &body);
+    }
+
+    /// As [`answer`](Self::answer), for a body that is complete.
+    pub(crate) fn send(&mut self, path: ReturnPath, body: &[u8]) {
         match (self, path) {
             (Self::Native { peers, .. }, ReturnPath::Native(peer, envelope)) => {
-                peers.send(peer, &envelope, &body);
+                peers.send(peer, &envelope, body);
             }
             #[cfg(feature = "libzmq")]
-            (Self::Libzmq(router), ReturnPath::Libzmq(frames)) => router.answer(frames, &body),
+            (Self::Libzmq(router), ReturnPath::Libzmq(frames)) => router.answer(frames, body),
             #[cfg(feature = "libzmq")]
             _ => {}
         }

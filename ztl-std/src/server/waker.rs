@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::libzmq::server::Waking;
 
 /// How a sleeping thread is woken.
-pub(super) enum Signal {
+pub(crate) enum Signal {
     Native(mio::Waker),
     #[cfg(feature = "libzmq")]
     Libzmq(Waking),
@@ -27,7 +27,7 @@ impl Signal {
 }
 
 /// Wakes the server's thread.
-pub(super) struct Waker {
+pub(crate) struct Waker {
     /// The server's thread sleeps or is about to, and has not been woken.
     asleep: AtomicBool,
     /// Something was posted since the thread last looked.
@@ -45,7 +45,7 @@ pub(super) struct Waker {
 
 impl Waker {
     /// Wakes a thread that receives `signal`.
-    pub(super) fn new(signal: Signal) -> Arc<Self> {
+    pub(crate) fn new(signal: Signal) -> Arc<Self> {
         Arc::new(Self {
             asleep: AtomicBool::new(false),
             posted: AtomicBool::new(false),
@@ -59,7 +59,7 @@ impl Waker {
     }
 
     /// Something was posted. Wakes the thread, unless a batch is open.
-    pub(super) fn on_posted(&self) {
+    pub(crate) fn on_posted(&self) {
         self.posted.store(true, Ordering::SeqCst);
         if self.batches.load(Ordering::SeqCst) == 0 {
             self.wake();
@@ -74,7 +74,7 @@ impl Waker {
 
     /// The server's thread is about to sleep: returns whether it may, which is so if nothing was posted
     /// since [`on_awake`](Self::on_awake).
-    pub(super) fn may_sleep(&self) -> bool {
+    pub(crate) fn may_sleep(&self) -> bool {
         self.asleep.store(true, Ordering::SeqCst);
         if self.posted.load(Ordering::SeqCst) {
             self.asleep.store(false, Ordering::SeqCst);
@@ -83,7 +83,7 @@ impl Waker {
     }
 
     /// The server's thread has woken, and is about to look at all that was posted.
-    pub(super) fn on_awake(&self) {
+    pub(crate) fn on_awake(&self) {
         self.asleep.store(false, Ordering::SeqCst);
         self.posted.store(false, Ordering::SeqCst);
         if self.probed.swap(false, Ordering::SeqCst) {
@@ -105,13 +105,13 @@ impl Waker {
         !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
     }
 
-    pub(super) fn stop(&self) {
+    pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::SeqCst);
         self.posted.store(true, Ordering::SeqCst);
         self.wake();
     }
 
-    pub(super) fn stopped(&self) -> bool {
+    pub(crate) fn stopped(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
     }
 
