@@ -6,3 +6,9 @@
 pub mod agent;
 pub mod endpoint;
 pub mod wire;
+pub mod config;
+pub mod journal;
+pub mod join;
+pub mod random;
+pub mod serve;
+pub mod session;

@@ -1,0 +1,313 @@
+//! The files of `ztl-fleet`: one for each agent, endpoint and router, with the same keys for what they share.
+
+use std::path::{Path, PathBuf};
+
+use ztl_std::Access;
+use ztl_std::files::load_yaml;
+use ztl_std::keys::{KeyFiles, KeyPair, PublicKey};
+use ztl_std::listen::{Listen, one_or_more};
+use ztl_std::scope;
+use ztl_yaml::{Diagnostics, Fields, Node, Reading};
+
+use crate::wire::is_name;
+
+/// Certificates for connections over TLS.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tls {
+    /// Certificates of the authorities whose peers are accepted, in PEM.
+    pub ca: PathBuf,
+    /// The own certificate, in PEM.
+    pub certificate: PathBuf,
+    /// Its private key, in PEM.
+    pub key: PathBuf,
+}
+
+/// How to reach the other parts of the fleet.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Links {
+    /// Routers to connect to, as `tcp/10.0.0.1:7447`.
+    pub routers: Vec<String>,
+    /// Where a router listens.
+    pub listen: Vec<String>,
+    /// Certificates, if there is TLS.
+    pub tls: Option<Tls>,
+}
+
+/// The file of an agent.
+#[derive(Debug, Clone)]
+pub struct AgentConfig {
+    /// The robot's name.
+    pub name: String,
+    /// The ZeroMQ address of its server.
+    pub server: String,
+    /// Keys for that server, if it encrypts.
+    pub keys: Option<KeyFiles>,
+    /// Its scopes, if the server cannot tell them.
+    pub scopes: Vec<String>,
+    /// Groups that it belongs to.
+    pub groups: Vec<String>,
+    /// Directory of what must survive a restart.
+    pub state: PathBuf,
+    /// How to reach the fleet.
+    pub links: Links,
+}
+
+/// The file of an endpoint, and of the commands that look at a fleet.
+#[derive(Debug, Clone)]
+pub struct EndpointConfig {
+    /// Where to listen, and who may use it.
+    pub listen: Listen,
+    /// The robots that belong to the fleet.
+    pub robots: Vec<String>,
+    /// How to reach the fleet.
+    pub links: Links,
+}
+
+impl AgentConfig {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// All that is wrong in it.
+    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
+        let base = path.parent().unwrap_or(Path::new("."));
+        let document = load_yaml(path)?;
+        let mut reading = document.reading();
+        let example = "an agent, as name: arm-1, server: tcp://127.0.0.1:12345, routers: [tcp/10.0.0.1:7447]";
+        let read = reading.fields(document.root(), example);
+        let read = read.and_then(|mut fields| {
+            let name = fields.required("name", "name: arm-1");
+            let name = name.and_then(|node| robot(&mut reading, node));
+            let server = fields.required("server", "server: tcp://127.0.0.1:12345");
+            let server = server.and_then(|node| {
+                let what = "the address of the robot's server, as tcp://127.0.0.1:12345";
+                reading.parsed(node, what, |text| {
+                    let endpoint = ztl_std::relay::RelayClient::new(text, None);
+                    endpoint.map(|_| text.to_owned())
+                })
+            });
+            let mut scopes = Vec::new();
+            for node in fields.optional("scopes").map_or(&[][..], one_or_more) {
+                scopes.extend(reading.parsed(node, "a scope, as /lab", |text| {
+                    match scope::cannot_be_asked(text) {
+                        None if text.starts_with('/') => Ok(text.to_owned()),
+                        None => Err(format!(
+                            "scope '{text}' does not begin with '/', so no client of a fleet reaches it"
+                        )),
+                        Some(mistake) => Err(mistake),
+                    }
+                }));
+            }
+            let mut groups = Vec::new();
+            for node in fields.optional("groups").map_or(&[][..], one_or_more) {
+                groups.extend(named(&mut reading, node, "a group, as floor-2"));
+            }
+            let state = fields.optional("state");
+            let state = state.and_then(|node| reading.text(node, "a directory"));
+            let keys = KeyFiles::take(&mut reading, &mut fields, base);
+            let links = links(&mut reading, &mut fields, base, false);
+            fields.finish(&mut reading);
+            let name: String = name?;
+            let state = state.map_or_else(|| format!("{name}.fleet"), str::to_owned);
+            Some(Self {
+                server: server?,
+                keys,
+                scopes,
+                groups,
+                state: base.join(state),
+                links,
+                name,
+            })
+        });
+        reading.finish(read)
+    }
+}
+
+impl EndpointConfig {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// All that is wrong in it.
+    pub fn load(path: &Path) -> Result<Self, Diagnostics> {
+        let base = path.parent().unwrap_or(Path::new("."));
+        let document = load_yaml(path)?;
+        let mut reading = document.reading();
+        let example = "an endpoint, as port: 12345, routers: [tcp/10.0.0.1:7447]";
+        let read = reading.fields(document.root(), example);
+        let read = read.map(|mut fields| {
+            let listen = Listen::read(&mut reading, &mut fields, base);
+            let mut robots = Vec::new();
+            for node in fields.optional("robots").map_or(&[][..], one_or_more) {
+                robots.extend(robot(&mut reading, node));
+            }
+            let links = links(&mut reading, &mut fields, base, false);
+            fields.finish(&mut reading);
+            Self {
+                listen,
+                robots,
+                links,
+            }
+        });
+        reading.finish(read)
+    }
+
+    /// Who may use the endpoint.
+    ///
+    /// # Errors
+    /// Which key cannot be read.
+    pub fn access(&self) -> Result<Access, String> {
+        if let Some(keyless) = &self.listen.keyless {
+            return Err(keyless.to_string());
+        }
+        let mut access = Access::everybody();
+        for network in &self.listen.allow {
+            access = access.from_network(*network);
+        }
+        if let Some(path) = &self.listen.key {
+            let keys = KeyPair::read(path).map_err(|error| error.to_string())?;
+            access = access.with_keys(keys);
+        }
+        for client in &self.listen.client_keys {
+            let (scope, path) = match client.split_once('=') {
+                Some((scope, path)) => (Some(scope), path),
+                None => (None, client.as_str()),
+            };
+            let keys = PublicKey::read_all(Path::new(path)).map_err(|error| error.to_string())?;
+            for key in keys {
+                access = match scope {
+                    Some(scope) => access.allow_scope(scope, key),
+                    None => access.allow(key),
+                };
+            }
+        }
+        Ok(access)
+    }
+}
+
+impl Links {
+    /// Reads the file of a router.
+    ///
+    /// # Errors
+    /// All that is wrong in it.
+    pub fn load_router(path: &Path) -> Result<Self, Diagnostics> {
+        let base = path.parent().unwrap_or(Path::new("."));
+        let document = load_yaml(path)?;
+        let mut reading = document.reading();
+        let example = "a router, as listen: [tcp/0.0.0.0:7447]";
+        let read = reading.fields(document.root(), example);
+        let read = read.map(|mut fields| {
+            let links = links(&mut reading, &mut fields, base, true);
+            fields.finish(&mut reading);
+            links
+        });
+        reading.finish(read)
+    }
+}
+
+fn links<'d>(
+    reading: &mut Reading<'d>,
+    fields: &mut Fields<'d>,
+    base: &Path,
+    is_router: bool,
+) -> Links {
+    let mut links = Links::default();
+    let what = "a router's address, as tcp/10.0.0.1:7447 or tls/router.example.org:7447";
+    let routers = match is_router {
+        true => fields.optional("routers"),
+        false => fields.required("routers", "routers: [tcp/10.0.0.1:7447]"),
+    };
+    for node in routers.map_or(&[][..], one_or_more) {
+        links.routers.extend(address(reading, node, what));
+    }
+    if is_router {
+        let listen = fields.required("listen", "listen: [tcp/0.0.0.0:7447]");
+        let what = "where to listen, as tcp/0.0.0.0:7447";
+        for node in listen.map_or(&[][..], one_or_more) {
+            links.listen.extend(address(reading, node, what));
+        }
+    }
+    if let Some(node) = fields.optional("tls") {
+        let what = "certificates: ca: ca.pem, certificate: arm.pem, key: arm.key";
+        let read = reading.fields(node, what);
+        links.tls = read.and_then(|mut fields| {
+            let mut file = |key, example| {
+                let node = fields.required(key, example)?;
+                reading.parsed(node, "a file", |text| {
+                    let path = base.join(text);
+                    match std::fs::File::open(&path) {
+                        // Zenoh does not know what paths are relative to.
+                        Ok(_) => path.canonicalize().map_err(|error| error.to_string()),
+                        Err(error) => Err(format!("cannot read '{}': {error}", path.display())),
+                    }
+                })
+            };
+            let ca = file("ca", "ca: ca.pem");
+            let certificate = file("certificate", "certificate: arm.pem");
+            let key = file("key", "key: arm.key");
+            fields.finish(reading);
+            Some(Tls {
+                ca: ca?,
+                certificate: certificate?,
+                key: key?,
+            })
+        });
+    }
+    links
+}
+
+fn address<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
+    reading.parsed(node, what, |text| {
+        let rest = text.strip_prefix("tcp/").or_else(|| text.strip_prefix("tls/"));
+        let port = rest.and_then(|rest| rest.rsplit_once(':'));
+        let port = port.filter(|(host, _)| !host.is_empty() && !host.contains(['?', '#', '/']));
+        match port.map(|(_, port)| port.parse::<u16>()) {
+            Some(Ok(_)) => Ok(text.to_owned()),
+            _ => Err(format!("'{text}' is not {what}")),
+        }
+    })
+}
+
+fn robot<'d>(reading: &mut Reading<'d>, node: &'d Node) -> Option<String> {
+    named(reading, node, "a robot's name, as arm-1")
+}
+
+fn named<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
+    reading.parsed(node, what, |text| match is_name(text) {
+        true => Ok(text.to_owned()),
+        false => Err(format!(
+            "'{text}' is not {what}: at most 64 letters, digits, '-', '_' and '.'"
+        )),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mistakes(text: &str) -> String {
+        let directory = std::env::temp_dir();
+        let path = directory.join(format!("ztl-fleet-config-{}.yaml", std::process::id()));
+        std::fs::write(&path, text).unwrap();
+        let loaded = AgentConfig::load(&path);
+        std::fs::remove_file(&path).unwrap();
+        let text = loaded.map_or_else(|error| error.to_string(), |_| String::new());
+        text.replace(&format!("{}:", path.display()), "agent.yaml:")
+    }
+
+    #[test]
+    fn mistakes_have_their_place() {
+        let good = "name: arm-1\nserver: tcp://127.0.0.1:7\nrouters: tcp/10.0.0.1:7447\n";
+        assert_eq!(mistakes(good), "");
+        for (wrong, message) in [
+            ("name: arm/1\nserver: tcp://h:7\nrouters: []\n", "agent.yaml:1:7: 'arm/1' is not a robot's name"),
+            ("name: a\nserver: 7\nrouters: []\n", "agent.yaml:2:9: '7' is not an endpoint"),
+            ("name: a\nserver: tcp://h:7\n", "routers: [tcp/10.0.0.1:7447]"),
+            ("name: a\nserver: tcp://h:7\nrouters: [udp/h:7]\n", "agent.yaml:3:11: 'udp/h:7' is not a router's address"),
+            ("name: a\nserver: tcp://h:7\nrouters: []\nscopes: lab\n", "agent.yaml:4:9: scope 'lab' does not begin with '/'"),
+            ("name: a\nserver: tcp://h:7\nrouters: []\ntls: {ca: no.pem}\n", "agent.yaml:4:11: cannot read"),
+            ("name: a\nserver: tcp://h:7\nrouters: []\ngruops: x\n", "agent.yaml:4:1: unknown key 'gruops'; did you mean 'groups'?"),
+        ] {
+            let told = mistakes(wrong);
+            assert!(told.contains(message), "{message}: {told}");
+        }
+    }
+}

@@ -1,0 +1,453 @@
+//! The agent beside a robot's server: Zenoh on one side, ZeroMQ on the other, and [`Agent`] between them.
+
+mod server;
+mod stop;
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use tracing::{error, info, warn};
+use zenoh::query::Query;
+use zenoh::{Session, Wait as _};
+use ztl_core::Message;
+use ztl_core::envelope::Envelope;
+use ztl_std::relay::{NotRelayed, RelayClient};
+use ztl_std::time::now;
+
+use crate::agent::{Agent, AgentEffect, Entry, ServerSaid};
+use crate::config::AgentConfig;
+use crate::journal::Journal;
+use crate::random;
+use crate::session::{self, ZenohError, key};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
+use server::ServerState;
+use stop::Started;
+
+/// Longest wait for the server's answer: as long as a client waits.
+const ANSWER: Duration = Duration::from_secs(2);
+/// Most queries at a time; each has a thread.
+const MOST: usize = 128;
+/// How often deadlines are checked.
+const TICK: Duration = Duration::from_millis(100);
+/// How long the fleet is asked who has the name.
+const CLAIM: Duration = Duration::from_secs(1);
+/// Longest request in bytes, as on ZeroMQ.
+const LONGEST: usize = ztl_std::server::MAX_MESSAGE;
+
+/// Why an agent ends.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum JoinEnd {
+    /// Another agent has the name.
+    NameTaken {
+        /// The name.
+        robot: String,
+        /// The agent that has it.
+        by: String,
+    },
+}
+
+impl std::fmt::Display for JoinEnd {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self::NameTaken { robot, by } = self;
+        write!(
+            f,
+            "the name '{robot}' is taken by agent {by}; give this robot another name, or stop that agent"
+        )
+    }
+}
+
+impl std::error::Error for JoinEnd {}
+
+/// What the agent's threads share.
+struct Shared {
+    config: AgentConfig,
+    /// The agent's id.
+    id: String,
+    since: u64,
+    client: RelayClient,
+    rules: Mutex<Rules>,
+    server: Mutex<ServerState>,
+    started: Mutex<Started>,
+    busy: AtomicUsize,
+    ends: Mutex<Sender<JoinEnd>>,
+}
+
+/// The rules with what they decide about.
+struct Rules {
+    agent: Agent,
+    journal: Journal,
+    queries: HashMap<u64, Query>,
+    next: u64,
+}
+
+/// A robot's agent, which runs until it is dropped.
+pub struct Joined {
+    session: Session,
+    shared: Arc<Shared>,
+    ends: Receiver<JoinEnd>,
+}
+
+impl Joined {
+    /// Joins the fleet, once a router is reached.
+    ///
+    /// # Errors
+    /// What is wrong with the files or with Zenoh, and [`JoinEnd::NameTaken`].
+    pub fn join(config: AgentConfig) -> Result<Self, ZenohError> {
+        let keys = config.keys.as_ref().map(|keys| keys.read()).transpose()?;
+        let client = RelayClient::new(&config.server, keys)?;
+        let (mut journal, found) = Journal::open(&config.state, random::id()?)?;
+        let agent = Agent::new(now(), random::boot()?, &found.entries, found.complete);
+        journal.rewrite(&agent.entries())?;
+        let session = session::open(&config.links, false)?;
+        let robot = config.name.clone();
+        let since = UNIX_EPOCH.elapsed().unwrap_or_default().as_secs();
+        let (sender, ends) = channel();
+        let shared = Arc::new(Shared {
+            client,
+            id: found.agent,
+            since,
+            rules: Mutex::new(Rules {
+                agent,
+                journal,
+                queries: HashMap::new(),
+                next: 0,
+            }),
+            server: Mutex::default(),
+            started: Mutex::default(),
+            busy: AtomicUsize::new(0),
+            ends: Mutex::new(sender),
+            config,
+        });
+        let id = &shared.id;
+        let present = session::present(&session, &robot, CLAIM)?;
+        if let Some((_, other)) = present.into_iter().find(|(_, agent)| agent != id) {
+            // That one is told, too.
+            let claim = format!("{}?agent={id}", key(&robot, &other, "claim"));
+            let _ = session::ask_all(&session, &[claim], b"", CLAIM);
+            return Err(JoinEnd::NameTaken { robot, by: other }.into());
+        }
+        shared.probe();
+        shared.offer(&session)?;
+        shared.spawn("ztl-fleet-tick", TICK, |shared| {
+            let effects = shared.rules().agent.handle_timeout(now());
+            shared.run(effects);
+        })?;
+        shared.spawn("ztl-fleet-probe", server::AGAIN, Shared::probe)?;
+        let alive = session.liveliness().declare_token(key(&robot, id, "alive"));
+        // It lasts as long as the session.
+        std::mem::forget(alive.wait()?);
+        let weak = (Arc::downgrade(&shared), session.clone());
+        session::watch_presence(&session, &robot, move |_, other, is_there| {
+            let (shared, session) = &weak;
+            if let Some(shared) = shared.upgrade()
+                && is_there
+                && other != shared.id
+            {
+                let (session, other) = (session.clone(), other.to_owned());
+                // Zenoh's thread must not wait.
+                let _ = std::thread::Builder::new().spawn(move || shared.on_rival(&session, other));
+            }
+        })?;
+        info!(target: "fleet", "Robot '{robot}' has joined as agent {id}.");
+        Ok(Self {
+            session,
+            shared,
+            ends,
+        })
+    }
+
+    /// Waits until the agent has to end, at most for `limit`.
+    #[must_use]
+    pub fn wait(&self, limit: Duration) -> Option<JoinEnd> {
+        self.ends.recv_timeout(limit).ok()
+    }
+}
+
+impl Drop for Joined {
+    fn drop(&mut self) {
+        info!(target: "fleet", "Robot '{}' leaves.", self.shared.config.name);
+        // The system would close it, too.
+        let _ = self.session.close().wait();
+    }
+}
+
+impl Shared {
+    fn rules(&self) -> MutexGuard<'_, Rules> {
+        self.rules.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Calls `act` at this interval for as long as the agent is there.
+    fn spawn(
+        self: &Arc<Self>,
+        name: &str,
+        interval: Duration,
+        act: impl Fn(&Self) + Send + 'static,
+    ) -> std::io::Result<()> {
+        let weak: Weak<Self> = Arc::downgrade(self);
+        let thread = std::thread::Builder::new().name(name.to_owned());
+        thread.spawn(move || {
+            while let Some(shared) = weak.upgrade() {
+                act(&shared);
+                drop(shared);
+                std::thread::sleep(interval);
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Declares what the agent answers.
+    fn offer(self: &Arc<Self>, session: &Session) -> Result<(), ZenohError> {
+        type Answerer = fn(&Arc<Shared>, Query);
+        let all: [(&str, Answerer); 5] = [
+            ("request", Shared::on_request),
+            ("outcome", Shared::on_outcome),
+            ("info", Shared::on_info),
+            ("stop", Shared::on_stop),
+            ("claim", Shared::on_claim),
+        ];
+        for (what, answer) in all {
+            let weak = Arc::downgrade(self);
+            let key = key(&self.config.name, &self.id, what);
+            let queryable = session.declare_queryable(key).complete(true);
+            let queryable = queryable.callback(move |query| {
+                let Some(shared) = weak.upgrade() else {
+                    return;
+                };
+                if shared.busy.fetch_add(1, Ordering::SeqCst) >= MOST {
+                    shared.busy.fetch_sub(1, Ordering::SeqCst);
+                    let reason = "too many requests are waiting, try again";
+                    reply(&query, &Verdict::NotStarted(reason.to_owned()));
+                    return;
+                }
+                let busy = Arc::clone(&shared);
+                let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
+                let thread = thread.spawn(move || {
+                    answer(&shared, query);
+                    shared.busy.fetch_sub(1, Ordering::SeqCst);
+                });
+                if thread.is_err() {
+                    busy.busy.fetch_sub(1, Ordering::SeqCst);
+                }
+            });
+            queryable.background().wait()?;
+        }
+        Ok(())
+    }
+
+    /// A request to the robot's server.
+    fn on_request(self: &Arc<Self>, query: Query) {
+        let body = query.payload().map(|payload| payload.to_bytes().into_owned());
+        let body = body.unwrap_or_default();
+        let refuse = |reason: &str| reply(&query, &Verdict::NotStarted(reason.to_owned()));
+        if body.len() > LONGEST {
+            return refuse("the request is too long");
+        }
+        let rules = match InitRules::parse(query.parameters().as_str()) {
+            Ok(rules) => rules,
+            Err(mistake) => return refuse(&mistake),
+        };
+        let Ok(message) = Message::parse(&body) else {
+            return refuse("this is not a request");
+        };
+        let code = message.code().ok().and_then(|code| code.value());
+        if code == Some(1) {
+            let Some(init) = rules else {
+                return refuse("an INIT needs client, number, boot and until");
+            };
+            let server = self.server_boot();
+            let mut rules = self.rules();
+            let number = rules.take(query);
+            let effects = rules.agent.handle_init(now(), number, init, &body, server);
+            drop(rules);
+            return self.run(effects);
+        }
+        let envelope = rules.map(|rules| Envelope {
+            client: rules.id.client,
+            number: rules.id.number,
+            early_end: false,
+        });
+        reply(&query, &match self.client.ask(envelope, &body, ANSWER) {
+            Ok(answer) => Verdict::Answer(answer),
+            Err(reason) => Verdict::Unknown(reason.to_string()),
+        });
+    }
+
+    /// What became of an INIT.
+    fn on_outcome(self: &Arc<Self>, query: Query) {
+        match InitRules::parse(query.parameters().as_str()) {
+            Ok(Some(init)) => {
+                let mut rules = self.rules();
+                let number = rules.take(query);
+                let effects = rules.agent.handle_outcome(now(), number, init);
+                drop(rules);
+                self.run(effects);
+            }
+            Ok(None) => reply(&query, &Verdict::Unknown("'client' is missing".to_owned())),
+            Err(mistake) => reply(&query, &Verdict::Unknown(mistake)),
+        }
+    }
+
+    fn on_info(self: &Arc<Self>, query: Query) {
+        let info = self.info();
+        if let Ok(body) = serde_json::to_vec(&info) {
+            reply(&query, &Verdict::Answer(body));
+        }
+    }
+
+    /// Another agent was refused the name of this one.
+    fn on_claim(self: &Arc<Self>, query: Query) {
+        let parameters = query.parameters().as_str();
+        let other = parameters.strip_prefix("agent=").and_then(from_hex);
+        let other = other.map_or_else(|| "of unknown id".to_owned(), |id| crate::wire::hex(&id));
+        let robot = &self.config.name;
+        warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, and was refused.");
+        reply(&query, &Verdict::Answer(b"{}".to_vec()));
+    }
+
+    /// Another agent has the same name: of two networks that met. The older claim stays.
+    fn on_rival(&self, session: &Session, other: String) {
+        let robot = self.config.name.clone();
+        let agents = [(robot.clone(), other.clone())];
+        let infos = session::infos(session, &agents, CLAIM);
+        let Some(Some(rival)) = infos.into_iter().next() else {
+            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, and does not answer.");
+            return;
+        };
+        if (rival.since, &rival.agent) < (self.since, &self.id) {
+            error!(target: "fleet", "Agent {other} has had the name '{robot}' for longer; this one leaves.");
+            let ends = self.ends.lock().unwrap_or_else(PoisonError::into_inner);
+            // The receiver is gone when this agent ends anyway.
+            let _ = ends.send(JoinEnd::NameTaken { robot, by: other });
+        } else {
+            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too; it has to leave.");
+        }
+    }
+
+    /// What the robot is.
+    fn info(&self) -> RobotInfo {
+        let server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
+        let rules = self.rules();
+        RobotInfo {
+            ztl_fleet: 1,
+            name: self.config.name.clone(),
+            agent: self.id.clone(),
+            boot: rules.agent.boot(),
+            clock_ms: now().as_millis(),
+            since: self.since,
+            groups: self.config.groups.clone(),
+            ready: server.problem.is_none(),
+            problem: server.problem.clone(),
+            server: server.probed.clone(),
+            scopes: match server.scopes.is_empty() {
+                true => self.config.scopes.clone(),
+                false => server.scopes.clone(),
+            },
+        }
+    }
+
+    /// Carries out what the rules decided, in order.
+    fn run(&self, mut effects: Vec<AgentEffect>) {
+        while !effects.is_empty() {
+            let mut next = Vec::new();
+            let mut unwritten = None;
+            for effect in effects {
+                match effect {
+                    AgentEffect::Reply { query, verdict } => {
+                        let query = self.rules().queries.remove(&query);
+                        if let Some(query) = query {
+                            reply(&query, &verdict);
+                        }
+                    }
+                    AgentEffect::Record(entry) => {
+                        if let Err(error) = self.record(&entry) {
+                            error!(target: "fleet", "The journal cannot be written: {error}");
+                            unwritten = Some(format!("the journal of its agent cannot be written: {error}"));
+                        }
+                    }
+                    AgentEffect::Forward { id, body } => {
+                        let said = match unwritten.take() {
+                            Some(reason) => ServerSaid::NotSent(reason),
+                            None => self.forward(id, &body),
+                        };
+                        next.extend(self.rules().agent.handle_server(now(), id, said));
+                    }
+                    AgentEffect::AskServer(id) => {
+                        let answer = self.ask_outcome(id);
+                        let mut rules = self.rules();
+                        let answer = answer.as_deref();
+                        next.extend(rules.agent.handle_server_outcome(now(), id, answer));
+                    }
+                }
+            }
+            effects = next;
+        }
+    }
+
+    fn record(&self, entry: &Entry) -> std::io::Result<()> {
+        let mut rules = self.rules();
+        let rules = &mut *rules;
+        rules.journal.append(entry)?;
+        if rules.journal.is_long() {
+            rules.journal.rewrite(&rules.agent.entries())?;
+        }
+        Ok(())
+    }
+
+    fn forward(&self, id: InitId, body: &[u8]) -> ServerSaid {
+        match self.client.ask(Some(envelope(id)), body, ANSWER) {
+            Ok(answer) => {
+                self.started().note(&answer);
+                let client = crate::wire::hex(&id.client);
+                info!(target: "fleet", "INIT {} of client {client} was answered.", id.number);
+                ServerSaid::Answer(answer)
+            }
+            Err(NotRelayed::NotSent) => ServerSaid::NotSent(NotRelayed::NotSent.to_string()),
+            Err(_) => ServerSaid::Silence,
+        }
+    }
+
+    fn ask_outcome(&self, id: InitId) -> Option<Vec<u8>> {
+        let body = format!("$ztl;2;-1;outcome {}", id.number);
+        let answer = self.client.ask(Some(envelope(id)), body.as_bytes(), ANSWER);
+        let answer = answer.ok()?;
+        self.started().note(&answer);
+        Some(answer)
+    }
+}
+
+impl Rules {
+    /// Keeps a query until it is answered.
+    fn take(&mut self, query: Query) -> u64 {
+        self.next += 1;
+        self.queries.insert(self.next, query);
+        self.next
+    }
+}
+
+const fn envelope(id: InitId) -> Envelope {
+    Envelope {
+        client: id.client,
+        number: id.number,
+        early_end: false,
+    }
+}
+
+/// Answers a query. It fails only if nobody waits any more.
+fn reply(query: &Query, verdict: &Verdict) {
+    let (is_answer, payload) = verdict.to_payload();
+    let _ = match is_answer {
+        true => query.reply(query.key_expr().clone(), payload).wait(),
+        false => query.reply_err(payload).wait(),
+    };
+}
+
+/// Seconds since 1970.
+#[must_use]
+pub fn seconds() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.unwrap_or_default().as_secs()
+}

@@ -1,0 +1,133 @@
+//! Stops everything that runs on a robot, at once and where it runs.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+use zenoh::query::Query;
+use ztl_core::Message;
+
+use super::{Shared, reply};
+use crate::wire::Verdict;
+
+/// How long the server's tasks may take to stop.
+const STOPPING: Duration = Duration::from_secs(5);
+const LIMIT: Duration = Duration::from_secs(2);
+const PAUSE: Duration = Duration::from_millis(50);
+/// Most tasks that are remembered of a server that cannot list them.
+const MOST: usize = 1000;
+
+/// Tasks that were started through this agent, and may be running: scopes and ids.
+#[derive(Debug, Default)]
+pub(super) struct Started(BTreeSet<(String, String)>);
+
+/// What became of the tasks of a robot that was told to stop.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Stopped {
+    /// Tasks that have ended now: `/scope id`.
+    pub stopped: Vec<String>,
+    /// Tasks that have not, with the reason.
+    pub running: Vec<String>,
+    /// Why the robot cannot tell whether more tasks run; `None` if it can.
+    pub unknown: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct List {
+    tasks: Vec<Listed>,
+}
+
+#[derive(Deserialize)]
+struct Listed {
+    id: serde_json::Value,
+    scope: String,
+    state: u8,
+}
+
+impl Started {
+    /// An answer to an INIT, or to the question for its outcome.
+    pub(super) fn note(&mut self, answer: &[u8]) {
+        if let Ok(message) = Message::parse(answer)
+            && message.scope != "$ztl"
+            && !matches!(message.id, "0" | "-1")
+            && self.0.len() < MOST
+        {
+            self.0.insert((message.scope.to_owned(), message.id.to_owned()));
+        }
+    }
+}
+
+impl Shared {
+    pub(super) fn started(&self) -> MutexGuard<'_, Started> {
+        self.started.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn on_stop(self: &Arc<Self>, query: Query) {
+        let stopped = self.stop_all();
+        if let Ok(body) = serde_json::to_vec(&stopped) {
+            reply(&query, &Verdict::Answer(body));
+        }
+    }
+
+    fn stop_all(&self) -> Stopped {
+        let end = Instant::now() + STOPPING;
+        let mut all = BTreeSet::new();
+        loop {
+            let (running, unknown) = self.running();
+            all.extend(running.iter().cloned());
+            let is_last = Instant::now() >= end;
+            if running.is_empty() || is_last {
+                let name = |(scope, id): &(String, String)| format!("{scope} {id}");
+                let stopped = all.difference(&running);
+                return Stopped {
+                    stopped: stopped.map(name).collect(),
+                    running: running.iter().map(name).collect(),
+                    unknown,
+                };
+            }
+            // All at once: no task waits for another one to stop.
+            std::thread::scope(|threads| {
+                for (scope, id) in &running {
+                    let body = format!("{scope};3;{id};abort command");
+                    threads.spawn(move || self.client.ask(None, body.as_bytes(), LIMIT));
+                }
+            });
+            std::thread::sleep(PAUSE);
+        }
+    }
+
+    /// The tasks that run, and why there may be more.
+    fn running(&self) -> (BTreeSet<(String, String)>, Option<String>) {
+        let listed = match self.client.ask(None, b"$ztl;2;-1;tasks", LIMIT) {
+            Ok(answer) => list(&answer),
+            Err(error) => return (BTreeSet::new(), Some(error.to_string())),
+        };
+        if let Some(tasks) = listed {
+            return (tasks, None);
+        }
+        // A server of the original cannot list its tasks.
+        let mut running = self.started().0.clone();
+        running.retain(|(scope, id)| {
+            let body = format!("{scope};2;{id};status update");
+            let answer = self.client.ask(None, body.as_bytes(), LIMIT);
+            let state = answer.ok().and_then(|answer| {
+                let message = Message::parse(&answer).ok()?;
+                message.state.parse::<u8>().ok()
+            });
+            !state.is_some_and(|state| state > 1)
+        });
+        self.started().0.retain(|task| running.contains(task));
+        let unknown = "its server cannot list tasks that were not started through the fleet";
+        (running, Some(unknown.to_owned()))
+    }
+}
+
+/// The running tasks of a list.
+fn list(answer: &[u8]) -> Option<BTreeSet<(String, String)>> {
+    let message = Message::parse(answer).ok()?;
+    let list: List = serde_json::from_str(message.payload).ok()?;
+    let running = list.tasks.into_iter().filter(|task| task.state < 2);
+    let task = |task: Listed| (task.scope, task.id.to_string());
+    Some(running.map(task).collect())
+}

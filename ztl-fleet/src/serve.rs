@@ -1,0 +1,269 @@
+//! The endpoint: ZeroMQ on one side, Zenoh on the other, and [`Endpoint`] between them, on one thread.
+
+use std::collections::HashMap;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use tracing::{info, warn};
+use zenoh::Session;
+use ztl_core::envelope::ClientId;
+use ztl_std::relay::{RelayAnswers, RelayPath, RelayServer, RelayedRequest};
+use ztl_std::time::now;
+use ztl_std::{Access, BindError};
+
+use crate::config::EndpointConfig;
+use crate::endpoint::{Ask, ClientRequest, Endpoint, EndpointEffect};
+use crate::random;
+use crate::session::{self, ZenohError, key};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict};
+
+/// How often robots are asked what they are.
+const INFO: Duration = Duration::from_secs(2);
+
+/// What happens.
+enum Event {
+    Request(RelayedRequest),
+    Verdict(u64, Verdict),
+    NoReply(u64),
+    Alive(String, String),
+    Gone(String, String),
+    Info(RobotInfo),
+}
+
+/// An endpoint that is bound and does not serve yet.
+pub struct Serving {
+    server: RelayServer,
+    session: Session,
+    access: Access,
+}
+
+impl Serving {
+    /// Binds the port, and then connects to a router.
+    ///
+    /// # Errors
+    /// [`BindError`], what is wrong with keys, or Zenoh's.
+    pub fn bind(config: &EndpointConfig) -> Result<Self, ZenohError> {
+        let access = config.access()?;
+        let bind = config.listen.bind.as_deref().unwrap_or("127.0.0.1");
+        let port = config.listen.port.unwrap_or_default();
+        let endpoint = format!("tcp://{bind}:{port}");
+        let bound: Result<_, BindError> =
+            RelayServer::bind(&endpoint, access.clone(), config.listen.limits);
+        Ok(Self {
+            server: bound?,
+            session: session::open(&config.links, false)?,
+            access,
+        })
+    }
+
+    /// Where it listens, with the port that was chosen.
+    #[must_use]
+    pub fn endpoint(&self) -> &str {
+        self.server.endpoint()
+    }
+
+    /// Ends [`run`](Self::run).
+    #[must_use]
+    pub fn stopper(&self) -> RelayAnswers {
+        self.server.answers()
+    }
+
+    /// Serves until it is stopped.
+    ///
+    /// # Errors
+    /// The system's or Zenoh's.
+    pub fn run(self) -> Result<(), ZenohError> {
+        let (sender, events) = channel();
+        let presence = sender.clone();
+        session::watch_presence(&self.session, "*", move |robot, agent, is_there| {
+            let names = (robot.to_owned(), agent.to_owned());
+            let event = match is_there {
+                true => Event::Alive(names.0, names.1),
+                false => Event::Gone(names.0, names.1),
+            };
+            // The receiver lives as long as the endpoint.
+            let _ = presence.send(event);
+        })?;
+        let loops = Loop {
+            machine: Endpoint::new(random::boot()?),
+            session: self.session,
+            answers: self.server.answers(),
+            access: self.access,
+            sender: sender.clone(),
+            paths: HashMap::new(),
+            next: 0,
+        };
+        let thread = std::thread::Builder::new().name("ztl-fleet-rules".to_owned());
+        let thread = thread.spawn(move || loops.run(&events))?;
+        let listened = self.server.listen(|request| {
+            let _ = sender.send(Event::Request(request));
+        });
+        drop(sender);
+        // It ends when the process does: Zenoh's callbacks hold senders.
+        drop(thread);
+        Ok(listened?)
+    }
+}
+
+/// What the endpoint's thread owns.
+struct Loop {
+    machine: Endpoint,
+    session: Session,
+    answers: RelayAnswers,
+    access: Access,
+    sender: Sender<Event>,
+    paths: HashMap<u64, RelayPath>,
+    next: u64,
+}
+
+impl Loop {
+    fn run(mut self, events: &Receiver<Event>) {
+        let mut ask_infos = now() + INFO;
+        loop {
+            let wake = self.machine.poll_timeout();
+            let wake = wake.map_or(ask_infos, |wake| wake.min(ask_infos));
+            let effects = match events.recv_timeout(wake.since(now())) {
+                Ok(event) => self.on_event(event),
+                Err(RecvTimeoutError::Timeout) => Vec::new(),
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
+            self.carry_out(effects);
+            let now = now();
+            if self.machine.poll_timeout().is_some_and(|at| at <= now) {
+                let effects = self.machine.handle_timeout(now);
+                self.carry_out(effects);
+            }
+            if now >= ask_infos {
+                ask_infos = now + INFO;
+                let robots = self.machine.robots();
+                let robots: Vec<(String, String)> = robots
+                    .map(|(robot, agent)| (robot.to_owned(), agent.to_owned()))
+                    .collect();
+                for (robot, agent) in robots {
+                    self.ask_info(&robot, &agent);
+                }
+            }
+        }
+    }
+
+    fn on_event(&mut self, event: Event) -> Vec<EndpointEffect> {
+        match event {
+            Event::Request(request) => {
+                self.next += 1;
+                let Ok(fresh) = random::id() else {
+                    // Without random numbers, an INIT could be taken for another.
+                    return Vec::new();
+                };
+                let asked = ClientRequest {
+                    request: self.next,
+                    envelope: request.envelope,
+                    fresh,
+                    body: request.body.as_deref(),
+                };
+                self.paths.insert(self.next, request.path);
+                let (client, access) = (request.client, &self.access);
+                let may_use = |scope: &str| client.is_none_or(|key| access.may_use(&key, scope));
+                self.machine.handle_request(now(), asked, may_use)
+            }
+            Event::Verdict(query, verdict) => self.machine.handle_verdict(now(), query, verdict),
+            Event::NoReply(query) => self.machine.handle_no_reply(now(), query),
+            Event::Alive(robot, agent) => {
+                info!(target: "fleet", "Robot '{robot}' is there (agent {agent}).");
+                self.machine.handle_alive(&robot, &agent)
+            }
+            Event::Gone(robot, agent) => {
+                info!(target: "fleet", "Robot '{robot}' is gone (agent {agent}).");
+                self.machine.handle_gone(&robot, &agent)
+            }
+            Event::Info(info) => {
+                let (robot, agent) = (info.name.clone(), info.agent.clone());
+                self.machine.handle_info(now(), &robot, &agent, info);
+                Vec::new()
+            }
+        }
+    }
+
+    fn carry_out(&mut self, effects: Vec<EndpointEffect>) {
+        for effect in effects {
+            match effect {
+                EndpointEffect::Answer { request, body } => {
+                    if let Some(path) = self.paths.remove(&request) {
+                        self.answers.send(path, body);
+                    }
+                }
+                EndpointEffect::Silence { request } => {
+                    self.paths.remove(&request);
+                }
+                EndpointEffect::Ask {
+                    query,
+                    robot,
+                    agent,
+                    what,
+                    limit,
+                } => self.ask(query, &robot, &agent, what, limit),
+                EndpointEffect::AskInfo { robot, agent } => self.ask_info(&robot, &agent),
+                EndpointEffect::Rivals {
+                    robot,
+                    agent,
+                    rival,
+                } => {
+                    warn!(target: "fleet", "Agents {agent} and {rival} claim the name '{robot}'; the first one is served.");
+                }
+            }
+        }
+    }
+
+    fn ask(&self, query: u64, robot: &str, agent: &str, what: Ask, limit: Duration) {
+        let (what, rules, body) = match what {
+            Ask::Request {
+                rules,
+                envelope,
+                body,
+            } => {
+                let plain = envelope.map(|envelope| InitRules {
+                    id: InitId {
+                        client: envelope.client,
+                        number: envelope.number,
+                    },
+                    boot: 0,
+                    until_ms: 0,
+                });
+                ("request", rules.or(plain), body)
+            }
+            Ask::Outcome(rules) => ("outcome", Some(rules), Vec::new()),
+        };
+        let mut selector = key(robot, agent, what);
+        if let Some(rules) = rules {
+            selector = format!("{selector}?{}", rules.to_parameters());
+        }
+        let (replies, ends) = (self.sender.clone(), self.sender.clone());
+        let on_reply = move |verdict| {
+            let _ = replies.send(Event::Verdict(query, verdict));
+        };
+        let on_end = move || {
+            let _ = ends.send(Event::NoReply(query));
+        };
+        if session::ask(&self.session, &selector, &body, limit, on_reply, on_end).is_err() {
+            let _ = self.sender.send(Event::NoReply(query));
+        }
+    }
+
+    fn ask_info(&self, robot: &str, agent: &str) {
+        let sender = self.sender.clone();
+        let names = (robot.to_owned(), agent.to_owned());
+        let on_reply = move |verdict| {
+            // A robot may speak for itself only.
+            if let Verdict::Answer(body) = verdict
+                && let Ok(info) = serde_json::from_slice::<RobotInfo>(&body)
+                && (&info.name, &info.agent) == (&names.0, &names.1)
+            {
+                let _ = sender.send(Event::Info(info));
+            }
+        };
+        // It is asked again soon.
+        let _ = session::ask(&self.session, &key(robot, agent, "info"), b"", INFO, on_reply, || {});
+    }
+}
+
+/// An id that says nothing, for requests that start nothing.
+pub const NOBODY: ClientId = ClientId([0; 16]);
