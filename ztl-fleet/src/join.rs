@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, UNIX_EPOCH};
 
 use tracing::{error, info, warn};
 use zenoh::query::Query;
@@ -443,11 +443,4 @@ fn reply(query: &Query, verdict: &Verdict) {
         true => query.reply(query.key_expr().clone(), payload).wait(),
         false => query.reply_err(payload).wait(),
     };
-}
-
-/// Seconds since 1970.
-#[must_use]
-pub fn seconds() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.unwrap_or_default().as_secs()
 }

@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 use zenoh::Session;
-use ztl_core::envelope::ClientId;
 use ztl_std::relay::{RelayAnswers, RelayPath, RelayServer, RelayedRequest};
 use ztl_std::time::now;
 use ztl_std::{Access, BindError};
@@ -264,6 +263,3 @@ impl Loop {
         let _ = session::ask(&self.session, &key(robot, agent, "info"), b"", INFO, on_reply, || {});
     }
 }
-
-/// An id that says nothing, for requests that start nothing.
-pub const NOBODY: ClientId = ClientId([0; 16]);

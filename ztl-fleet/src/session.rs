@@ -97,7 +97,7 @@ pub fn ask(
     selector: &str,
     payload: &[u8],
     limit: Duration,
-    mut on_reply: impl FnMut(Verdict) + Send + Sync + 'static,
+    on_reply: impl Fn(Verdict) + Send + Sync + 'static,
     on_end: impl FnMut() + Send + Sync + 'static,
 ) -> Result<(), ZenohError> {
     let handler = CallbackDrop {
