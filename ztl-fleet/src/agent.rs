@@ -191,7 +191,9 @@ impl Agent {
                 return reply(Verdict::NotStarted(GIVEN_UP.to_owned()));
             }
             if record.hash != hash {
-                return reply(Verdict::NotStarted("another INIT has this number".to_owned()));
+                return reply(Verdict::NotStarted(
+                    "another INIT has this number".to_owned(),
+                ));
             }
             return record.tell(now, query, id);
         }
@@ -260,7 +262,12 @@ impl Agent {
     }
 
     /// The server did this with a forwarded INIT.
-    pub fn handle_server(&mut self, now: Instant, id: InitId, said: ServerSaid) -> Vec<AgentEffect> {
+    pub fn handle_server(
+        &mut self,
+        now: Instant,
+        id: InitId,
+        said: ServerSaid,
+    ) -> Vec<AgentEffect> {
         match said {
             ServerSaid::Answer(body) => match String::from_utf8(body) {
                 Ok(answer) => self.decide(now, id, Stage::Answered(answer)),

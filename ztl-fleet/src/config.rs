@@ -72,7 +72,8 @@ impl AgentConfig {
         let base = path.parent().unwrap_or(Path::new("."));
         let document = load_yaml(path)?;
         let mut reading = document.reading();
-        let example = "an agent, as name: arm-1, server: tcp://127.0.0.1:12345, routers: [tcp/10.0.0.1:7447]";
+        let example =
+            "an agent, as name: arm-1, server: tcp://127.0.0.1:12345, routers: [tcp/10.0.0.1:7447]";
         let read = reading.fields(document.root(), example);
         let read = read.and_then(|mut fields| {
             let name = fields.required("name", "name: arm-1");
@@ -256,7 +257,9 @@ fn links<'d>(
 
 fn address<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
     reading.parsed(node, what, |text| {
-        let rest = text.strip_prefix("tcp/").or_else(|| text.strip_prefix("tls/"));
+        let rest = text
+            .strip_prefix("tcp/")
+            .or_else(|| text.strip_prefix("tls/"));
         let port = rest.and_then(|rest| rest.rsplit_once(':'));
         let port = port.filter(|(host, _)| !host.is_empty() && !host.contains(['?', '#', '/']));
         match port.map(|(_, port)| port.parse::<u16>()) {
@@ -298,13 +301,34 @@ mod tests {
         let good = "name: arm-1\nserver: tcp://127.0.0.1:7\nrouters: tcp/10.0.0.1:7447\n";
         assert_eq!(mistakes(good), "");
         for (wrong, message) in [
-            ("name: arm/1\nserver: tcp://h:7\nrouters: []\n", "agent.yaml:1:7: 'arm/1' is not a robot's name"),
-            ("name: a\nserver: 7\nrouters: []\n", "agent.yaml:2:9: '7' is not an endpoint"),
-            ("name: a\nserver: tcp://h:7\n", "routers: [tcp/10.0.0.1:7447]"),
-            ("name: a\nserver: tcp://h:7\nrouters: [udp/h:7]\n", "agent.yaml:3:11: 'udp/h:7' is not a router's address"),
-            ("name: a\nserver: tcp://h:7\nrouters: []\nscopes: lab\n", "agent.yaml:4:9: scope 'lab' does not begin with '/'"),
-            ("name: a\nserver: tcp://h:7\nrouters: []\ntls: {ca: no.pem}\n", "agent.yaml:4:11: cannot read"),
-            ("name: a\nserver: tcp://h:7\nrouters: []\ngruops: x\n", "agent.yaml:4:1: unknown key 'gruops'; did you mean 'groups'?"),
+            (
+                "name: arm/1\nserver: tcp://h:7\nrouters: []\n",
+                "agent.yaml:1:7: 'arm/1' is not a robot's name",
+            ),
+            (
+                "name: a\nserver: 7\nrouters: []\n",
+                "agent.yaml:2:9: '7' is not an endpoint",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\n",
+                "routers: [tcp/10.0.0.1:7447]",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\nrouters: [udp/h:7]\n",
+                "agent.yaml:3:11: 'udp/h:7' is not a router's address",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\nrouters: []\nscopes: lab\n",
+                "agent.yaml:4:9: scope 'lab' does not begin with '/'",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\nrouters: []\ntls: {ca: no.pem}\n",
+                "agent.yaml:4:11: cannot read",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\nrouters: []\ngruops: x\n",
+                "agent.yaml:4:1: unknown key 'gruops'; did you mean 'groups'?",
+            ),
         ] {
             let told = mistakes(wrong);
             assert!(told.contains(message), "{message}: {told}");

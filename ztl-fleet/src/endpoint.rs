@@ -281,7 +281,12 @@ impl Endpoint {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let times = self.pending.values();
-        let times = times.map(|pending| pending.again.unwrap_or(Instant::NEVER).min(pending.deadline));
+        let times = times.map(|pending| {
+            pending
+                .again
+                .unwrap_or(Instant::NEVER)
+                .min(pending.deadline)
+        });
         let inits = self.inits.values().map(|init| init.expires);
         times.chain(inits).min()
     }

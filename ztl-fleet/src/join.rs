@@ -25,6 +25,7 @@ use crate::session::{self, ZenohError, key};
 use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
 use server::ServerState;
 use stop::Started;
+pub use stop::Stopped;
 
 /// Longest wait for the server's answer: as long as a client waits.
 const ANSWER: Duration = Duration::from_secs(2);
@@ -240,7 +241,9 @@ impl Shared {
 
     /// A request to the robot's server.
     fn on_request(self: &Arc<Self>, query: Query) {
-        let body = query.payload().map(|payload| payload.to_bytes().into_owned());
+        let body = query
+            .payload()
+            .map(|payload| payload.to_bytes().into_owned());
         let body = body.unwrap_or_default();
         let refuse = |reason: &str| reply(&query, &Verdict::NotStarted(reason.to_owned()));
         if body.len() > LONGEST {
@@ -270,10 +273,13 @@ impl Shared {
             number: rules.id.number,
             early_end: false,
         });
-        reply(&query, &match self.client.ask(envelope, &body, ANSWER) {
-            Ok(answer) => Verdict::Answer(answer),
-            Err(reason) => Verdict::Unknown(reason.to_string()),
-        });
+        reply(
+            &query,
+            &match self.client.ask(envelope, &body, ANSWER) {
+                Ok(answer) => Verdict::Answer(answer),
+                Err(reason) => Verdict::Unknown(reason.to_string()),
+            },
+        );
     }
 
     /// What became of an INIT.
@@ -365,7 +371,9 @@ impl Shared {
                     AgentEffect::Record(entry) => {
                         if let Err(error) = self.record(&entry) {
                             error!(target: "fleet", "The journal cannot be written: {error}");
-                            unwritten = Some(format!("the journal of its agent cannot be written: {error}"));
+                            unwritten = Some(format!(
+                                "the journal of its agent cannot be written: {error}"
+                            ));
                         }
                     }
                     AgentEffect::Forward { id, body } => {

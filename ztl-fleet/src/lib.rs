@@ -4,11 +4,11 @@
 //! (docs/fleet.md).
 
 pub mod agent;
-pub mod endpoint;
-pub mod wire;
 pub mod config;
-pub mod journal;
+pub mod endpoint;
 pub mod join;
+pub mod journal;
 pub mod random;
 pub mod serve;
 pub mod session;
+pub mod wire;

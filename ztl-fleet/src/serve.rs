@@ -260,6 +260,13 @@ impl Loop {
             }
         };
         // It is asked again soon.
-        let _ = session::ask(&self.session, &key(robot, agent, "info"), b"", INFO, on_reply, || {});
+        let _ = session::ask(
+            &self.session,
+            &key(robot, agent, "info"),
+            b"",
+            INFO,
+            on_reply,
+            || {},
+        );
     }
 }

@@ -60,7 +60,9 @@ impl InitRules {
     /// What is wrong.
     pub fn parse(parameters: &str) -> Result<Option<Self>, String> {
         let value = |key: &str| {
-            let pairs = parameters.split(';').filter_map(|pair| pair.split_once('='));
+            let pairs = parameters
+                .split(';')
+                .filter_map(|pair| pair.split_once('='));
             let mut found = pairs.filter(|(name, _)| *name == key);
             found.next().map(|(_, value)| value)
         };

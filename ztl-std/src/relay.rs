@@ -194,7 +194,11 @@ impl RelayClient {
         limit: Duration,
     ) -> Result<Vec<u8>, NotRelayed> {
         let end = Instant::now() + limit;
-        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let idle = self
+            .idle
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .pop();
         let mut dialer = match idle {
             Some(dialer) => dialer,
             None => self.open().map_err(|_| NotRelayed::NotSent)?,
@@ -215,7 +219,10 @@ impl RelayClient {
                 return Err(NotRelayed::NoAnswer);
             }
             let frames = dialer.receive().unwrap_or_default();
-            let told = frames.len().checked_sub(2).and_then(|n| frames.split_at_checked(n));
+            let told = frames
+                .len()
+                .checked_sub(2)
+                .and_then(|n| frames.split_at_checked(n));
             let same = |told: &[Vec<u8>]| match (&envelope, told) {
                 (None, []) => true,
                 (Some(asked), [client, number]) => {

@@ -85,7 +85,9 @@ impl Record {
             Stage::NotStarted(reason) => Verdict::NotStarted(reason.clone()),
             Stage::Void => Verdict::NotStarted("never seen".to_owned()),
             Stage::Unknown => Verdict::Unknown("whether it was started".to_owned()),
-            Stage::Forwarded | Stage::Asking => Verdict::Unknown("it is not decided yet".to_owned()),
+            Stage::Forwarded | Stage::Asking => {
+                Verdict::Unknown("it is not decided yet".to_owned())
+            }
         }
     }
 

@@ -51,7 +51,10 @@ fn a_repeated_init_acts_once_and_gets_the_first_answer() {
     let first = agent.handle_init(at(10), 1, rules(1, 2000), BODY, None);
     assert!(matches!(
         first.as_slice(),
-        [AgentEffect::Record(Entry::Asked { .. }), AgentEffect::Forward { .. }]
+        [
+            AgentEffect::Record(Entry::Asked { .. }),
+            AgentEffect::Forward { .. }
+        ]
     ));
     assert_eq!(agent.handle_init(at(11), 2, rules(1, 2000), BODY, None), []);
     let said = ServerSaid::Answer(ANSWER.to_vec());
@@ -95,7 +98,13 @@ fn a_late_a_replayed_and_a_foreign_init_does_not_act() {
 fn after_a_restart_the_journal_decides() {
     let mut before = agent();
     let mut journal = before.entries();
-    journal.extend(entries(&before.handle_init(at(10), 1, rules(1, 2000), BODY, Some(5))));
+    journal.extend(entries(&before.handle_init(
+        at(10),
+        1,
+        rules(1, 2000),
+        BODY,
+        Some(5),
+    )));
     let said = ServerSaid::Answer(ANSWER.to_vec());
     journal.extend(entries(&before.handle_server(at(20), rules(1, 0).id, said)));
 
@@ -119,12 +128,15 @@ fn after_a_restart_the_journal_decides() {
 fn an_undecided_init_from_before_a_restart_is_asked_of_the_server() {
     let mut before = agent();
     let mut journal = before.entries();
-    journal.extend(entries(&before.handle_init(at(10), 1, rules(1, 2000), BODY, Some(5))));
+    journal.extend(entries(&before.handle_init(
+        at(10),
+        1,
+        rules(1, 2000),
+        BODY,
+        Some(5),
+    )));
     for (told, expected) in [
-        (
-            &b"$ztl;1;42;opening"[..],
-            Verdict::Answer(ANSWER.to_vec()),
-        ),
+        (&b"$ztl;1;42;opening"[..], Verdict::Answer(ANSWER.to_vec())),
         (
             b"$ztl;2;0;never seen since boot 5",
             Verdict::NotStarted("the robot's server did not get it".to_owned()),
@@ -180,7 +192,10 @@ fn clients_and_bytes_are_bounded() {
         let mut rules = rules(1, 2000);
         rules.id.client = ClientId(client.to_be_bytes());
         let effects = agent.handle_init(at(0), 1, rules, BODY, None);
-        assert_eq!(forwards(&effects), usize::from(client < MOST_CLIENTS as u128));
+        assert_eq!(
+            forwards(&effects),
+            usize::from(client < MOST_CLIENTS as u128)
+        );
     }
     for record in 0..MOST_CLIENTS as u128 {
         let id = InitId {

@@ -43,8 +43,7 @@ impl Endpoint {
     ) -> Vec<EndpointEffect> {
         let request = asked.request;
         let answer = |body| vec![EndpointEffect::Answer { request, body }];
-        let invalid =
-            "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
+        let invalid = "Invalid request: $ztl takes STATUS with the payload 'probe' or 'outcome N'";
         let payload = message.payload;
         if kind != Some(Request::Status) {
             return answer(about_server(2, invalid));
@@ -71,7 +70,10 @@ impl Endpoint {
             "tasks" => (Kind::Tasks, here, payload.to_owned()),
             "devices" | "takes" | "log" => (Kind::ByScope, here, payload.to_owned()),
             "describe" => {
-                let argument = payload.strip_prefix("describe").unwrap_or_default().trim_start();
+                let argument = payload
+                    .strip_prefix("describe")
+                    .unwrap_or_default()
+                    .trim_start();
                 let (scope, from) = argument.split_once(';').unwrap_or((argument, "0"));
                 let Ok(from) = from.parse::<u64>() else {
                     return answer(about_server(2, invalid));
@@ -91,7 +93,11 @@ impl Endpoint {
                 };
                 let inner = from % STEP;
                 let question = format!("describe {scope};{inner}");
-                (Kind::Describe { robot, robots }, to.into_iter().collect(), question)
+                (
+                    Kind::Describe { robot, robots },
+                    to.into_iter().collect(),
+                    question,
+                )
             }
             _ => return answer(about_server(2, invalid)),
         };

@@ -50,7 +50,10 @@ impl Endpoint {
         let Some(agent) = robot.agent.clone() else {
             return match is_init {
                 // Nothing is sent, so nothing is started.
-                true => answer(rejection(scope, &format!("robot '{name}' is not connected"))),
+                true => answer(rejection(
+                    scope,
+                    &format!("robot '{name}' is not connected"),
+                )),
                 false => vec![EndpointEffect::Silence { request }],
             };
         };

@@ -31,12 +31,15 @@ impl Robot {
 impl Endpoint {
     /// An agent is there.
     pub fn handle_alive(&mut self, robot: &str, agent: &str) -> Vec<EndpointEffect> {
-        let known = self.robots.entry(robot.to_owned()).or_insert_with(|| Robot {
-            agent: None,
-            rivals: BTreeSet::new(),
-            info: None,
-            clock: (0, 0, Instant::ZERO),
-        });
+        let known = self
+            .robots
+            .entry(robot.to_owned())
+            .or_insert_with(|| Robot {
+                agent: None,
+                rivals: BTreeSet::new(),
+                info: None,
+                clock: (0, 0, Instant::ZERO),
+            });
         match &known.agent {
             Some(served) if served == agent => Vec::new(),
             Some(served) => {

@@ -99,7 +99,10 @@ fn silence_of_a_robot_is_silence_and_its_outcome_is_asked_there() {
     assert_eq!(first, again);
     let late = endpoint.handle_timeout(at(1900));
     assert_eq!(late, [EndpointEffect::Silence { request: 1 }]);
-    assert_eq!(endpoint.handle_verdict(at(1901), query, Verdict::Unknown(String::new())), []);
+    assert_eq!(
+        endpoint.handle_verdict(at(1901), query, Verdict::Unknown(String::new())),
+        []
+    );
 
     let (query, what) = asked(&ask(&mut endpoint, 2000, 2, Some(4), "$ztl;2;-1;outcome 3"));
     assert!(matches!(what, Ask::Outcome(rules) if rules.id.number == 3));
@@ -115,7 +118,10 @@ fn a_robot_that_is_away_starts_nothing_and_says_nothing_of_its_tasks() {
     let mut endpoint = endpoint();
     endpoint.handle_gone("arm", "a");
     let init = ask(&mut endpoint, 0, 1, None, "/arm/lab;1;-1;x");
-    assert_eq!(answered(&init), "/arm/lab;2;-1;robot 'arm' is not connected");
+    assert_eq!(
+        answered(&init),
+        "/arm/lab;2;-1;robot 'arm' is not connected"
+    );
     let status = ask(&mut endpoint, 0, 2, None, "/arm/lab;2;42;");
     assert_eq!(status, [EndpointEffect::Silence { request: 2 }]);
     let other = ask(&mut endpoint, 0, 3, None, "/leg/lab;1;-1;x");
@@ -166,19 +172,27 @@ fn questions_collect_what_robots_say() {
     assert_eq!(first, []);
     // The other one does not answer.
     let told = answered(&endpoint.handle_timeout(at(1900)));
-    let expected =
-        r#"$ztl;5;0;{"elsewhere":0,"more":1,"tasks":[{"id":4,"scope":"/arm/lab"}]}"#;
+    let expected = r#"$ztl;5;0;{"elsewhere":0,"more":1,"tasks":[{"id":4,"scope":"/arm/lab"}]}"#;
     assert_eq!(told, expected);
 
     let probe = answered(&ask(&mut endpoint, 2000, 2, None, "$ztl;2;-1;probe"));
-    assert!(probe.contains(r#"scopes: {"/arm/lab": {}, "/leg/lab": {}}"#), "{probe}");
+    assert!(
+        probe.contains(r#"scopes: {"/arm/lab": {}, "/leg/lab": {}}"#),
+        "{probe}"
+    );
 
     let (query, _) = asked(&ask(&mut endpoint, 2000, 3, None, "$ztl;2;-1;describe"));
     let part = br#"$ztl;5;0;{"components": [{"scope": "/lab"}], "next": 7}"#;
     let told = answered(&endpoint.handle_verdict(at(2001), query, Verdict::Answer(part.to_vec())));
-    assert!(told.ends_with(r#"{"components":[{"scope":"/arm/lab"}],"next":7}"#), "{told}");
+    assert!(
+        told.ends_with(r#"{"components":[{"scope":"/arm/lab"}],"next":7}"#),
+        "{told}"
+    );
     let (query, _) = asked(&ask(&mut endpoint, 2000, 4, None, "$ztl;2;-1;describe ;7"));
     let part = br#"$ztl;5;0;{"components": []}"#;
     let told = answered(&endpoint.handle_verdict(at(2001), query, Verdict::Answer(part.to_vec())));
-    assert!(told.ends_with(r#"{"components":[],"next":1000000}"#), "{told}");
+    assert!(
+        told.ends_with(r#"{"components":[],"next":1000000}"#),
+        "{told}"
+    );
 }

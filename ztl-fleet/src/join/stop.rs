@@ -53,7 +53,8 @@ impl Started {
             && !matches!(message.id, "0" | "-1")
             && self.0.len() < MOST
         {
-            self.0.insert((message.scope.to_owned(), message.id.to_owned()));
+            self.0
+                .insert((message.scope.to_owned(), message.id.to_owned()));
         }
     }
 }

@@ -1,0 +1,143 @@
+//! The command `ztl-fleet`.
+
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+mod look;
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::filter::LevelFilter;
+use ztl_fleet::config::{AgentConfig, EndpointConfig, Links};
+use ztl_fleet::join::Joined;
+use ztl_fleet::serve::Serving;
+use ztl_fleet::session;
+use ztl_yaml::Diagnostics;
+
+/// Robots of many rooms and buildings behind one ZTL endpoint, over Eclipse Zenoh
+#[derive(Debug, Parser)]
+#[command(name = "ztl-fleet", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Join a fleet beside a robot's server
+    Join(File),
+    /// Serve the robots of a fleet to ZTL clients: /NAME/scope
+    Endpoint {
+        #[command(flatten)]
+        file: File,
+        /// Port to serve at, instead of the file's
+        #[arg(short, long)]
+        port: Option<u16>,
+    },
+    /// Route between agents and endpoints
+    Router(File),
+    /// Show which robots are there
+    Ls(look::Select),
+    /// Show which tasks run
+    Ps(look::Select),
+    /// Stop all tasks of all robots, and name those that did not confirm it
+    StopAll(look::Select),
+}
+
+#[derive(Debug, clap::Args)]
+struct File {
+    /// Configuration in YAML (docs/fleet.md)
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+
+    /// Only check the file
+    #[arg(long)]
+    check: bool,
+}
+
+/// The exit code of a command, or an error to print.
+type Done = Result<ExitCode, Box<dyn std::error::Error + Send + Sync>>;
+
+/// A mistake in the configuration, after which a restart does not help.
+const MISCONFIGURED: u8 = 2;
+
+fn main() -> ExitCode {
+    tracing_subscriber::fmt()
+        .with_max_level(LevelFilter::INFO)
+        .with_writer(std::io::stderr)
+        .with_ansi(false)
+        .init();
+    match run(Cli::parse().command) {
+        Ok(code) => code,
+        Err(error) => {
+            let mut stderr = std::io::stderr();
+            if error.is::<Diagnostics>() {
+                // Editors expect the place first in the line.
+                let _ = write!(stderr, "{error}");
+                return ExitCode::from(MISCONFIGURED);
+            }
+            let _ = writeln!(stderr, "ztl-fleet: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(command: Command) -> Done {
+    match command {
+        Command::Join(File { file, check }) => {
+            let config = AgentConfig::load(&file)?;
+            if check {
+                return fine(&file);
+            }
+            let joined = Joined::join(config)?;
+            loop {
+                if let Some(end) = joined.wait(Duration::from_secs(3600)) {
+                    return Err(end.into());
+                }
+            }
+        }
+        Command::Endpoint {
+            file: File { file, check },
+            port,
+        } => {
+            let mut config = EndpointConfig::load(&file)?;
+            config.access()?;
+            config.listen.port = port.or(config.listen.port);
+            if check {
+                return fine(&file);
+            }
+            let serving = Serving::bind(&config)?;
+            line(format_args!("Serving {}", serving.endpoint()))?;
+            serving.run()?;
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Router(File { file, check }) => {
+            let links = Links::load_router(&file)?;
+            if check {
+                return fine(&file);
+            }
+            let _session = session::open(&links, true)?;
+            line(format_args!("Routing at {}", links.listen.join(", ")))?;
+            loop {
+                std::thread::park();
+            }
+        }
+        Command::Ls(select) => select.ls(),
+        Command::Ps(select) => select.ps(),
+        Command::StopAll(select) => select.stop_all(),
+    }
+}
+
+fn fine(file: &std::path::Path) -> Done {
+    line(format_args!("{}: no mistakes", file.display()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a line without what could command a terminal.
+fn line(text: impl std::fmt::Display) -> std::io::Result<()> {
+    let text = text.to_string();
+    writeln!(std::io::stdout(), "{}", ztl_std::terminal::flat(&text))
+}
