@@ -225,6 +225,15 @@ pub(crate) fn naoqi(project: &Project) -> Result<()> {
     })
 }
 
+/// Installs Zenoh as a Python package, unless `ZTL_ZENOH` names a Python that has it.
+pub(crate) fn zenoh(project: &Project) -> Result<()> {
+    if let Some(python) = env::var_os("ZTL_ZENOH") {
+        let import = ["-c", "import zenoh"];
+        return Ok(cmd!(project.sh, "{python} {import...}").run()?);
+    }
+    environment(project, "zenoh", &["eclipse-zenoh==1.10.2"], "zenoh").map(drop)
+}
+
 /// Installs the original ZTL package, with every package in the listed version, and its own tests, which only the
 /// source archive has. Returns its Python.
 pub(crate) fn python(project: &Project) -> Result<PathBuf> {

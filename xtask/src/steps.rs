@@ -179,6 +179,7 @@ pub(crate) fn install(project: &Project) -> Result<()> {
     install::javascript(project)?;
     install::peers(project)?;
     install::naoqi(project)?;
+    install::zenoh(project)?;
     cross::add(sh, &package::FOREIGN);
     let boards = firmware::boards(sh)?;
     let boards = boards.iter().map(|board| board.target.as_str());
@@ -250,6 +251,7 @@ fn tests(project: &Project) -> Result<()> {
     install::javascript(project)?;
     install::peers(project)?;
     install::naoqi(project)?;
+    install::zenoh(project)?;
     project.build_programs()?;
     firmware::build_for_qemu(project)?;
     // The tests of the simulation run in the step `model`, and those of ztl-c in the step `c`, which builds its

@@ -116,7 +116,7 @@ impl Shared {
                 let message = Message::parse(&answer).ok()?;
                 message.state.parse::<u8>().ok()
             });
-            !state.is_some_and(|state| state > 1)
+            state.is_none_or(|state| state <= 1)
         });
         self.started().0.retain(|task| running.contains(task));
         let unknown = "its server cannot list tasks that were not started through the fleet";

@@ -1,5 +1,11 @@
 //! Fleets of real processes: agents, endpoints, and routers of ours and of PyPI's `eclipse-zenoh`, on one machine.
 
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test says what is wrong by panicking"
+)]
+
 use std::path::Path;
 use std::process::Command;
 
