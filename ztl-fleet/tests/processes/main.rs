@@ -114,16 +114,21 @@ fn tasks(server: &Server) -> usize {
 
 #[test]
 fn a_python_program_without_our_code_lists_robots_and_starts_a_task_once() {
-    let (fleet, server) = (Fleet::new(), Server::naps());
-    let _agent = fleet.join(&server, "");
-    let args = [fleet.address.as_str(), "arm", "/test", "nap:for:0.3"];
+    // Servers of the original would start a repeated INIT again.
+    let (fleet, server) = (Fleet::new(), Server::original());
+    let _agent = fleet.join(&server, "scopes: /test\n");
+    let args = [fleet.address.as_str(), "arm", "/test", "test:echo:hi"];
     let told = Process::run(&mut python("client.py", &args)).stdout;
     let lines: Vec<&str> = told.lines().collect();
     assert_eq!(lines[0], "robots arm");
-    assert!(lines[1].starts_with("first /test;1;"), "{told}");
-    let rest = ["again True", "stale unknown:", "late stale:", "end 5 True"];
-    assert_eq!(lines[2..], rest);
-    assert_eq!(tasks(&server), 1);
+    let rest = ["again True", "stale unknown:", "late stale:"];
+    assert_eq!(lines[2..5], rest, "{told}");
+    assert!(lines[5].starts_with("end 5 "), "{told}");
+    let first = lines[1].strip_prefix("first /test;1;");
+    let first = first.and_then(|rest| rest.split(';').next()?.parse::<i64>().ok());
+    // Its ids are consecutive.
+    let next = server.original_client().start("test", "echo", "hi");
+    assert_eq!(first, Some(next - 1), "{told}");
 }
 
 #[test]
