@@ -372,6 +372,7 @@ const scenarios = {
     await showState(page, 'Next: flaky');
     await play();
     await showState(page, 'DECIDE: a task failed');
+    await showState(page, 'test:flaky:1');
     await step('test:flaky:1 failed');
     await press('Retry failed');
     await showState(page, 'The last scene is over.');
