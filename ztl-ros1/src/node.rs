@@ -25,10 +25,10 @@ use engine::{Engine, Identity};
 pub use net::NetError;
 use net::{Net, Wake};
 pub use rpc::CallError;
+pub(crate) use rpc::read_offer;
 pub use service::ServiceError;
 use topics::Consumer;
 pub use topics::TypeConflict;
-pub(crate) use topics::read_offer;
 
 /// How long the master or a node may take to answer a question of the owner.
 const ANSWER: Duration = Duration::from_secs(5);

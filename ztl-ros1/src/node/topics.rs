@@ -8,10 +8,9 @@ use std::time::{Duration, Instant};
 use super::actions::Part;
 use super::engine::{Engine, Role};
 use super::net::ConnectionId;
-use super::rpc::CallError;
+use super::rpc::{CallError, read_offer};
 use crate::WireType;
 use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
-use crate::uri::Address;
 use crate::xmlrpc::Value;
 
 /// Messages that wait for a slow subscriber; then the oldest is dropped.
@@ -19,6 +18,9 @@ const QUEUE: usize = 64;
 
 /// The longest message that is received, in bytes.
 const LONGEST: usize = 64 * 1024 * 1024;
+
+/// Publishers of a topic that are connected. Any node can name some to this one.
+const MOST_PUBLISHERS: usize = 128;
 
 /// How long a publisher may take to say where it publishes, and then to accept the connection.
 const CONNECT: Duration = Duration::from_secs(5);
@@ -184,6 +186,7 @@ impl Engine {
         if let Some(publication) = self.publications.get_mut(topic) {
             conflict(topic, &publication.ty, &ty)?;
             publication.owners += 1;
+            publication.action = publication.action.take().or(action);
             return Ok(());
         }
         let publication = Publication {
@@ -238,15 +241,16 @@ impl Engine {
         id: u32,
         consumer: Consumer,
     ) -> Result<(), TypeConflict> {
-        if let Some(subscription) = self.subscriptions.get_mut(topic) {
-            conflict(topic, &subscription.ty, &ty)?;
-            subscription.consumers.push((id, consumer));
-            return Ok(());
-        }
         let action = match &consumer {
             Consumer::Action(action, _) => Some(Arc::clone(action)),
             _ => None,
         };
+        if let Some(subscription) = self.subscriptions.get_mut(topic) {
+            conflict(topic, &subscription.ty, &ty)?;
+            subscription.consumers.push((id, consumer));
+            subscription.action = subscription.action.take().or(action);
+            return Ok(());
+        }
         let subscription = Subscription {
             ty,
             registered: false,
@@ -289,19 +293,29 @@ impl Engine {
             publisher.listed = false;
         }
         for uri in uris {
-            let publisher = subscription.publishers.entry(uri.clone());
-            let publisher = publisher.or_insert_with(|| Publisher {
-                listed: true,
-                state: State::Waiting(now),
-                pause: SHORTEST,
-                obstacle: None,
-            });
-            publisher.listed = true;
+            if let Some(publisher) = subscription.publishers.get_mut(uri) {
+                publisher.listed = true;
+            }
         }
         let connected = |publisher: &Publisher| publisher.caller().is_some();
         subscription
             .publishers
             .retain(|_, of| of.listed || connected(of));
+        for uri in uris {
+            let is_full = subscription.publishers.len() >= MOST_PUBLISHERS;
+            if !is_full && !subscription.publishers.contains_key(uri) {
+                let publisher = Publisher {
+                    listed: true,
+                    state: State::Waiting(now),
+                    pause: SHORTEST,
+                    obstacle: None,
+                };
+                subscription.publishers.insert(uri.clone(), publisher);
+            }
+        }
+        if uris.len() > MOST_PUBLISHERS {
+            tracing::warn!(topic, "only {MOST_PUBLISHERS} publishers are used");
+        }
         self.relinked.extend(subscription.action.clone());
         self.retry_sources(now);
     }
@@ -576,18 +590,4 @@ impl Engine {
             self.relinked.extend(publication.action.clone());
         }
     }
-}
-
-/// Reads `["TCPROS", host, port]`.
-pub(crate) fn read_offer(value: &Value) -> Option<Address> {
-    let [protocol, host, port] = value.as_array()? else {
-        return None;
-    };
-    if protocol.as_str() != Some("TCPROS") {
-        return None;
-    }
-    Some(Address {
-        host: host.as_str()?.to_owned(),
-        port: u16::try_from(port.as_int()?).ok()?,
-    })
 }
