@@ -261,7 +261,10 @@ fn services_and_parameters_answer() {
     );
     let (state, text) = robot.run("nothing", "").expect("no rejection");
     assert_eq!(state, Failed);
-    assert!(!text.starts_with("unknown:"), "nothing was sent: {text}");
+    assert!(
+        text.starts_with("service /robot"),
+        "nothing was sent: {text}"
+    );
     let (state, text) = robot.run("limits", "").expect("no rejection");
     assert_eq!(state, Completed);
     assert!(
@@ -339,7 +342,8 @@ scopes: {{/test: {{p: {{
     right: {{ros1-action: /{name}, type: actionlib/TestAction}},
     typo: {{ros1-action: /{name}x, type: actionlib/TestAction}},
     other: {{ros1-action: /{name}, type: actionlib/TwoIntsAction}},
-    dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}}}}}}}}",
+    dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}},
+    pose: {{ros1-trajectory: /{name}/result, joint-states: /joint_stats, joints: [a]}}}}}}}}",
         master.port
     );
     std::fs::write(&path, text).expect("to write");
@@ -354,12 +358,13 @@ scopes: {{/test: {{p: {{
             "robot.yaml:5:26: warning: action /{name} is of the type actionlib/TestAction, not actionlib/TwoIntsAction; write type: actionlib/TestAction"
         ),
         "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
+        "warning: the master knows no topic /joint_stats; ".to_owned(),
     ] {
         assert!(ended.stderr.contains(&part), "{part}: {}", ended.stderr);
     }
     assert_eq!(
         ended.stderr.matches("warning: ").count(),
-        3,
+        5,
         "{}",
         ended.stderr
     );

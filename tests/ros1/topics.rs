@@ -100,7 +100,10 @@ fn services_answer_fail_and_are_missing() {
     }
     assert!(matches!(
         call("missing", trigger()),
-        Err(ServiceError::NotFound(CallError::Refused { .. }))
+        Err(ServiceError::NotFound {
+            error: CallError::Refused { .. },
+            ..
+        })
     ));
     let wrong = of("std_srvs/Trigger", "0123456789abcdef0123456789abcdef");
     match call("trigger", wrong) {

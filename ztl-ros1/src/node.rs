@@ -10,7 +10,7 @@ mod service;
 mod topics;
 
 use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs, UdpSocket};
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -313,6 +313,17 @@ impl Node {
         method: &str,
         params: &[Value],
     ) -> Result<Value, CallError> {
+        let answer = self.ask_soon(uri, method, params);
+        answer.recv().unwrap_or(Err(CallError::Stopped))
+    }
+
+    /// Calls the master, or this node, without waiting.
+    pub(crate) fn ask_soon(
+        &self,
+        uri: Option<String>,
+        method: &str,
+        params: &[Value],
+    ) -> Receiver<Result<Value, CallError>> {
         let (method, params) = (method.to_owned(), params.to_vec());
         let (answered, answer) = channel();
         self.mailbox.send(move |engine, now| {
@@ -322,7 +333,7 @@ impl Node {
             let then = move |_: &mut Engine, _: Instant, answer| drop(answered.send(answer));
             engine.rpc(now, &uri, &method, &all, ANSWER, Box::new(then));
         });
-        answer.recv().unwrap_or(Err(CallError::Stopped))
+        answer
     }
 
     /// Has the thread do something, and waits for it.

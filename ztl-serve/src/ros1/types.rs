@@ -13,6 +13,9 @@ pub(crate) trait NamedType: Sized {
     /// Such as `std_srvs/Trigger`.
     const EXAMPLE: &'static str;
 
+    /// What has such a type.
+    const WHAT: &'static str;
+
     /// All that are known.
     const NAMES: fn(&mut Definitions) -> Vec<String>;
 
@@ -24,6 +27,7 @@ pub(crate) trait NamedType: Sized {
 
 impl NamedType for Arc<MessageType> {
     const EXAMPLE: &'static str = "geometry_msgs/Twist";
+    const WHAT: &'static str = "a message";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::message_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::message;
 
@@ -34,6 +38,7 @@ impl NamedType for Arc<MessageType> {
 
 impl NamedType for ServiceType {
     const EXAMPLE: &'static str = "std_srvs/Trigger";
+    const WHAT: &'static str = "a service";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::service_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::service;
 
@@ -44,6 +49,7 @@ impl NamedType for ServiceType {
 
 impl NamedType for ActionType {
     const EXAMPLE: &'static str = "move_base_msgs/MoveBaseAction";
+    const WHAT: &'static str = "an action";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::action_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::action;
 
@@ -80,6 +86,15 @@ impl<'d> ConfigReader<'d> {
             Ok(found) => return Some(found),
             Err(error) => error,
         };
+        if let Some(found) = what_has(definitions, text) {
+            let mistake = format!(
+                "{text} is the type of {found}; expected that of {}",
+                T::WHAT
+            );
+            let help = format!("write the type as {}", T::EXAMPLE);
+            self.yaml.wrong_with(node, mistake, Some(help));
+            return None;
+        }
         let help = matches!(error, DefinitionError::Unknown { .. }).then(|| {
             let names = (T::NAMES)(definitions);
             // The name of an action is often written without its ending.
@@ -98,4 +113,13 @@ impl<'d> ConfigReader<'d> {
         self.yaml.wrong_with(node, error.to_string(), help);
         None
     }
+}
+
+/// What has a type with this name.
+fn what_has(definitions: &mut Definitions, name: &str) -> Option<&'static str> {
+    if definitions.service(name).is_ok() {
+        return Some(ServiceType::WHAT);
+    }
+    let is_message = definitions.message(name).is_ok();
+    is_message.then_some(<Arc<MessageType>>::WHAT)
 }
