@@ -337,7 +337,7 @@ fn a_check_warns_of_names_that_the_robot_does_not_have() {
     let scratch = Scratch::new();
     let path = scratch.path("robot.yaml");
     let text = format!(
-        "ros1: {{master: 'http://127.0.0.1:{}'}}
+        "ros1: {{master: 'http://127.0.0.1:{}', host: no-such-ztl.invalid}}
 scopes: {{/test: {{p: {{
     right: {{ros1-action: /{name}, type: actionlib/TestAction}},
     typo: {{ros1-action: /{name}x, type: actionlib/TestAction}},
@@ -359,12 +359,13 @@ scopes: {{/test: {{p: {{
         ),
         "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
         "warning: the master knows no topic /joint_stats; ".to_owned(),
+        "warning: this machine cannot resolve its own name 'no-such-ztl.invalid'; ".to_owned(),
     ] {
         assert!(ended.stderr.contains(&part), "{part}: {}", ended.stderr);
     }
     assert_eq!(
         ended.stderr.matches("warning: ").count(),
-        5,
+        6,
         "{}",
         ended.stderr
     );
@@ -463,6 +464,7 @@ fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     assert_eq!(ended.code, Some(1), "{ended:?}");
     for part in [
         &format!("master {uri}: 2 nodes"),
+        "ok    ros1       node /arm at http://127.0.0.1:",
         "ok    ros1       action /move (actionlib/TestAction)\n",
         "WRONG ros1       node /lost at http://no-such-host.invalid",
         "start it with ROS_HOSTNAME or ROS_IP",

@@ -118,6 +118,7 @@ pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<D
         });
         Ok((survey?, node))
     });
+    let mut warnings: Vec<Diagnostic> = connection.unknown_host().into_iter().collect();
     match surveyed {
         Ok((survey, node)) => {
             let wrong = |name: &UsedName| {
@@ -125,15 +126,14 @@ pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<D
                 known.or_else(|| name.other_definition(&survey, &node))
             };
             let wrong = names.iter().filter_map(|name| Some((name, wrong(name)?)));
-            wrong
-                .map(|(name, (mistake, help))| name.warning(mistake, Some(help)))
-                .collect()
+            warnings.extend(wrong.map(|(name, (mistake, help))| name.warning(mistake, Some(help))));
         }
         Err(error) => {
             let help = "start the robot's ROS to have its names checked, too".to_owned();
-            vec![first.warning(error, Some(help))]
+            warnings.push(first.warning(error, Some(help)));
         }
     }
+    warnings
 }
 
 impl UsedName {
@@ -163,7 +163,10 @@ impl UsedName {
             let known = known.iter().map(|name| name.as_str());
             let help = match closest(name, known) {
                 Some(known) => format!("did you mean '{known}'?"),
-                None => "`ztl doctor --ros1` says what is there".to_owned(),
+                None => match self.of.kind {
+                    NameKind::Action => "`ztl doctor --ros1` lists the actions".to_owned(),
+                    _ => format!("`ztl doctor --ros1 --json` lists the {what}s"),
+                },
             };
             return Some((format!("the master knows no {what} {name}"), help));
         };
@@ -254,7 +257,7 @@ mod tests {
         assert_eq!(
             said("/undock_now", NameKind::Service, trigger).as_deref(),
             Some(
-                "robot.yaml:1:1: warning: the master knows no service /undock_now; `ztl doctor --ros1` says what is there"
+                "robot.yaml:1:1: warning: the master knows no service /undock_now; `ztl doctor --ros1 --json` lists the services"
             ),
         );
         assert_eq!(
