@@ -3,6 +3,7 @@
 mod actions;
 mod api;
 mod engine;
+mod fit;
 mod net;
 mod registrar;
 mod rpc;
@@ -22,13 +23,13 @@ use crate::uri::Address;
 use crate::xmlrpc::Value;
 use crate::{ActionTypes, WireType};
 use engine::{Engine, Identity};
+pub use fit::TypeConflict;
 pub use net::NetError;
 use net::{Net, Wake};
 pub use rpc::CallError;
 pub(crate) use rpc::read_offer;
 pub use service::ServiceError;
 use topics::Consumer;
-pub use topics::TypeConflict;
 
 /// How long the master or a node may take to answer a question of the owner.
 const ANSWER: Duration = Duration::from_secs(5);

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::engine::{Engine, Role};
+use super::fit::fits;
 use super::net::{ConnectionId, NetError};
 use super::rpc::CallError;
-use super::topics::fits;
 use crate::WireType;
 use crate::tcpros::{FrameError, Frames, Header, LONGEST_HEADER, frame};
 use crate::uri::Address;

@@ -1,12 +1,12 @@
 //! What the node publishes, and what it subscribes to.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::actions::Part;
 use super::engine::{Engine, Role};
+use super::fit::{TypeConflict, conflict, fits};
 use super::net::ConnectionId;
 use super::rpc::{CallError, read_offer};
 use crate::WireType;
@@ -88,34 +88,11 @@ pub(crate) struct Source {
     frames: Frames,
     /// The name of the node, once its header has arrived.
     caller: Option<Arc<str>>,
+    /// Whether the publisher keeps its last message for new subscribers.
+    latching: bool,
+    /// That message, for new consumers here.
+    last: Option<Vec<u8>>,
 }
-
-/// Another part of this process uses the topic with another type.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TypeConflict {
-    /// The topic.
-    pub topic: String,
-    /// The type in use.
-    pub used: String,
-    /// The type that was asked for.
-    pub wanted: String,
-}
-
-impl fmt::Display for TypeConflict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            topic,
-            used,
-            wanted,
-        } = self;
-        write!(
-            f,
-            "{topic} is used as {used} already, and cannot be {wanted}"
-        )
-    }
-}
-
-impl std::error::Error for TypeConflict {}
 
 impl Subscription {
     pub(crate) fn connected_uris(&self) -> impl Iterator<Item = &str> {
@@ -155,22 +132,6 @@ impl Publisher {
             State::Open(_, caller) => Some(caller),
             _ => None,
         }
-    }
-}
-
-/// Whether messages of these types are the same; `*` is every type.
-pub(crate) fn fits(ours: &str, theirs: &str) -> bool {
-    ours == theirs || ours == "*" || theirs == "*"
-}
-
-fn conflict(topic: &str, used: &WireType, wanted: &WireType) -> Result<(), TypeConflict> {
-    match used.name == wanted.name && used.md5 == wanted.md5 {
-        true => Ok(()),
-        false => Err(TypeConflict {
-            topic: topic.to_owned(),
-            used: format!("{} ({})", used.name, used.md5),
-            wanted: format!("{} ({})", wanted.name, wanted.md5),
-        }),
     }
 }
 
@@ -239,7 +200,7 @@ impl Engine {
         topic: &Arc<str>,
         ty: WireType,
         id: u32,
-        consumer: Consumer,
+        mut consumer: Consumer,
     ) -> Result<(), TypeConflict> {
         let action = match &consumer {
             Consumer::Action(action, _) => Some(Arc::clone(action)),
@@ -247,6 +208,14 @@ impl Engine {
         };
         if let Some(subscription) = self.subscriptions.get_mut(topic) {
             conflict(topic, &subscription.ty, &ty)?;
+            for publisher in subscription.publishers.values() {
+                if let State::Open(id, caller) = &publisher.state
+                    && let Some(Role::Source(source)) = self.roles.get(id)
+                    && let (Some(last), Consumer::Owner(on_message)) = (&source.last, &mut consumer)
+                {
+                    on_message(caller, last);
+                }
+            }
             subscription.consumers.push((id, consumer));
             subscription.action = subscription.action.take().or(action);
             return Ok(());
@@ -391,6 +360,8 @@ impl Engine {
                     uri: uri.to_owned(),
                     frames: Frames::default(),
                     caller: None,
+                    latching: false,
+                    last: None,
                 };
                 self.roles.insert(id, Role::Source(source));
             }
@@ -415,13 +386,19 @@ impl Engine {
                 (Ok(None), _) => return Some(Role::Source(source)),
                 (Ok(Some(content)), Some(caller)) => {
                     self.deliver(now, &source.topic, caller, content);
+                    source.last = source.latching.then(|| content.to_vec());
                     continue;
                 }
                 (Ok(Some(content)), None) => {
                     let header = Header::parse(content).map_err(|error| error.to_string());
-                    match header.and_then(|header| self.on_source_header(id, &source, &header)) {
-                        Ok(caller) => {
+                    let accepted = header.and_then(|header| {
+                        let caller = self.on_source_header(id, &source, &header)?;
+                        Ok((caller, header.get("latching") == "1"))
+                    });
+                    match accepted {
+                        Ok((caller, latching)) => {
                             source.caller = Some(caller);
+                            source.latching = latching;
                             continue;
                         }
                         Err(error) => error,
