@@ -450,6 +450,12 @@ fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     let _action = master.action("arm", "move");
     let _lost = master.robot_at("no-such-host.invalid", &["topics", "lost"]);
     let uri = format!("http://127.0.0.1:{}", master.port);
+    // A name with a line of its own.
+    let script = format!(
+        "import xmlrpc.client as x; x.ServerProxy('{uri}').registerPublisher('/x\\nok', '/y', 'std_msgs/String', '{uri}')"
+    );
+    let done = master.debian_python().args(["-c", &script]).status();
+    assert!(done.expect("Python").success());
     let doctor = || {
         let mut command = ztl();
         command.env("ROS_HOSTNAME", "127.0.0.1");
@@ -463,7 +469,8 @@ fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     });
     assert_eq!(ended.code, Some(1), "{ended:?}");
     for part in [
-        &format!("master {uri}: 2 nodes"),
+        &format!("master {uri}: 3 nodes"),
+        r"ok    ros1       node /x\nok at",
         "ok    ros1       node /arm at http://127.0.0.1:",
         "ok    ros1       action /move (actionlib/TestAction)\n",
         "WRONG ros1       node /lost at http://no-such-host.invalid",
