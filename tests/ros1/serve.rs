@@ -372,6 +372,20 @@ scopes: {{/test: {{p: {{
 }
 
 #[test]
+fn a_check_names_a_package_path_that_is_not_a_directory() {
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.yaml");
+    let text = "scopes: {/test: {p: {c: {ros1-publish: /c, type: qwerty_msgs/Qwerty}}}}";
+    std::fs::write(&path, text).expect("to write");
+    let mut command = ztl();
+    command.env("ROS_PACKAGE_PATH", "/usr/share:/no/such/src");
+    command.arg("serve").arg(&path);
+    let ended = Process::run(command.args(["--check", "-p", "0"]));
+    let part = "1:50: there is no definition of qwerty_msgs/Qwerty; '/no/such/src' in ROS_PACKAGE_PATH is not the absolute path of a directory";
+    assert!(ended.stderr.contains(part), "{ended:?}");
+}
+
+#[test]
 fn a_check_warns_of_definitions_that_the_robot_has_otherwise() {
     let master = Master::shared();
     let (action, robot) = (unique("defined"), unique("robot"));

@@ -105,9 +105,7 @@ impl<'d> ConfigReader<'d> {
                 .map(String::as_str);
             match whole.or_else(|| closest(text, names.iter().map(String::as_str))) {
                 Some(name) => format!("did you mean '{name}'?"),
-                None => "install its package here, or add the directory of its package to \
-                         ROS_PACKAGE_PATH"
-                    .to_owned(),
+                None => unknown_package(),
             }
         });
         self.yaml.wrong_with(node, error.to_string(), help);
@@ -122,4 +120,16 @@ fn what_has(definitions: &mut Definitions, name: &str) -> Option<&'static str> {
     }
     let is_message = definitions.message(name).is_ok();
     is_message.then_some(<Arc<MessageType>>::WHAT)
+}
+
+/// What helps if no type has a similar name.
+fn unknown_package() -> String {
+    match Definitions::useless_path() {
+        Some(path) => format!(
+            "'{}' in ROS_PACKAGE_PATH is not the absolute path of a directory",
+            path.display()
+        ),
+        None => "install its package here, or add the directory of its package to ROS_PACKAGE_PATH"
+            .to_owned(),
+    }
 }
