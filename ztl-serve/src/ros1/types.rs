@@ -86,7 +86,8 @@ impl<'d> ConfigReader<'d> {
             Ok(found) => return Some(found),
             Err(error) => error,
         };
-        if let Some(found) = what_has(definitions, text) {
+        let is_unknown = matches!(error, DefinitionError::Unknown { .. });
+        if is_unknown && let Some(found) = what_has(definitions, text) {
             let mistake = format!(
                 "{text} is the type of {found}; expected that of {}",
                 T::WHAT
@@ -95,7 +96,7 @@ impl<'d> ConfigReader<'d> {
             self.yaml.wrong_with(node, mistake, Some(help));
             return None;
         }
-        let help = matches!(error, DefinitionError::Unknown { .. }).then(|| {
+        let help = is_unknown.then(|| {
             let names = (T::NAMES)(definitions);
             // The name of an action is often written without its ending.
             let whole = format!("{text}Action");
