@@ -334,6 +334,8 @@ fn a_check_warns_of_names_that_the_robot_does_not_have() {
     let master = Master::shared();
     let name = unique("checked");
     let _action = master.action(&name, &name);
+    let lost = unique("lost");
+    let _lost = master.robot_at("no-such-robot.invalid", &["action", &lost, &lost]);
     let scratch = Scratch::new();
     let path = scratch.path("robot.yaml");
     let text = format!(
@@ -343,6 +345,7 @@ scopes: {{/test: {{p: {{
     typo: {{ros1-action: /{name}x, type: actionlib/TestAction}},
     other: {{ros1-action: /{name}, type: actionlib/TwoIntsAction}},
     dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}},
+    lost: {{ros1-action: /{lost}, type: actionlib/TestAction}},
     pose: {{ros1-trajectory: /{name}/result, joint-states: /joint_stats, joints: [a]}}}}}}}}",
         master.port
     );
@@ -358,6 +361,10 @@ scopes: {{/test: {{p: {{
             "robot.yaml:5:26: warning: action /{name} is of the type actionlib/TestAction, not actionlib/TwoIntsAction; write type: actionlib/TestAction"
         ),
         "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
+        format!(
+            "robot.yaml:7:25: warning: the action server /{lost} of /{lost} cannot be reached: \
+             this machine cannot resolve the host name 'no-such-robot.invalid'"
+        ),
         "warning: the master knows no topic /joint_stats; ".to_owned(),
         "warning: this machine cannot resolve its own name 'no-such-ztl.invalid'; ".to_owned(),
     ] {
@@ -365,7 +372,7 @@ scopes: {{/test: {{p: {{
     }
     assert_eq!(
         ended.stderr.matches("warning: ").count(),
-        6,
+        7,
         "{}",
         ended.stderr
     );

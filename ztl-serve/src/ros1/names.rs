@@ -123,6 +123,7 @@ pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<D
         Ok((survey, node)) => {
             let wrong = |name: &UsedName| {
                 let known = name.mistake(&survey);
+                let known = known.or_else(|| name.lost_server(&survey));
                 known.or_else(|| name.other_definition(&survey, &node))
             };
             let wrong = names.iter().filter_map(|name| Some((name, wrong(name)?)));
@@ -173,6 +174,27 @@ impl UsedName {
         // A node may subscribe to any type.
         let fits = *there == self.of.ty || there == "*";
         (!fits).then(|| other_type(what, name, there, &self.of.ty))
+    }
+
+    /// Why no node that serves the action can be reached, and a remedy. The master also names nodes that were killed.
+    fn lost_server(&self, survey: &Survey) -> Option<(String, String)> {
+        let NameKind::Action = self.of.kind else {
+            return None;
+        };
+        let servers = survey.publishers.get(&format!("{}/status", self.name))?;
+        let obstacle = |node: &String| {
+            let (_, wrong) = survey.nodes.get(node)?;
+            Some((node.clone(), wrong.clone()?))
+        };
+        let obstacles: Option<Vec<_>> = servers.iter().map(obstacle).collect();
+        let (node, wrong) = obstacles?.into_iter().next()?;
+        Some((
+            format!(
+                "the action server {node} of {} cannot be reached: {wrong}",
+                self.name
+            ),
+            "if it was killed, start it again".to_owned(),
+        ))
     }
 
     /// Whether the robot has another definition of its type, and a remedy. Asks the nodes that publish or serve it.
