@@ -324,6 +324,7 @@ impl<'d> MessageReader<'_, 'd, '_> {
             None if primitive == Primitive::Duration => {
                 "duration: seconds, or as 500 ms".to_owned()
             }
+            None if primitive == Primitive::Bool => "bool: true or false".to_owned(),
             None => field.to_string(),
         };
         let zero = Part::Fixed(field.zero());

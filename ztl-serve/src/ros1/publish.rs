@@ -96,6 +96,21 @@ pub(crate) fn read<'d>(
         }
     }
     let message_type = message_type?;
+    if let (None, Some(node), Some(Some(Length::Goal(path)))) = (message, length_node, &length) {
+        let fields = message_type.fields();
+        let is_known = match path.first() {
+            Some(name) => fields.iter().any(|field| *field.name == **name),
+            None => fields.len() == 1,
+        };
+        if !is_known {
+            let mistake = format!(
+                "without message, the goal is the whole {}, and has no time",
+                message_type.name()
+            );
+            let help = "write message: {FIELD: \"{goal.PART}\"}".to_owned();
+            reader.yaml.wrong_with(node, mistake, Some(help));
+        }
+    }
     let message = reader.message_or_goal(message, &message_type, context.rule);
     let stop = stop.map(|node| reader.message_template(node, &message_type, context.rule));
     let repeat = Repeat {

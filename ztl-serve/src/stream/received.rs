@@ -9,6 +9,9 @@ use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
 /// The most bytes of messages that wait for the thread of all streams. Then the oldest is dropped.
 const MOST: usize = 16 << 20;
 
+/// What a message takes beside its bytes: a node may flood with empty ones.
+const OVERHEAD: usize = 64;
+
 /// Where the callback of a subscription leaves its messages.
 pub(crate) struct Inbox {
     waiting: Arc<Mutex<Waiting>>,
@@ -89,12 +92,12 @@ impl Waiting {
     /// Adds a message. Returns whether it is the only one.
     fn push(&mut self, message: Vec<u8>) -> bool {
         let was_empty = self.messages.is_empty();
-        self.bytes += message.len();
+        self.bytes += OVERHEAD + message.len();
         self.messages.push_back(message);
         while self.bytes > MOST
             && let Some(oldest) = self.messages.pop_front()
         {
-            self.bytes -= oldest.len();
+            self.bytes -= OVERHEAD + oldest.len();
         }
         was_empty
     }
@@ -115,12 +118,17 @@ mod tests {
         for count in 0..20 {
             assert_eq!(waiting.push(vec![count; 1 << 20]), count == 0);
         }
-        assert_eq!(waiting.messages.len(), 16);
+        assert_eq!(waiting.messages.len(), 15);
         assert_eq!(
             waiting.messages.front().map(|it| it.first().copied()),
-            Some(Some(4))
+            Some(Some(5))
         );
         waiting.push(vec![0; MOST + 1]);
         assert!(waiting.messages.is_empty());
+        // Also empty messages take memory.
+        for _ in 0..MOST {
+            waiting.push(Vec::new());
+        }
+        assert!(waiting.messages.len() < MOST / 32);
     }
 }
