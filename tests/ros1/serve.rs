@@ -112,6 +112,7 @@ fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
 const DRIVE: &str = "scopes: {/test: {p: {
     drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, for: '{goal.seconds}', dead-man: 20 s,
             message: {linear: {x: '{goal.speed}'}}, stop: {}},
+    whole: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, for: '{goal.seconds}'},
     nowhere: {ros1-publish: /NAME/nowhere, type: geometry_msgs/Twist, message: {}}}}}";
 
 const GO: &str = "twist 0.5 0.0";
@@ -130,6 +131,19 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
     let twists = robot.twists();
     let count = twists.iter().filter(|line| *line == GO).count();
     assert!(count > 0 && twists.len() == count + 5, "{twists:?}");
+
+    assert_eq!(
+        robot.run("whole", "{linear: {x: 0.7}, seconds: 0.1}"),
+        Ok((Completed, "True".to_owned()))
+    );
+    wait("the goal as the message", || {
+        robot
+            .twists()
+            .last()
+            .is_some_and(|line| line == "twist 0.7 0.0")
+    });
+    let refused = robot.run("whole", "{linear: {x: 0.7}, second: 0.1}");
+    assert!(refused.is_err_and(|why| why.contains("second")));
 
     let mut remote = robot.remote();
     let task = trigger(&mut remote, "drive", "{speed: 0.5, seconds: 60}");

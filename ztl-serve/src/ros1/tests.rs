@@ -219,10 +219,6 @@ fn wrong_types_names_and_keys_are_mistakes() {
             "2:32: there is no definition of geometry_msgs/Twits; did you mean 'geometry_msgs/Twist'?",
         ),
         (
-            "{ros1-publish: /cmd_vel, type: geometry_msgs/Twist, for: '{goal.seconds}'}",
-            "2:58: without message, the goal is the whole geometry_msgs/Twist, and has no time; write message: {FIELD: \"{goal.PART}\"}",
-        ),
-        (
             "{ros1-action: /test, type: geometry_msgs/Twist}",
             "2:28: geometry_msgs/Twist is the type of a message; expected that of an action; write the type as move_base_msgs/MoveBaseAction",
         ),
