@@ -98,6 +98,7 @@ pub mod pump;
 mod reading;
 #[cfg(feature = "critical-section")]
 pub mod shared;
+pub mod update;
 #[cfg(feature = "zmtp")]
 pub mod zmtp;
 
