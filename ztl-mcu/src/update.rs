@@ -1,7 +1,13 @@
 //! Firmware updates over the link: what the firmware provides, and how a node uses it (`docs/link.md`, section 16).
 
-use ztl_core::link::update::Firmware;
-pub use ztl_core::link::update::{PIECE_UNIT, SelfTest, UpdateError};
+use ztl_core::Instant;
+use ztl_core::link::update::UpdatePhase;
+pub use ztl_core::link::update::{Firmware, PIECE_UNIT, SelfTest, UpdateError};
+
+use crate::acting::OwnWork;
+use crate::bus::BusState;
+use crate::component::{Component, Components, forward};
+use crate::parameters::Tuning;
 
 /// An image that is being received.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -36,11 +42,12 @@ pub trait Updater {
     fn firmware(&self) -> Firmware<'_>;
 
     /// Begins to receive an image. `manifest` is the signed manifest at the beginning of its file. If it is that of the image
-    /// that was being received before, goes on where that ended, if it is known; otherwise from the beginning.
+    /// that was being received before, goes on where that ended, if it is known; otherwise from the beginning. An image that was
+    /// verified before and has not run yet is not marked to run any more.
     ///
     /// # Errors
     /// [`UpdateError`]: the manifest is damaged, the image is for another board, older than what runs (unless `downgrade`), or
-    /// too long, what runs is on trial, or the flash fails.
+    /// too long, or the flash fails. The node itself refuses while what runs is on trial.
     fn begin(&mut self, manifest: &[u8], downgrade: bool) -> Result<Receiving, UpdateError>;
 
     /// Stores the next bytes of the image: `offset` is where those before end, and the length a multiple of [`PIECE_UNIT`]
@@ -66,4 +73,73 @@ pub trait Updater {
     /// # Errors
     /// [`UpdateError::Storage`].
     fn confirm(&mut self) -> Result<(), UpdateError>;
+}
+
+/// Components of a node whose firmware takes updates over the link from this [`Updater`]. It is the outermost wrapper of those
+/// for components: `Updatable::new(Described((arm,)), updater)`.
+///
+/// While an update is received, all components are in their safe state, and the node refuses tasks. `Ping` and `Abort` are
+/// served as ever.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Updatable<C, U> {
+    /// The components.
+    pub components: C,
+    /// Receives the images.
+    pub updater: U,
+    state: UpdateState,
+}
+
+impl<C, U> Updatable<C, U> {
+    /// These components; nothing is being received.
+    pub const fn new(components: C, updater: U) -> Self {
+        Self {
+            components,
+            updater,
+            state: UpdateState {
+                phase: UpdatePhase::Idle,
+                length: 0,
+                until: Instant::ZERO,
+                restart_at: Instant::ZERO,
+                has_begun: false,
+                trial_ends: Instant::NEVER,
+            },
+        }
+    }
+}
+
+impl<C: Components, U: Updater> Components for Updatable<C, U> {
+    const UPDATES: bool = true;
+
+    forward!(components: parts descriptions bus own_work parameters);
+
+    fn update(&self) -> Option<(&UpdateState, &dyn Updater)> {
+        Some((&self.state, &self.updater))
+    }
+
+    fn update_mut(&mut self) -> Option<(&mut UpdateState, &mut dyn Updater)> {
+        Some((&mut self.state, &mut self.updater))
+    }
+}
+
+/// How far a node is with an update; only [`Updatable`] has it.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct UpdateState {
+    pub(crate) phase: UpdatePhase,
+    /// Length of the image in bytes.
+    pub(crate) length: u32,
+    /// When an update without a further command is over, or until when a restart waits for the components.
+    pub(crate) until: Instant,
+    /// When the node restarts, in [`UpdatePhase::Restarting`].
+    pub(crate) restart_at: Instant,
+    /// Whether the trial, if there is one, has begun.
+    pub(crate) has_begun: bool,
+    /// When a trial ends by a restart; [`Instant::NEVER`] without one.
+    pub(crate) trial_ends: Instant,
+}
+
+impl UpdateState {
+    /// Whether the node receives an image, so that it takes no tasks.
+    pub(crate) const fn is_active(&self) -> bool {
+        !matches!(self.phase, UpdatePhase::Idle | UpdatePhase::Failed(_))
+    }
 }
