@@ -15,9 +15,9 @@ use crate::update::{UpdateState, Verification};
 
 /// An update without a command for so long is over; the node then takes tasks again.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Pause between the answer to `Restart` and the restart, in which the answer is sent.
+/// Pause before a restart, in which the answer to `Restart` is sent.
 const FAREWELL: Duration = Duration::from_millis(100);
-/// How long components may take to their safe state before a restart that ends a trial.
+/// How long components may take to their safe state before a restart.
 const SAFETY: Duration = Duration::from_secs(5);
 
 impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TASKS, FRAME> {
@@ -92,10 +92,11 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             {
                 state.phase = UpdatePhase::Verifying;
             }
-            (UpdateCommand::Restart, UpdatePhase::Ready) => {
-                state.phase = UpdatePhase::Restarting;
-                state.restart_at = now + FAREWELL;
-                state.until = state.restart_at;
+            (UpdateCommand::Restart, phase) => {
+                let on_trial = state.trial_ends != Instant::NEVER;
+                if phase == UpdatePhase::Ready || on_trial {
+                    self.restart(now);
+                }
             }
             (UpdateCommand::Confirm, _) => match updater.confirm() {
                 Ok(()) => state.trial_ends = Instant::NEVER,
@@ -152,6 +153,18 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         Answer::Update
     }
 
+    /// Restarts soon, when all components are safe.
+    fn restart(&mut self, now: Instant) {
+        let Some((state, _)) = self.components.update_mut() else {
+            return;
+        };
+        state.trial_ends = Instant::NEVER;
+        state.phase = UpdatePhase::Restarting;
+        state.restart_at = now + FAREWELL;
+        state.until = now + SAFETY;
+        self.make_safe(now, true);
+    }
+
     fn on_update_timeout(&mut self, now: Instant, answers: bool) {
         let Some((state, updater)) = self.components.update_mut() else {
             return;
@@ -164,11 +177,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             }
         }
         if now >= state.trial_ends {
-            state.trial_ends = Instant::NEVER;
-            state.phase = UpdatePhase::Restarting;
-            state.restart_at = now;
-            state.until = now + SAFETY;
-            self.make_safe(now, true);
+            self.restart(now);
         }
         let moves = self.moves(NO_COMPONENT);
         let Some((state, updater)) = self.components.update_mut() else {

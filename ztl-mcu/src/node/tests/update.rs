@@ -323,6 +323,12 @@ fn firmware_on_trial_restarts_unless_it_is_confirmed() {
         desk.pass(300);
         assert_eq!(memory.borrow().restarts, 1);
     });
+    with_updates(on_trial(), |desk, memory, _| {
+        desk.pass(0);
+        assert_eq!(desk.phase(1, UpdateCommand::Restart), "Restarting");
+        desk.pass(300);
+        assert_eq!(memory.borrow().restarts, 1);
+    });
 }
 
 #[test]
