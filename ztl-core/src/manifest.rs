@@ -15,8 +15,8 @@ pub const SIGNATURE_LEN: usize = 64;
 /// Most bytes of a board's name.
 pub const BOARD_LEN: usize = 24;
 
-/// An image's length is a multiple of this many bytes, so that each flash can be written with it.
-pub const IMAGE_UNIT: usize = 4;
+/// An image's length is a multiple of this many bytes, the longest word of a flash.
+pub const IMAGE_UNIT: usize = 32;
 
 /// The first bytes.
 const MAGIC: [u8; 4] = *b"ZTLF";
