@@ -94,6 +94,14 @@ const fn after_point(text: &[u8]) -> &[u8] {
     }
 }
 
+impl core::str::FromStr for Version {
+    type Err = BadVersion;
+
+    fn from_str(text: &str) -> Result<Self, BadVersion> {
+        Self::parse(text)
+    }
+}
+
 impl fmt::Display for Version {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
