@@ -5,6 +5,7 @@ fn main() {
     let directory = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
     println!("cargo::rerun-if-changed=memory.x");
     println!("cargo::rerun-if-changed=device.x");
+    println!("cargo::rerun-if-changed=src/bin");
     let package = std::env::var("CARGO_PKG_NAME").unwrap_or_default();
     for image in std::fs::read_dir("src/bin").into_iter().flatten().flatten() {
         if image.path().join("memory.x").exists() {
