@@ -1,4 +1,4 @@
-//! A lamp whose firmware is updated over the link, with room for two tasks.
+//! A lamp whose firmware is updated over the link.
 
 use core::cell::RefCell;
 use core::time::Duration;
@@ -22,8 +22,8 @@ use ztl_mcu::{Identity, Node};
 /// Longer than the verification of a signature, in which the node answers nothing.
 const LINK_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Runs the node for ever.
-pub(crate) fn run(version: &'static str) -> ! {
+/// Runs the node for ever, with room for this many tasks.
+pub(crate) fn run<const TASKS: usize>(version: &'static str) -> ! {
     let Some(core) = Peripherals::take() else {
         SCB::sys_reset()
     };
@@ -42,7 +42,7 @@ pub(crate) fn run(version: &'static str) -> ! {
     let Some(slots) = Slots::new(partitions, image, || SCB::sys_reset()) else {
         SCB::sys_reset()
     };
-    let mut node = node(version, slots);
+    let mut node = node::<_, TASKS>(version, slots);
     let mut uart = Uart::start();
     let mut clock = SysTick::<16_000>::start(core.SYST);
     let mut received = [0; 32];
@@ -61,7 +61,10 @@ type UpdatedLamp<U> = Updatable<[DigitalOutput<Lamp>; 1], U>;
 
 // Apart, so that nothing but the node stays on the stack.
 #[inline(never)]
-fn node<U: Updater>(version: &'static str, updater: U) -> Node<'static, UpdatedLamp<U>, 2, 256> {
+fn node<U: Updater, const TASKS: usize>(
+    version: &'static str,
+    updater: U,
+) -> Node<'static, UpdatedLamp<U>, TASKS, 256> {
     let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
     let identity = Identity {
         link_timeout: LINK_TIMEOUT,

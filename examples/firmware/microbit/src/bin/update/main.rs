@@ -9,7 +9,7 @@ use cortex_m_rt::entry;
 
 #[entry]
 fn main() -> ! {
-    updatable::run("1.0.0")
+    updatable::run::<2>("1.0.0")
 }
 
 board_support::handlers!();

@@ -1,4 +1,4 @@
-//! A later version of `update`.
+//! A later version of `update`, with room for more tasks.
 #![no_std]
 #![no_main]
 
@@ -9,7 +9,7 @@ use cortex_m_rt::entry;
 
 #[entry]
 fn main() -> ! {
-    updatable::run("1.1.0")
+    updatable::run::<4>("1.1.0")
 }
 
 board_support::handlers!();
