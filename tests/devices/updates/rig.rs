@@ -1,5 +1,6 @@
 //! A board with the bootloader and two images.
 
+use std::collections::BTreeSet;
 use std::process::Command;
 use std::time::Instant;
 
@@ -125,12 +126,10 @@ impl Rig {
     /// Stops at each erase, or each change of the flash; or at none any more.
     #[track_caller]
     pub(crate) fn set_stops(&mut self, erases: bool, writes: bool) {
-        for (addresses, set) in [(&self.erases, erases), (&self.writes, writes)] {
-            let mut known = addresses.clone();
-            known.sort_unstable();
-            known.dedup();
-            self.board.set_stops(&known, set);
-        }
+        let mut stops = BTreeSet::new();
+        stops.extend(self.erases.iter().filter(|_| erases));
+        stops.extend(self.writes.iter().filter(|_| writes));
+        self.board.set_stops(&stops);
     }
 
     /// Runs the halted board with a script. At each change of the flash that it stops at, `at_change` says whether to go on.
