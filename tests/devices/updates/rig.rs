@@ -165,8 +165,7 @@ impl Rig {
             );
             if self.board.wait(20) {
                 let (at, [address, _]) = self.board.stopped_at();
-                let code = self.board.read_memory(at as usize..at as usize + CODE);
-                let here = (at, code);
+                let here = (at, self.board.read_memory(at as usize..at as usize + CODE));
                 let change = Change {
                     is_erase: self.erases.contains(&here),
                     address: address as usize,

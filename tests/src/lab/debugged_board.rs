@@ -36,7 +36,7 @@ pub struct DebuggedBoard {
     said: Vec<u8>,
     stops: BTreeSet<u64>,
     is_running: bool,
-    _process: Process,
+    process: Process,
     _scratch: Scratch,
 }
 
@@ -68,7 +68,7 @@ impl DebuggedBoard {
             said: Vec::new(),
             stops: BTreeSet::new(),
             is_running: false,
-            _process: process,
+            process,
             _scratch: scratch,
         };
         board.wait_control("\"QMP\"");
@@ -166,7 +166,8 @@ impl DebuggedBoard {
     #[track_caller]
     pub fn cut_power(&mut self) {
         assert!(!self.is_running);
-        self.control("system_reset", "\"RESET\"");
+        // The firmware's own resets are told, too.
+        self.control("system_reset", "host-qmp-system-reset");
         // The stop of the moment before, if any, is no longer one.
         while self.packet(false).is_some() {}
         let mut stale = [0; 256];
@@ -224,7 +225,7 @@ impl DebuggedBoard {
             let read = self.debugger.read(&mut buffer);
             self.debugger.set_nonblocking(false).expect("a socket");
             match read {
-                Ok(0) => panic!("QEMU has ended"),
+                Ok(0) => panic!("QEMU has ended: {}", self.process.stderr()),
                 Ok(count) => self.said.extend(&buffer[..count]),
                 Err(error) if error.kind() == ErrorKind::WouldBlock && !wait => return None,
                 Err(error) => panic!("QEMU's debugger: {error}"),
