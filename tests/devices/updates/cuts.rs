@@ -142,7 +142,7 @@ fn cut(rig: &mut Rig, units: &[Unit], unit: usize, change: usize) -> Option<&'st
 /// The power fails at so many changes, chosen by a seed (`ZTL_SEED`), or at each one (`ZTL_CUTS=0`, which takes hours).
 #[test]
 fn a_power_cut_at_any_change_of_the_flash_leaves_the_old_or_the_new_image() {
-    let cuts = number("ZTL_CUTS", 200) as usize;
+    let cuts = number("ZTL_CUTS", 120) as usize;
     let mut random = Random::new(seed());
     let mut rig = Rig::start();
     let units = record_all(&mut rig);

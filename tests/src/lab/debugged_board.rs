@@ -22,6 +22,8 @@ use super::{PATIENCE, Process, Scratch, until};
 /// Bytes that one packet of QEMU's debugger can carry.
 const PACKET: usize = 1024;
 
+const DIGITS: &[u8; 16] = b"0123456789abcdef";
+
 /// The flash of a micro:bit.
 pub const FLASH: usize = 256 << 10;
 
@@ -61,6 +63,7 @@ impl DebuggedBoard {
             stream
         });
         serial.set_nonblocking(true).expect("a socket");
+        debugger.set_nonblocking(true).expect("a socket");
         let mut board = Self {
             serial,
             debugger,
@@ -81,7 +84,9 @@ impl DebuggedBoard {
     #[track_caller]
     pub fn write_flash(&mut self, address: usize, bytes: &[u8]) {
         for (at, bytes) in (address..).step_by(PACKET).zip(bytes.chunks(PACKET)) {
-            let digits: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+            let digits = bytes.iter().flat_map(|byte| [byte >> 4, byte & 15]);
+            let digits = digits.map(|digit| char::from(DIGITS[usize::from(digit)]));
+            let digits: String = digits.collect();
             assert_eq!(
                 self.ask(&format!("M{at:x},{:x}:{digits}", bytes.len())),
                 "OK"
@@ -139,16 +144,24 @@ impl DebuggedBoard {
             self.is_running = false;
             return true;
         }
-        let streams = [&self.debugger, &self.serial];
-        let mut streams = streams.map(|stream| PollFd::new(stream, PollFlags::IN));
-        let limit = rustix::event::Timespec {
-            tv_sec: 0,
-            tv_nsec: i64::from(limit_ms) * 1_000_000,
-        };
-        poll(&mut streams, Some(&limit)).expect("sockets");
+        self.await_input(limit_ms, true);
         let stopped = self.packet(false).is_some();
         self.is_running &= !stopped;
         stopped
+    }
+
+    /// Waits for bytes of the debugger, or of the serial port.
+    fn await_input(&self, limit_ms: u32, serial: bool) {
+        let mut streams = vec![PollFd::new(&self.debugger, PollFlags::IN)];
+        if serial {
+            streams.push(PollFd::new(&self.serial, PollFlags::IN));
+        }
+        let limit = rustix::event::Timespec {
+            tv_sec: (limit_ms / 1000).into(),
+            tv_nsec: i64::from(limit_ms % 1000) * 1_000_000,
+        };
+        let ready = poll(&mut streams, Some(&limit)).expect("sockets");
+        assert!(ready > 0 || serial, "QEMU does not answer");
     }
 
     /// Halts the board where it is.
@@ -221,13 +234,16 @@ impl DebuggedBoard {
                 return Some(String::from_utf8_lossy(&packet[begin + 1..end]).into_owned());
             }
             let mut buffer = [0; 4096];
-            self.debugger.set_nonblocking(!wait).expect("a socket");
             let read = self.debugger.read(&mut buffer);
-            self.debugger.set_nonblocking(false).expect("a socket");
             match read {
                 Ok(0) => panic!("QEMU has ended: {}", self.process.stderr()),
                 Ok(count) => self.said.extend(&buffer[..count]),
-                Err(error) if error.kind() == ErrorKind::WouldBlock && !wait => return None,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                    if !wait {
+                        return None;
+                    }
+                    self.await_input(PATIENCE.as_millis() as u32, false);
+                }
                 Err(error) => panic!("QEMU's debugger: {error}"),
             }
         }

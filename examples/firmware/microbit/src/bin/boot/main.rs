@@ -31,7 +31,10 @@ fn main() -> ! {
     let partitions = BootLoaderConfig::from_linkerfile_blocking(&flash, &flash, &flash);
     let mut page = AlignedBuffer([0; PAGE]);
     // If the flash fails, the active partition may hold parts of two images. Then nothing starts.
-    if BootLoader::new(partitions).prepare_boot(&mut page.0).is_err() {
+    if BootLoader::new(partitions)
+        .prepare_boot(&mut page.0)
+        .is_err()
+    {
         SCB::sys_reset();
     }
     // SAFETY: the active partition begins with the vector table of an image; no interrupt is enabled.
