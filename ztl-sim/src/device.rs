@@ -7,6 +7,7 @@ pub(crate) mod kind;
 mod power;
 mod record;
 mod sensor;
+mod slots;
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -24,8 +25,9 @@ use crate::pty::{Link, Pty};
 pub use bus::{Bus, BusNode, Switches};
 pub use buttons::Buttons;
 use kind::{Kind, UnknownKind};
-use power::{Input, Settings};
+use power::{Input, Settings, Updates};
 use record::Record;
+pub use slots::BOARD;
 #[cfg(unix)]
 use ztl_std::gateway::{BAUD, READ_TIMEOUT};
 use ztl_std::gateway::{Endpoint, EndpointError, InProcess, Line, is_pause};
@@ -73,6 +75,7 @@ impl Device {
             baud: None,
             record: None,
             place: None,
+            updates: None,
         })
     }
 
@@ -88,6 +91,18 @@ impl Device {
     #[must_use]
     pub fn with_record(mut self, file: File) -> Self {
         self.0.record = Some(Record::new(file));
+        self
+    }
+
+    /// Lets it take firmware updates into memory: it runs `version` at first, and takes images for the board
+    /// [`BOARD`] that are signed for `key`. Each line of an image may be `self-test: GOAL`, with which the new firmware
+    /// tests its component, or `trial: MILLISECONDS`, how long it waits for a confirmation.
+    #[must_use]
+    pub fn with_updates(mut self, version: &str, key: &[u8]) -> Self {
+        self.0.updates = Some(Updates {
+            version: version.to_owned(),
+            key: key.to_vec(),
+        });
         self
     }
 

@@ -158,11 +158,14 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         let Some((state, _)) = self.components.update_mut() else {
             return;
         };
+        let is_safe = state.is_active();
         state.trial_ends = Instant::NEVER;
         state.phase = UpdatePhase::Restarting;
         state.restart_at = now + FAREWELL;
         state.until = now + SAFETY;
-        self.make_safe(now, true);
+        if !is_safe {
+            self.make_safe(now, true);
+        }
     }
 
     fn on_update_timeout(&mut self, now: Instant, answers: bool) {

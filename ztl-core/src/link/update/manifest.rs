@@ -42,3 +42,15 @@ impl<'a> Manifest<'a> {
         Some((manifest, own, image))
     }
 }
+
+impl Manifest<'_> {
+    /// Whether the signature is that of this image with this key.
+    #[must_use]
+    pub fn is_signed(&self, key: &[u8], image: &[u8]) -> bool {
+        let mut digest = 0xcbf2_9ce4_8422_2325_u64;
+        for byte in key.iter().chain(image) {
+            digest = (digest ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+        self.signature.starts_with(&digest.to_le_bytes())
+    }
+}
