@@ -5,3 +5,4 @@ mod line_command;
 mod line_faults;
 mod link;
 mod link_parameters;
+mod updates;

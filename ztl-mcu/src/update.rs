@@ -1,8 +1,14 @@
 //! Firmware updates over the link: what the firmware provides, and how a node uses it (`docs/link.md`, section 16).
 
+#[cfg(feature = "embassy-boot")]
+mod slots;
+
 use ztl_core::Instant;
 use ztl_core::link::update::UpdatePhase;
 pub use ztl_core::link::update::{Firmware, PIECE_UNIT, SelfTest, UpdateError};
+
+#[cfg(feature = "embassy-boot")]
+pub use slots::{Image, Slots};
 
 use crate::acting::OwnWork;
 use crate::bus::BusState;
