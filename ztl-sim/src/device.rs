@@ -28,6 +28,8 @@ use kind::{Kind, UnknownKind};
 use power::{Input, Settings, Updates};
 use record::Record;
 pub use slots::BOARD;
+use slots::Verify;
+use ztl_core::manifest::{Parsed, Version};
 #[cfg(unix)]
 use ztl_std::gateway::{BAUD, READ_TIMEOUT};
 use ztl_std::gateway::{Endpoint, EndpointError, InProcess, Line, is_pause};
@@ -94,14 +96,18 @@ impl Device {
         self
     }
 
-    /// Lets it take firmware updates into memory: it runs `version` at first, and takes images for the board
-    /// [`BOARD`] that are signed for `key`. Each line of an image may be `self-test: GOAL`, with which the new firmware
-    /// tests its component, or `trial: MILLISECONDS`, how long it waits for a confirmation.
+    /// Lets it take firmware updates into memory: it runs `version` at first, and takes images for the board [`BOARD`] whose
+    /// signature is valid by `verify`. The image is a text. Each of its lines may be `self-test: GOAL`, with which the new
+    /// firmware tests its component, or `trial: MILLISECONDS`, how long it waits for a confirmation.
     #[must_use]
-    pub fn with_updates(mut self, version: &str, key: &[u8]) -> Self {
+    pub fn with_updates(
+        mut self,
+        version: Version,
+        verify: impl Fn(&Parsed<'_>) -> bool + Send + Sync + 'static,
+    ) -> Self {
         self.0.updates = Some(Updates {
-            version: version.to_owned(),
-            key: key.to_vec(),
+            version,
+            verify: Verify(Arc::new(verify)),
         });
         self
     }

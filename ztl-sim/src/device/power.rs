@@ -6,6 +6,7 @@ use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
+use ztl_core::manifest::Version;
 use ztl_mcu::bus::OnBus;
 use ztl_mcu::parameters::{SaveError, Storage, Tunable, Tuned, Tuning};
 use ztl_mcu::update::Updatable;
@@ -17,7 +18,7 @@ use super::buttons::{Push, on_push};
 use super::kind::Kind;
 use super::record::{Record, Recorded};
 use super::sensor::{self, Sensor};
-use super::slots::{SlotUpdater, Slots};
+use super::slots::{SlotUpdater, Slots, Verify};
 use crate::random::random;
 use ztl_std::time::now;
 
@@ -37,9 +38,9 @@ pub(super) struct Settings {
 #[derive(Debug, Clone)]
 pub(super) struct Updates {
     /// Its version at first.
-    pub(super) version: String,
-    /// The key that images must be signed for.
-    pub(super) key: Vec<u8>,
+    pub(super) version: Version,
+    /// Which signatures it accepts.
+    pub(super) verify: Verify,
 }
 
 /// A node's place on a shared line.
@@ -176,7 +177,7 @@ pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
     };
     let flash = Flash::default();
     let updates = device.updates.as_ref();
-    let slots = updates.map(|it| RefCell::new(Slots::new(&it.version, &it.key)));
+    let slots = updates.map(|it| RefCell::new(Slots::new(it.version, it.verify.clone())));
     let slots = slots.as_ref();
     let mut run = || match device.kind {
         Kind::Gripper => {

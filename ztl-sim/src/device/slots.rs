@@ -1,8 +1,10 @@
 //! The firmware slots of a simulated device, which takes updates into memory.
 
 use std::cell::RefCell;
+use std::fmt;
+use std::sync::Arc;
 
-use ztl_core::link::update::Manifest;
+use ztl_core::manifest::{MANIFEST_LEN, Manifest, Parsed, Version};
 use ztl_mcu::update::{Firmware, Receiving, SelfTest, UpdateError, Updater, Verification};
 
 /// The board that images of a simulated device must be for.
@@ -14,21 +16,34 @@ const STEP: usize = 16 << 10;
 /// How long firmware is on trial unless its image says otherwise.
 const TRIAL_MS: u32 = 60_000;
 
+/// Whether the signature of an image is valid.
+#[derive(Clone)]
+pub(super) struct Verify(pub(super) Arc<dyn Fn(&Parsed<'_>) -> bool + Send + Sync>);
+
+impl fmt::Debug for Verify {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Verify")
+    }
+}
+
 /// Firmware in a slot. The image of a simulated device is a text; each of its lines may be `self-test: GOAL`, with which the
 /// firmware tests its component, or `trial: MILLISECONDS`, how long it waits for a confirmation.
 #[derive(Debug, Clone)]
 struct Slot {
-    version: String,
+    version: Version,
+    /// The same as text.
+    name: String,
     self_test: Option<String>,
     trial_ms: u32,
 }
 
 impl Slot {
-    fn new(version: &str, image: &[u8]) -> Self {
+    fn new(version: Version, image: &[u8]) -> Self {
         let image = String::from_utf8_lossy(image);
         let value = |key| image.lines().find_map(|line| line.strip_prefix(key));
         Self {
-            version: version.to_owned(),
+            version,
+            name: version.to_string(),
             self_test: value("self-test: ").map(str::to_owned),
             trial_ms: value("trial: ")
                 .and_then(|text| text.trim().parse().ok())
@@ -40,8 +55,8 @@ impl Slot {
 /// An image that is being received.
 #[derive(Debug)]
 struct Incoming {
-    manifest: Vec<u8>,
-    image: Vec<u8>,
+    /// The manifest, and as much of the image as has arrived.
+    file: Vec<u8>,
     verified: usize,
     /// Whether the next restart runs it.
     marked: bool,
@@ -50,7 +65,7 @@ struct Incoming {
 /// Both slots, and what a flash keeps over restarts.
 #[derive(Debug)]
 pub(super) struct Slots {
-    key: Vec<u8>,
+    verify: Verify,
     active: Slot,
     /// What ran before the firmware that is on trial.
     before: Option<Slot>,
@@ -60,10 +75,10 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// The slots of a device that runs this version and takes images signed for this key.
-    pub(super) fn new(version: &str, key: &[u8]) -> Self {
+    /// The slots of a device that runs this version and takes images with a signature that this function accepts.
+    pub(super) fn new(version: Version, verify: Verify) -> Self {
         Self {
-            key: key.to_vec(),
+            verify,
             active: Slot::new(version, &[]),
             before: None,
             incoming: None,
@@ -78,15 +93,15 @@ impl Slots {
             self.active = before;
         }
         if let Some(incoming) = self.incoming.take_if(|incoming| incoming.marked)
-            && let Some((manifest, ..)) = Manifest::split(&incoming.manifest)
+            && let Ok(parsed) = Manifest::parse(&incoming.file)
         {
-            let new = Slot::new(manifest.version, &incoming.image);
+            let new = Slot::new(parsed.manifest.version, parsed.image);
             self.before = Some(std::mem::replace(&mut self.active, new));
         }
     }
 
     pub(super) fn version(&self) -> String {
-        self.active.version.clone()
+        self.active.name.clone()
     }
 
     pub(super) fn take_restart(&mut self) -> bool {
@@ -114,7 +129,7 @@ impl Updater for SlotUpdater<'_> {
         let running = &self.running;
         Firmware {
             board: BOARD,
-            version: &running.version,
+            version: &running.name,
             confirmed: self.slots.borrow().before.is_none(),
             trial_ms: running.trial_ms,
             self_test: running
@@ -125,65 +140,63 @@ impl Updater for SlotUpdater<'_> {
     }
 
     fn begin(&mut self, manifest: &[u8], downgrade: bool) -> Result<Receiving, UpdateError> {
-        let Some((known, own, [])) = Manifest::split(manifest) else {
-            return Err(UpdateError::Manifest);
-        };
+        let parsed = Manifest::parse(manifest).map_err(|_| UpdateError::Manifest)?;
+        let known = parsed.manifest;
         if known.board != BOARD {
             return Err(UpdateError::Board);
         }
-        if !downgrade && is_older(known.version, &self.running.version) {
+        if !downgrade && known.version < self.running.version {
             return Err(UpdateError::Older);
         }
-        let mut slots = self.slots.borrow_mut();
         let length = usize::try_from(known.length).unwrap_or(usize::MAX);
         if length > ROOM {
             return Err(UpdateError::TooLong);
         }
+        let mut slots = self.slots.borrow_mut();
         let incoming = slots.incoming.take();
-        let incoming = incoming.filter(|incoming| incoming.manifest == own);
-        let mut incoming = incoming.unwrap_or_else(|| Incoming {
-            manifest: own.to_vec(),
-            image: Vec::new(),
+        let same = incoming.filter(|incoming| incoming.file.starts_with(manifest));
+        let incoming = Incoming {
+            file: same.map_or_else(|| manifest.to_vec(), |same| same.file),
             verified: 0,
             marked: false,
-        });
-        incoming.verified = 0;
-        incoming.marked = false;
-        let offset = u32::try_from(incoming.image.len()).unwrap_or(known.length);
+        };
+        let offset = incoming.file.len().saturating_sub(MANIFEST_LEN);
         slots.incoming = Some(incoming);
         Ok(Receiving {
             length: known.length,
-            offset,
+            offset: u32::try_from(offset).unwrap_or(known.length),
         })
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), UpdateError> {
         let mut slots = self.slots.borrow_mut();
         let incoming = slots.incoming.as_mut().ok_or(UpdateError::Storage)?;
-        if usize::try_from(offset) != Ok(incoming.image.len()) {
+        let at = incoming.file.len().saturating_sub(MANIFEST_LEN);
+        if usize::try_from(offset) != Ok(at) {
             return Err(UpdateError::Storage);
         }
-        incoming.image.extend_from_slice(bytes);
+        incoming.file.extend_from_slice(bytes);
         Ok(())
     }
 
     fn verify(&mut self) -> Result<Verification, UpdateError> {
         let mut slots = self.slots.borrow_mut();
-        let Slots { incoming, key, .. } = &mut *slots;
+        let Slots {
+            incoming, verify, ..
+        } = &mut *slots;
         let incoming = incoming.as_mut().ok_or(UpdateError::Storage)?;
         incoming.verified += STEP;
-        if incoming.verified < incoming.image.len() {
+        if incoming.verified < incoming.file.len() {
             return Ok(Verification::Continues);
         }
-        let known = Manifest::split(&incoming.manifest);
-        let valid = known.is_some_and(|(known, ..)| known.is_signed(key, &incoming.image));
-        if !valid {
-            // Another attempt begins from the beginning.
-            incoming.image.clear();
-            return Err(UpdateError::Signature);
+        let parsed = Manifest::parse(&incoming.file);
+        incoming.marked = parsed.is_ok_and(|parsed| verify.0(&parsed));
+        if incoming.marked {
+            return Ok(Verification::Done);
         }
-        incoming.marked = true;
-        Ok(Verification::Done)
+        // Another attempt begins from the beginning.
+        slots.incoming = None;
+        Err(UpdateError::Signature)
     }
 
     fn restart(&mut self) {
@@ -194,13 +207,4 @@ impl Updater for SlotUpdater<'_> {
         self.slots.borrow_mut().before = None;
         Ok(())
     }
-}
-
-/// Whether a version is older than another, number by number.
-fn is_older(version: &str, than: &str) -> bool {
-    let numbers = |text: &str| -> Vec<u64> {
-        let parts = text.split(|c: char| !c.is_ascii_digit());
-        parts.filter_map(|part| part.parse().ok()).collect()
-    };
-    numbers(version) < numbers(than)
 }
