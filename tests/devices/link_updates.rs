@@ -114,13 +114,13 @@ fn frames() -> Vec<(&'static str, u8, Body<'static>)> {
         ("BeginUpdate", 3, command(begin)),
         (
             "UpdatePhase",
-            2,
+            3,
             phase(UpdatePhase::Receiving { offset: 32 }),
         ),
         ("WriteUpdate", 4, command(write)),
         (
             "UpdatePhase",
-            3,
+            4,
             phase(UpdatePhase::Receiving { offset: 40 }),
         ),
         ("UpdateStep", 5, command(UpdateCommand::Finish)),
