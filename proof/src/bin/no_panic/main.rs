@@ -40,7 +40,8 @@ use ztl_mcu::{Acting, Component, Identity, Node};
 use ztl_proof::{FIRST, now, receive};
 
 use device::{
-    Eeprom, Line, Part, RECEIVED, SLOT, Settings, ready_parts, run_connection, run_node, run_server,
+    AnyUpdater, Eeprom, Line, Part, RECEIVED, SLOT, Settings, ready_parts, run_connection,
+    run_node, run_server,
 };
 
 #[cfg(not(feature = "explain"))]
