@@ -1,5 +1,6 @@
 //! Power cuts while firmware is updated over the link: the bootloader and two images on a micro:bit in QEMU.
 
+mod cuts;
 mod rig;
 mod talk;
 

@@ -48,6 +48,7 @@ impl Talk {
     /// Begins a session.
     pub(crate) fn greet(&mut self, line: &mut UnixStream) {
         self.hello += 2;
+        self.seq = 0;
         self.session = NO_SESSION;
         let hello = Hello {
             version: VERSION,
@@ -59,7 +60,7 @@ impl Talk {
 
     /// Sends a command about updates.
     pub(crate) fn command(&mut self, line: &mut UnixStream, command: UpdateCommand<'_>) {
-        self.seq = self.seq % 250 + 1;
+        self.seq = self.seq % 255 + 1;
         let body = Body::Update(UpdateMessage::Command(command));
         self.send(line, self.seq, body);
     }

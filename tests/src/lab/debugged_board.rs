@@ -4,6 +4,7 @@
 //! QEMU writes what it gets by `-kernel` again at each reset. So the board starts halted and blank, and the debugger writes its
 //! flash.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::ops::Range;
@@ -33,8 +34,9 @@ pub struct DebuggedBoard {
     control: BufReader<UnixStream>,
     /// Bytes of the debugger that are not handled yet.
     said: Vec<u8>,
+    stops: BTreeSet<u64>,
     is_running: bool,
-    _process: Process,
+    process: Process,
     _scratch: Scratch,
 }
 
@@ -64,13 +66,13 @@ impl DebuggedBoard {
             debugger,
             control: BufReader::new(control),
             said: Vec::new(),
+            stops: BTreeSet::new(),
             is_running: false,
-            _process: process,
+            process,
             _scratch: scratch,
         };
         board.wait_control("\"QMP\"");
         board.control("qmp_capabilities", "\"return\"");
-        assert_eq!(board.ask("QStartNoAckMode"), "OK");
         board.write_flash(0, &[0xFF; FLASH]);
         board
     }
@@ -98,12 +100,15 @@ impl DebuggedBoard {
         memory
     }
 
-    /// Stops the halted board's firmware at these addresses from now on, or no longer.
+    /// Stops the halted board's firmware at exactly these addresses from now on.
     #[track_caller]
-    pub fn set_stops(&mut self, addresses: &[u64], set: bool) {
-        let verb = if set { 'Z' } else { 'z' };
-        for address in addresses {
-            assert_eq!(self.ask(&format!("{verb}0,{address:x},2")), "OK");
+    pub fn set_stops(&mut self, addresses: &BTreeSet<u64>) {
+        let before = std::mem::replace(&mut self.stops, addresses.clone());
+        for address in before.difference(addresses) {
+            assert_eq!(self.ask(&format!("z0,{address:x},2")), "OK");
+        }
+        for address in addresses.difference(&before) {
+            assert_eq!(self.ask(&format!("Z0,{address:x},2")), "OK");
         }
     }
 
@@ -161,7 +166,8 @@ impl DebuggedBoard {
     #[track_caller]
     pub fn cut_power(&mut self) {
         assert!(!self.is_running);
-        self.control("system_reset", "\"RESET\"");
+        // The firmware's own resets are told, too.
+        self.control("system_reset", "host-qmp-system-reset");
         // The stop of the moment before, if any, is no longer one.
         while self.packet(false).is_some() {}
         let mut stale = [0; 256];
@@ -210,6 +216,8 @@ impl DebuggedBoard {
                     .iter()
                     .position(|byte| *byte == b'$')
                     .expect("a packet");
+                // Until then QEMU does not take the byte that halts.
+                self.debugger.write_all(b"+").expect("QEMU");
                 return Some(String::from_utf8_lossy(&packet[begin + 1..end]).into_owned());
             }
             let mut buffer = [0; 4096];
@@ -217,7 +225,7 @@ impl DebuggedBoard {
             let read = self.debugger.read(&mut buffer);
             self.debugger.set_nonblocking(false).expect("a socket");
             match read {
-                Ok(0) => panic!("QEMU has ended"),
+                Ok(0) => panic!("QEMU has ended: {}", self.process.stderr()),
                 Ok(count) => self.said.extend(&buffer[..count]),
                 Err(error) if error.kind() == ErrorKind::WouldBlock && !wait => return None,
                 Err(error) => panic!("QEMU's debugger: {error}"),
