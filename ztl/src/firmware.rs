@@ -1,6 +1,9 @@
 //! `ztl firmware`: images of firmware that devices take over their link (`docs/update.md`).
 
 mod sign;
+mod update;
+
+pub(crate) use sign::read_key;
 
 use crate::exit::Done;
 
@@ -18,6 +21,8 @@ enum Action {
     Sign(sign::Sign),
     /// Show for which board a signed image is, and its version; with -k, verify it
     Show(sign::Show),
+    /// Update a device of a gateway over its link
+    Update(update::Update),
 }
 
 impl Firmware {
@@ -26,6 +31,7 @@ impl Firmware {
             Action::Keygen(keygen) => keygen.run(),
             Action::Sign(sign) => sign.run(),
             Action::Show(show) => show.run(),
+            Action::Update(update) => update.run(),
         }
     }
 }

@@ -69,3 +69,5 @@ impl Refusal {
 pub(super) const EMERGENCY_STOP: &str = "emergency stop";
 /// Also ends the tasks that run when an update begins.
 pub(super) const UPDATING: &str = "a firmware update is in progress";
+/// Also ends the tasks that run when a trial is over.
+pub(super) const RESTARTING: &str = "the device restarts";

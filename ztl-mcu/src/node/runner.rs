@@ -1,9 +1,10 @@
 //! Starts, queues, replaces and ends tasks.
 
 use ztl_core::Instant;
+use ztl_core::link::update::UpdatePhase;
 use ztl_core::link::{Busy, LinkId, Loss};
 
-use super::refusal::{EMERGENCY_STOP, Reason, Refusal, UPDATING};
+use super::refusal::{EMERGENCY_STOP, RESTARTING, Reason, Refusal, UPDATING};
 use super::tasks::{Stage, TEXT, Table, Task, TaskText};
 use crate::component::{Component, Components, Refused, Report, Run};
 
@@ -327,9 +328,12 @@ fn is_updating<C: Components>(components: &C) -> bool {
 
 /// Why the tasks end for which all components go to the safe state.
 fn stop_reason<C: Components>(components: &C) -> &'static str {
-    match is_updating(components) {
-        true => UPDATING,
-        false => EMERGENCY_STOP,
+    if !is_updating(components) {
+        return EMERGENCY_STOP;
+    }
+    match components.update() {
+        Some((state, _)) if state.phase == UpdatePhase::Restarting => RESTARTING,
+        _ => UPDATING,
     }
 }
 

@@ -15,6 +15,8 @@ use crate::update::{UpdateState, Verification};
 
 /// An update without a command for so long is over; the node then takes tasks again.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// How long a verified image waits for the command to run it.
+const READY: Duration = Duration::from_secs(30);
 /// Pause before a restart, in which the answer to `Restart` is sent.
 const FAREWELL: Duration = Duration::from_millis(100);
 /// How long components may take to their safe state before a restart.
@@ -158,11 +160,14 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         let Some((state, _)) = self.components.update_mut() else {
             return;
         };
+        let is_safe = state.is_active();
         state.trial_ends = Instant::NEVER;
         state.phase = UpdatePhase::Restarting;
         state.restart_at = now + FAREWELL;
         state.until = now + SAFETY;
-        self.make_safe(now, true);
+        if !is_safe {
+            self.make_safe(now, true);
+        }
     }
 
     fn on_update_timeout(&mut self, now: Instant, answers: bool) {
@@ -187,7 +192,11 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             UpdatePhase::Verifying if !answers => {
                 state.phase = match updater.verify() {
                     Ok(Verification::Continues) => UpdatePhase::Verifying,
-                    Ok(Verification::Done) => UpdatePhase::Ready,
+                    Ok(Verification::Done) => {
+                        // The link may be lost by now: a verification may take seconds.
+                        state.until = now + READY;
+                        UpdatePhase::Ready
+                    }
                     Err(error) => UpdatePhase::Failed(error),
                 };
             }

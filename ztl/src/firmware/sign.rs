@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use ed25519_dalek::{Digest, Sha512, Signature, Signer, SigningKey, VerifyingKey};
-use ztl_core::manifest::{HEAD_LEN, IMAGE_UNIT, Manifest, Version};
+use ztl_core::manifest::{HEAD_LEN, IMAGE_UNIT, Manifest, Parsed, Version};
 
 use crate::exit::{Done, Misuse};
 use crate::terminal::line;
@@ -149,26 +149,35 @@ impl Show {
         let Some(key) = &self.key else {
             return Ok(ExitCode::SUCCESS);
         };
-        let bytes = read(key)?;
-        let bytes = <[u8; 32]>::try_from(bytes).ok();
-        let public = bytes.and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
-        let public = public.ok_or_else(|| {
-            format!(
-                "{}: expected a key of 32 bytes, a NAME.firmware_key of `ztl firmware keygen`",
-                key.display()
-            )
-        })?;
-        let signature = Signature::from_bytes(parsed.signature);
-        let signed = digest(parsed.image, parsed.head);
-        public.verify_strict(&signed, &signature).map_err(|_| {
-            format!(
+        if !read_key(key)?(&parsed) {
+            let message = format!(
                 "{path}: the signature is not one of {} over this image: it was signed with another key, or changed since",
                 key.display()
-            )
-        })?;
+            );
+            return Err(message.into());
+        }
         line("signed   with this key");
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// Reads a public key. Returns a function that verifies signatures with it.
+pub(crate) fn read_key(
+    path: &Path,
+) -> Result<impl Fn(&Parsed<'_>) -> bool + use<>, Box<dyn Error>> {
+    let bytes = <[u8; 32]>::try_from(read(path)?).ok();
+    let public = bytes.and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
+    let public = public.ok_or_else(|| {
+        format!(
+            "{}: expected a key of 32 bytes, a NAME.firmware_key of `ztl firmware keygen`",
+            path.display()
+        )
+    })?;
+    Ok(move |parsed: &Parsed<'_>| {
+        let signature = Signature::from_bytes(parsed.signature);
+        let signed = digest(parsed.image, parsed.head);
+        public.verify_strict(&signed, &signature).is_ok()
+    })
 }
 
 /// What is signed, as `embassy-boot` verifies it in its partition: the image, and the manifest's head behind it.
@@ -180,7 +189,7 @@ fn digest(image: &[u8], head: &[u8; HEAD_LEN]) -> [u8; 64] {
         .into()
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, Box<dyn Error>> {
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, Box<dyn Error>> {
     let failed = |error: io::Error| format!("{}: {error}", path.display());
     if fs::metadata(path).map_err(failed)?.len() > MAX_FILE {
         return Err(format!("{}: longer than {MAX_FILE} bytes", path.display()).into());

@@ -34,12 +34,14 @@ use ztl_core::{State, TaskId, base64, goal};
 use ztl_mcu::bus::OnBus;
 use ztl_mcu::describe::Described;
 use ztl_mcu::parameters::Tuned;
+use ztl_mcu::update::Updatable;
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Rep, Req, Server};
 use ztl_mcu::{Acting, Component, Identity, Node};
 use ztl_proof::{FIRST, now, receive};
 
 use device::{
-    Eeprom, Line, Part, RECEIVED, SLOT, Settings, ready_parts, run_connection, run_node, run_server,
+    AnyUpdater, Eeprom, Line, Part, RECEIVED, SLOT, Settings, ready_parts, run_connection,
+    run_node, run_server,
 };
 
 #[cfg(not(feature = "explain"))]
@@ -74,7 +76,8 @@ extern "C" fn main() -> ! {
     let tuned = Tuned::new(ready_parts()).with_firmware(Settings::default());
     let tuned = Described(tuned.load::<_, 5>(Eeprom));
     let acting = OnBus::new(Acting::new(tuned), 1 << 63, 7);
-    let mut ready_node = Node::<_, 2, 128>::new(identity(), acting);
+    let updatable = Updatable::new(acting, AnyUpdater);
+    let mut ready_node = Node::<_, 2, 128>::new(identity(), updatable);
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
     let mut ask = Connection::<Req, _>::new([0; 300]);
@@ -117,7 +120,10 @@ extern "C" fn main() -> ! {
             black_box(ready_node.abort_here(now(), task));
         }
         black_box(ready_node.report_event(now(), text));
-        black_box((ready_node.events_lost(), ready_node.components().address()));
+        black_box((
+            ready_node.events_lost(),
+            ready_node.components().components.address(),
+        ));
         run_server(&mut server, input);
         let _ = black_box(zmtp_line.turn(&mut server, &mut &RECEIVED, &mut Line, now()));
         let _ = black_box(zmtp_line.turn(&mut server, &mut Line, &mut Line, now()));

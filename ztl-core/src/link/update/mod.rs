@@ -1,12 +1,10 @@
 //! Firmware updates over the link (`docs/link.md`, section 16).
 
 mod codec;
-mod manifest;
 #[cfg(test)]
 mod tests;
 
 pub(super) use codec::{FIRST, LAST};
-pub use manifest::Manifest;
 
 /// Length of a piece of an image: each piece but the last has a multiple of this many bytes, so that a node can write it to
 /// its flash as it is.

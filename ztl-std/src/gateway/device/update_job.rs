@@ -76,6 +76,8 @@ pub(super) struct UpdateJob {
     before: Option<(u32, FirmwareInfo)>,
     /// All bytes before this offset are stored.
     sent: usize,
+    /// Whether all bytes are stored and the device verifies them, or did. Some answer nothing meanwhile.
+    verifies: bool,
     /// Whether the device may have been restarted to run the image.
     restarted: bool,
     /// Whether it may have been confirmed.
@@ -98,6 +100,7 @@ impl UpdateJob {
             step: Step::Read,
             before: None,
             sent: 0,
+            verifies: false,
             restarted: false,
             confirmed: false,
             unfit: None,
@@ -264,6 +267,11 @@ impl UpdateJob {
             // What it ran before counts, also if it was reset while it received.
             let before = self.before.take().map_or(firmware, |(_, before)| before);
             self.before = Some((device.boot, before));
+            if self.verifies && !other_boot {
+                self.step = Step::Verify;
+                self.deadline = now + BUSY;
+                return Next::Ask(UpdateRequest::Ask);
+            }
             return self.ask_to_begin(now);
         }
         let is_new = firmware.version == self.image.version;
@@ -308,6 +316,7 @@ impl UpdateJob {
     }
 
     fn ask_to_begin(&mut self, now: Instant) -> Next {
+        self.verifies = false;
         if self.step != Step::Begin {
             self.step = Step::Begin;
             self.deadline = now + BUSY;
@@ -352,13 +361,15 @@ impl UpdateJob {
             (Step::Write | Step::Verify | Step::Restart, UpdatePhase::Idle) => {
                 self.ask_to_begin(now)
             }
+            // The command to verify was lost with its session.
+            (Step::Verify, UpdatePhase::Receiving { offset }) => self.write(now, device, offset),
             (Step::Verify, UpdatePhase::Verifying) => self.ask_again(now, UpdateRequest::Ask),
             (Step::Verify, UpdatePhase::Ready) => {
                 self.step = Step::Restart;
                 self.restarted = true;
                 Next::Ask(UpdateRequest::Restart)
             }
-            (Step::Restart, UpdatePhase::Restarting) => {
+            (Step::Verify | Step::Restart, UpdatePhase::Restarting) => {
                 self.step = Step::Boot;
                 self.deadline = now + PATIENCE;
                 Next::Wait
@@ -384,6 +395,7 @@ impl UpdateJob {
         self.sent = at;
         if at == length {
             self.step = Step::Verify;
+            self.verifies = true;
             self.deadline = now + BUSY;
             return Next::Ask(UpdateRequest::Finish);
         }

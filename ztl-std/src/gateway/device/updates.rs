@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 use ztl_core::envelope::ClientId;
-use ztl_core::link::update::Manifest;
+use ztl_core::manifest::{MANIFEST_LEN, Manifest};
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::{
     Entry, SessionJournal as _, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest,
@@ -125,19 +125,17 @@ impl Updates {
             let text = format!("the gateway has {has} bytes of an image of {length}");
             return Err((UpdateProblem::Other, text));
         }
-        let Some((manifest, own, bytes)) = Manifest::split(&file) else {
-            let text = "the file is not a signed image".to_owned();
-            return Err((UpdateProblem::Manifest, text));
-        };
-        if usize::try_from(manifest.length) != Ok(bytes.len()) {
-            let (said, has) = (manifest.length, bytes.len());
-            let text = format!("the file has {has} bytes of an image of {said}");
+        let parsed = Manifest::parse(&file);
+        let parsed = parsed.map_err(|error| (UpdateProblem::Manifest, error.to_string()))?;
+        let (length, has) = (parsed.manifest.length, parsed.image.len());
+        if usize::try_from(length) != Ok(has) {
+            let text = format!("the file has {has} bytes of an image of {length}");
             return Err((UpdateProblem::Manifest, text));
         }
         Ok(Image {
-            version: manifest.version.to_owned(),
-            manifest: own.to_vec(),
-            bytes: bytes.to_vec(),
+            version: parsed.manifest.version.to_string(),
+            manifest: file.get(..MANIFEST_LEN).unwrap_or_default().to_vec(),
+            bytes: parsed.image.to_vec(),
         })
     }
 }
