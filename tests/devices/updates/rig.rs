@@ -64,8 +64,8 @@ pub(crate) struct Rig {
     pub(crate) file: Vec<u8>,
     /// The flash as it is in the beginning.
     pub(crate) first: Vec<u8>,
-    /// Where the last update went on, in bytes.
-    pub(crate) resumed: u32,
+    /// Where the update went on, in bytes; set to `None` before.
+    pub(crate) resumed: Option<u32>,
     talk: Talk,
 }
 
@@ -119,7 +119,7 @@ impl Rig {
             file: signed(&images[1], NEW, "microbit"),
             images,
             first,
-            resumed: 0,
+            resumed: None,
             talk: Talk::new(),
         };
         rig.board.write_flash(0, &rig.first);
@@ -224,9 +224,7 @@ impl Rig {
                         UpdateCommand::Finish
                     } else {
                         let bytes = &image[at..image.len().min(at + PIECE)];
-                        if self.resumed == u32::MAX {
-                            self.resumed = offset;
-                        }
+                        self.resumed.get_or_insert(offset);
                         UpdateCommand::Write { offset, bytes }
                     }
                 }
