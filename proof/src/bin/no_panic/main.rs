@@ -22,6 +22,7 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::integer::Integer;
 use ztl_core::lifecycle::{Event, Request};
 use ztl_core::link::{self, Decoder, Frame, LinkId};
+use ztl_core::manifest::{Manifest, Version};
 use ztl_core::memory::Fixed;
 use ztl_core::message::Message;
 use ztl_core::reply::Reply;
@@ -102,6 +103,7 @@ extern "C" fn main() -> ! {
         #[cfg(feature = "broken")]
         indexed(input);
         messages(input, text);
+        manifests(input, text);
         specs(text);
         numbers(text);
         codes();
@@ -155,6 +157,13 @@ fn messages(input: &[u8], text: &str) {
     if let Err(error) = Message::parse(input) {
         black_box(error.scope());
     }
+}
+
+fn manifests(input: &[u8], text: &str) {
+    if let Ok(parsed) = black_box(Manifest::parse(input)) {
+        let _ = black_box(parsed.manifest.head());
+    }
+    let _ = black_box(Version::parse(text));
 }
 
 fn specs(text: &str) {
