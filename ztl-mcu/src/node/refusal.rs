@@ -31,6 +31,12 @@ pub(crate) enum Refusal {
     TableFullOfEnded,
     /// The component's description does not fit a frame.
     DescriptionTooLong,
+    /// The node receives a firmware update.
+    Updating,
+    /// A task runs that an update would end.
+    UpdateWaits,
+    /// A piece of an image is longer than the image, or shorter than the flash can write.
+    BadPiece,
 }
 
 impl Refusal {
@@ -52,9 +58,16 @@ impl Refusal {
             Self::TableFull => NoRoom.as_str(),
             Self::TableFullOfEnded => "ends not yet acknowledged",
             Self::DescriptionTooLong => "its description is longer than a frame",
+            Self::Updating => UPDATING,
+            Self::UpdateWaits => "a task runs, and the update would end it",
+            Self::BadPiece => "the piece does not fit the image",
         }
     }
 }
 
 /// Also ends the tasks that run when it begins.
 pub(super) const EMERGENCY_STOP: &str = "emergency stop";
+/// Also ends the tasks that run when an update begins.
+pub(super) const UPDATING: &str = "a firmware update is in progress";
+/// Also ends the tasks that run when a trial is over.
+pub(super) const RESTARTING: &str = "the device restarts";

@@ -296,7 +296,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Saved if C::PARAMETER_COUNT > 0 => {
                     Body::Parameter(ParameterMessage::Saved).put(frame);
                 }
-                Answer::Parameter(_) | Answer::Saved => {}
+                Answer::Firmware | Answer::Update if C::UPDATES => {
+                    self.runner.put_update(answer, frame);
+                }
+                Answer::Parameter(_) | Answer::Saved | Answer::Firmware | Answer::Update => {}
             });
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str();
