@@ -1,0 +1,1 @@
+//! `https` and `wss`: certificates that are pinned, and those that are wrong.
