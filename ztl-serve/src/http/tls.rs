@@ -92,7 +92,7 @@ impl Trust {
                     let names = presented.join(", ");
                     format!("the certificate of {host} is for another name: {names}")
                 }
-                CertificateError::UnknownIssuer => match self {
+                error if is_about_chain(error) => match self {
                     Self::System => format!(
                         "the certificate of {host} is from nobody whom this system trusts; pin it, as http: {{robot: {{host: {host}, certificate: robot.pem}}}}"
                     ),
