@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 use ztl_std::State::{Aborted, Completed, Failed};
-use ztl_tests::lab::{PATIENCE, end, until};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, end, until, ztl};
 
 use super::web::{Request, Served, Socket, Web, Wire, next, say};
 use crate::rig::project;
@@ -255,4 +255,136 @@ fn misty_has_spoken_when_its_event_says_so_and_its_events_are_streams() {
     let level = next(&mut misty.subscribe("/misty/battery"));
     assert_eq!(level, "{'chargePercent': 0.5, 'state': 'Charging'}");
     robot.raise("FaceRecognition", json!({"label": "Ada", "trackId": 0}));
+}
+
+#[test]
+fn misty_greets_until_a_touch() {
+    let robot = Misty::start();
+    let misty = example("misty.yaml", "/misty", "192.168.1.50", &robot.web);
+    let scratch = Scratch::new();
+    let greet = project("examples/serve/greet");
+    let remotes = std::fs::read_to_string(greet.join("remotes.yaml")).expect("remotes");
+    let remotes = remotes.replace("12345", &misty.server.port.to_string());
+    std::fs::write(scratch.path("remotes.yaml"), remotes).expect("to write");
+    let mut command = ztl();
+    command.args(["run-script", "--yes", "--plain", "-s"]);
+    command.arg(greet.join("misty.yaml"));
+    command.arg("-c").arg(scratch.path("remotes.yaml"));
+    let play = Process::start(&mut command);
+    for request in [
+        "POST /api/images/display",
+        "POST /api/arms/set",
+        "POST /api/head",
+    ] {
+        robot.web.wait_for(request);
+    }
+    robot.finish_speaking();
+    until("the touch ends it", PATIENCE, || {
+        // A release is none.
+        for contact in [false, true] {
+            let message = json!({"isContacted": contact, "sensorPosition": "HeadFront"});
+            robot.raise("TouchSensor", message);
+        }
+        (robot.web.asked("POST /api/arms/set").len() == 2).then_some(())
+    });
+    let ended = play.end(PATIENCE);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
+/// A stand-in for the daemon of a Reachy Mini, as its source says: moves have a uuid, and those who listen are told how
+/// they end.
+fn reachy() -> (Web, Arc<Mutex<Vec<Value>>>) {
+    let updates: Arc<Mutex<Vec<Value>>> = Arc::default();
+    let told = Arc::clone(&updates);
+    let moves = Mutex::new(0);
+    let web = Web::start(move |request, wire| {
+        let body: Value = serde_json::from_str(&request.2).unwrap_or_default();
+        match request.0.as_str() {
+            "GET /api/move/ws/updates" => {
+                let mut socket = Socket::accept(request, wire);
+                let mut count = told.lock().expect("updates").len();
+                while socket.next(TICK).is_ok() {
+                    let new: Vec<_> = told.lock().expect("updates")[count..].to_vec();
+                    count += new.len();
+                    for update in new {
+                        socket.send(&update.to_string());
+                    }
+                }
+            }
+            "GET /api/state/ws/full?frequency=10" => {
+                let mut socket = Socket::accept(request, wire);
+                while socket.next(TICK).is_ok() {
+                    socket.send(r#"{"control_mode": "enabled", "body_yaw": 0.5}"#);
+                }
+            }
+            "POST /api/move/goto" | "POST /api/move/play/wake_up" => {
+                let mut count = moves.lock().expect("a number");
+                *count += 1;
+                let uuid = format!("7d444840-9dc0-11d1-b245-5ffdce74fa{count:02}");
+                let update =
+                    |kind: &str| json!({"type": kind, "uuid": uuid, "details": "out of reach"});
+                let mut updates = told.lock().expect("updates");
+                updates.push(update("move_started"));
+                // Long moves go on until they are stopped.
+                match body["duration"].as_f64() {
+                    Some(seconds) if seconds > 10.0 => {}
+                    Some(seconds) if seconds < 0.5 => updates.push(update("move_failed")),
+                    _ => updates.push(update("move_completed")),
+                }
+                drop(updates);
+                say(wire, "200 OK", &json!({"uuid": uuid}).to_string());
+            }
+            "POST /api/move/stop" => {
+                let update = json!({"type": "move_cancelled", "uuid": body["uuid"], "details": ""});
+                told.lock().expect("updates").push(update);
+                let message = format!("Stopped move with UUID: {}", body["uuid"]);
+                say(wire, "200 OK", &json!({"message": message}).to_string());
+            }
+            "GET /api/motors/status" => say(wire, "200 OK", r#"{"mode": "enabled"}"#),
+            "POST /api/motors/set_mode/disabled" => {
+                say(
+                    wire,
+                    "200 OK",
+                    r#"{"status": "all motors changed to disabled mode"}"#,
+                );
+            }
+            _ => say(wire, "404 Not Found", r#"{"detail": "Not Found"}"#),
+        }
+    });
+    (web, updates)
+}
+
+#[test]
+fn a_move_of_reachy_mini_ends_by_the_event_with_the_uuid_of_its_answer() {
+    let (web, _) = reachy();
+    let reachy = example(
+        "reachy-mini.yaml",
+        "/reachy",
+        "\"reachy-mini.local:8000\"",
+        &web,
+    );
+    let completed = |text: &str| (Completed, text.to_owned());
+    assert_eq!(reachy.run("motors", "status", ""), completed("enabled"));
+    assert_eq!(reachy.run("motors", "mode", "disabled").0, Completed);
+    let moved = completed("move_completed");
+    assert_eq!(reachy.run("body", "wake-up", ""), moved);
+    assert_eq!(reachy.run("body", "move", "{yaw: 0.5, turn: -1}"), moved);
+    let sent: Value = serde_json::from_str(&web.wait_for("POST /api/move/goto").2).expect("JSON");
+    assert_eq!(sent["head_pose"]["yaw"], 0.5);
+    assert_eq!(sent["body_yaw"].as_f64(), Some(-1.0));
+    let (state, text) = reachy.run("body", "move", "{seconds: 0.2}");
+    assert!(state == Failed && text.contains("out of reach"), "{text}");
+    let (mut remote, task) = reachy.trigger("body", "move", "{seconds: 20}");
+    until("the move", PATIENCE, || {
+        web.asked("POST /api/move/goto").get(2).cloned()
+    });
+    remote.abort(task).expect("an answer");
+    assert_eq!(end(&mut remote, task), (Aborted, "aborted".to_owned()));
+    let stopped = web.wait_for("POST /api/move/stop").2;
+    assert_eq!(
+        stopped,
+        r#"{"uuid":"7d444840-9dc0-11d1-b245-5ffdce74fa04"}"#
+    );
+    let state = next(&mut reachy.subscribe("/reachy/state"));
+    assert_eq!(state, "{'control_mode': 'enabled', 'body_yaw': 0.5}");
 }
