@@ -48,6 +48,7 @@ pub(super) fn call(component: &ComponentConfig, goal: &str) -> Result<Call, Stri
         handler: "h".to_owned(),
         component: "c".to_owned(),
         goal: component.description.goal.check(goal, needs_fields)?,
+        answer: None,
     })
 }
 

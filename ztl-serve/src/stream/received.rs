@@ -25,6 +25,14 @@ impl Inbox {
             self.context.mailbox.wake();
         }
     }
+
+    /// Ends the stream: no more messages come, for this reason.
+    #[cfg(feature = "http")]
+    pub(crate) fn end(&self, reason: String) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        waiting.ended = Some(reason);
+        self.context.mailbox.wake();
+    }
 }
 
 /// A stream from a subscription, which ends when it is dropped.
@@ -74,10 +82,15 @@ impl<S: Send> Job for ReceivingJob<S> {
         if let Err(reason) = &self.subscription {
             return effects.push(Effect::End(Outcome::Failed(reason.clone())));
         }
-        let waiting = self.waiting.lock();
-        let messages = waiting.unwrap_or_else(PoisonError::into_inner).take();
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let ended = waiting.ended.take();
+        let messages = waiting.take();
+        drop(waiting);
         let outputs = messages.into_iter().map(&self.output);
         effects.extend(outputs.map(Effect::Output));
+        if let Some(reason) = ended {
+            effects.push(Effect::End(Outcome::Failed(reason)));
+        }
     }
 }
 
@@ -86,6 +99,8 @@ impl<S: Send> Job for ReceivingJob<S> {
 struct Waiting {
     messages: VecDeque<Vec<u8>>,
     bytes: usize,
+    /// Why no more come.
+    ended: Option<String>,
 }
 
 impl Waiting {
@@ -104,7 +119,8 @@ impl Waiting {
 
     /// Takes all messages.
     fn take(&mut self) -> VecDeque<Vec<u8>> {
-        std::mem::take(self).messages
+        self.bytes = 0;
+        std::mem::take(&mut self.messages)
     }
 }
 
