@@ -33,7 +33,7 @@ const MOST_CHANGES: usize = 300;
 fn record(
     rig: &mut Rig,
     script: Script,
-    partitions: &mut Vec<u8>,
+    partitions: &mut [u8],
     phase: impl Fn(usize, bool) -> Phase,
 ) -> (Vec<Unit>, End) {
     rig.set_stops(true, false);
@@ -52,7 +52,7 @@ fn record(
         erased = address;
         let phase = phase(address, is_marked);
         is_marked |= phase == Phase::Mark;
-        let partitions = partitions.clone();
+        let partitions = partitions.to_vec();
         units.push(Unit { phase, partitions });
         true
     });

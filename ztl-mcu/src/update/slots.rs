@@ -34,8 +34,8 @@ pub struct Image {
 /// and how many pages are complete, so that an update goes on after a power cut. An image has at most the length of the active
 /// partition less 64 bytes: its manifest stands behind it.
 ///
-/// The signature is verified in one call of [`verify`](Updater::verify). That takes seconds on a Cortex-M0 (`docs/update.md`),
-/// in which the node answers nothing; nothing moves then.
+/// The signature is verified in one call of [`verify`](Updater::verify). The node answers nothing meanwhile,
+/// which can take seconds on a slow processor; nothing moves then. Choose a [link timeout](crate::Identity::link_timeout) that is longer.
 pub struct Slots<DFU, STATE> {
     dfu: DFU,
     state: STATE,
