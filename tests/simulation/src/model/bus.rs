@@ -16,7 +16,12 @@ use crate::fingerprint::BUS_FRAMES;
 
 const BAUD: u32 = 115_200;
 /// Time passes in steps of this, so that there are few moments at which something happens: each question takes one.
-const GRID: Duration = Duration::from_millis(50);
+const GRID: Duration = Duration::from_millis(125);
+/// Clients act and faults begin within this time, for each fault.
+const WINDOW: Duration = Duration::from_millis(750);
+/// Delayed frames arrive, broken wires are mended and the gateway is restarted within this time after that: longer than
+/// two link timeouts, after which both ends have given up.
+const LASTING: Duration = Duration::from_millis(2500);
 /// No more steps than this are needed until both nodes are up, or until a task has ended.
 const CALM_STEPS: u32 = 500;
 
@@ -41,6 +46,8 @@ struct Frames {
 pub struct BusModel {
     scenario: &'static BusScenario,
     now: Instant,
+    /// When both nodes were up.
+    begin: Instant,
     /// `None` while the gateway is killed.
     bus: Option<Bus>,
     /// Each node with its session and its clients.
@@ -69,6 +76,7 @@ impl BusModel {
         let mut lab = Self {
             scenario,
             now: nodes[0].now,
+            begin: nodes[0].now,
             bus: None,
             nodes,
             kept: Default::default(),
@@ -88,7 +96,28 @@ impl BusModel {
             lab.nodes[*node].act(*act).expect("a quiet line");
         }
         lab.calm_until(ready).expect("a quiet line");
+        lab.begin = lab.now;
         lab
+    }
+
+    /// Until when clients act and faults begin.
+    fn window(&self) -> Duration {
+        WINDOW * u32::from(self.scenario.times.max(1))
+    }
+
+    fn age(&self) -> Duration {
+        self.now.since(self.begin)
+    }
+
+    fn may_last(&self) -> bool {
+        self.age() < self.window() + LASTING
+    }
+
+    /// Whether it matters how long ago it has begun.
+    fn is_disturbed(&self) -> bool {
+        let acts = self.acts < self.scenario.acts.len();
+        let lasting = self.bus.is_none() || self.held.is_some() || self.cut.contains(&true);
+        acts || self.times > 0 || lasting
     }
 
     /// A new bus, with both nodes.
@@ -176,12 +205,14 @@ impl BusModel {
         let Some(node) = frames.last().map(|frame| usize::from(frame[1]) - 1) else {
             return;
         };
-        let parcels: Vec<Parcel> = frames.iter().map(|frame| self.parcel(node, frame)).collect();
+        let parcels: Vec<Parcel> = frames
+            .iter()
+            .map(|frame| self.parcel(node, frame))
+            .collect();
         let kept = &mut self.kept[node];
         kept.unasked.clear();
-        if parcels.last().is_some_and(|last| !last.is("Poll")) {
-            kept.last = kept.command.take();
-        }
+        let polls = parcels.last().is_some_and(|last| last.is("Poll"));
+        kept.last = if polls { None } else { kept.command.take() };
         self.nodes[node].note(|| format!("  gateway asks node {node}: {parcels:?}"));
         self.question = Some(Frames {
             node,
@@ -217,8 +248,7 @@ impl BusModel {
         }
         let kept = &mut self.kept[node];
         let sent = kept.last.as_ref().map(|last| &last.bytes);
-        kept.command
-            .take_if(|command| Some(&command.bytes) == sent);
+        kept.command.take_if(|command| Some(&command.bytes) == sent);
     }
 
     fn senders(&self) -> impl Iterator<Item = usize> {
@@ -344,8 +374,12 @@ impl System for BusModel {
     }
 
     fn disturbances(&self) -> Vec<BusAction> {
+        if !self.may_last() {
+            return Vec::new();
+        }
+        let open = self.age() < self.window();
         let mut actions = vec![self.go_on()];
-        if self.acts < self.scenario.acts.len() && self.bus.is_some() {
+        if open && self.acts < self.scenario.acts.len() && self.bus.is_some() {
             actions.push(BusAction::Act);
         }
         if self.bus.is_none() {
@@ -356,9 +390,13 @@ impl System for BusModel {
         if self.held.is_some() {
             actions.push(BusAction::Release(0));
         }
-        if self.times > 0 {
+        if open && self.times > 0 {
             let faults = self.scenario.faults.iter().copied();
-            actions.extend(faults.filter(|fault| self.can(*fault)).map(BusAction::Disturb));
+            actions.extend(
+                faults
+                    .filter(|fault| self.can(*fault))
+                    .map(BusAction::Disturb),
+            );
         }
         let calm = self.calm();
         actions.retain(|action| *action != calm);
@@ -401,6 +439,9 @@ impl System for BusModel {
                 node.up.queue.clear();
             }
         }
+        if !self.may_last() {
+            self.held = None;
+        }
         self.settle()?;
         self.nodes.iter().try_for_each(LinkModel::judge)
     }
@@ -419,7 +460,9 @@ impl System for BusModel {
         all.set_now(self.now);
         all.skip(&BUS_FRAMES);
         all.add(&self.bus);
-        all.add(&(self.cut, self.acts, self.times));
+        let end = self.window() + LASTING;
+        let age = self.is_disturbed().then(|| self.age().min(end));
+        all.add(&(self.cut, self.acts, self.times, age));
         all.finish()
     }
 

@@ -121,7 +121,7 @@ pub const BUS_SCENARIOS: &[BusScenario] = &[
         name: "bus-restart",
         about: "a task on each node; the gateway is killed at any time and restarted without a journal",
         acts: &[(0, ask(0, 1, ENDLESS))],
-        faults: &[BusFault::Kill, BusFault::CopyQuestion],
+        faults: &[BusFault::Kill, BusFault::DropAnswer],
         ..SHARED
     },
 ];
