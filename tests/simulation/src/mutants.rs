@@ -481,14 +481,4 @@ pub const MUTANTS: &[Mutant] = &[
         caught_in: ("bus-abort", 1),
         complaint: "promise",
     },
-    Mutant {
-        name: "the answer to a poll on a shared line drops a command that is repeated",
-        edits: &[(
-            MEMBER,
-            "self.sent.clear();",
-            "if !ON { self.sent.clear(); }",
-        )],
-        caught_in: ("bus-restart", 1),
-        complaint: "promise 3",
-    },
 ];
