@@ -40,8 +40,17 @@ pub(crate) enum Refusal {
 }
 
 impl Refusal {
-    /// The text that the gateway shows; for [`ByComponent`](Self::ByComponent) it is empty.
-    pub(crate) const fn as_str(self) -> &'static str {
+    /// The text that the gateway shows; for [`ByComponent`](Self::ByComponent) it is empty. Only a node that takes `updates`
+    /// carries their texts (104 bytes).
+    pub(crate) const fn as_str(self, updates: bool) -> &'static str {
+        if updates {
+            match self {
+                Self::Updating => return UPDATING,
+                Self::UpdateWaits => return "a task runs, and the update would end it",
+                Self::BadPiece => return "the piece does not fit the image",
+                _ => {}
+            }
+        }
         match self {
             Self::ByComponent => "",
             Self::OtherVersion => "this node speaks version 1 of the link",
@@ -58,9 +67,7 @@ impl Refusal {
             Self::TableFull => NoRoom.as_str(),
             Self::TableFullOfEnded => "ends not yet acknowledged",
             Self::DescriptionTooLong => "its description is longer than a frame",
-            Self::Updating => UPDATING,
-            Self::UpdateWaits => "a task runs, and the update would end it",
-            Self::BadPiece => "the piece does not fit the image",
+            Self::Updating | Self::UpdateWaits | Self::BadPiece => "",
         }
     }
 }
