@@ -1,0 +1,209 @@
+use super::*;
+
+const BOOT: u32 = 7;
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn rules(number: u64, until_ms: u64) -> InitRules {
+    InitRules {
+        id: InitId {
+            client: ClientId([1; 16]),
+            number,
+        },
+        boot: BOOT,
+        until_ms,
+    }
+}
+
+fn agent() -> Agent {
+    Agent::new(at(0), BOOT, &[], true)
+}
+
+fn forwards(effects: &[AgentEffect]) -> usize {
+    let is_forward = |effect: &&AgentEffect| matches!(effect, AgentEffect::Forward { .. });
+    effects.iter().filter(is_forward).count()
+}
+
+fn verdicts(effects: &[AgentEffect]) -> Vec<(u64, Verdict)> {
+    let verdict = |effect: &AgentEffect| match effect {
+        AgentEffect::Reply { query, verdict } => Some((*query, verdict.clone())),
+        _ => None,
+    };
+    effects.iter().filter_map(verdict).collect()
+}
+
+fn entries(effects: &[AgentEffect]) -> Vec<Entry> {
+    let entry = |effect: &AgentEffect| match effect {
+        AgentEffect::Record(entry) => Some(entry.clone()),
+        _ => None,
+    };
+    effects.iter().filter_map(entry).collect()
+}
+
+const BODY: &[u8] = b"/lab;1;-1;open";
+const ANSWER: &[u8] = b"/lab;1;42;opening";
+
+#[test]
+fn a_repeated_init_acts_once_and_gets_the_first_answer() {
+    let mut agent = agent();
+    let first = agent.handle_init(at(10), 1, rules(1, 2000), BODY, None);
+    assert!(matches!(
+        first.as_slice(),
+        [
+            AgentEffect::Record(Entry::Asked { .. }),
+            AgentEffect::Forward { .. }
+        ]
+    ));
+    assert_eq!(agent.handle_init(at(11), 2, rules(1, 2000), BODY, None), []);
+    let said = ServerSaid::Answer(ANSWER.to_vec());
+    let told = verdicts(&agent.handle_server(at(20), rules(1, 0).id, said));
+    let answer = Verdict::Answer(ANSWER.to_vec());
+    assert_eq!(told, [(1, answer.clone()), (2, answer.clone())]);
+    let again = agent.handle_init(at(50_000), 3, rules(1, 2000), BODY, None);
+    assert_eq!(verdicts(&again), [(3, answer)]);
+    assert_eq!(forwards(&again), 0);
+}
+
+#[test]
+fn a_late_a_replayed_and_a_foreign_init_does_not_act() {
+    let mut agent = agent();
+    let stale = |clock_ms| Verdict::Stale {
+        boot: BOOT,
+        clock_ms,
+    };
+    let late = agent.handle_init(at(3000), 1, rules(1, 2999), BODY, None);
+    assert_eq!(verdicts(&late), [(1, stale(3000))]);
+    // After its record was forgotten, nobody can tell what became of it.
+    let replayed = agent.handle_init(at(100_000), 2, rules(1, 2999), BODY, None);
+    assert!(matches!(
+        verdicts(&replayed).as_slice(),
+        [(2, Verdict::Unknown(_))]
+    ));
+    let eternal = agent.handle_init(at(100_000), 3, rules(1, u64::MAX - KEEP_MS), BODY, None);
+    assert_eq!(forwards(&eternal), 0);
+    let other = InitRules {
+        boot: 8,
+        ..rules(1, 100_500)
+    };
+    let other = agent.handle_init(at(100_000), 4, other, BODY, None);
+    assert!(matches!(
+        verdicts(&other).as_slice(),
+        [(4, Verdict::Unknown(_))]
+    ));
+}
+
+#[test]
+fn after_a_restart_the_journal_decides() {
+    let mut before = agent();
+    let mut journal = before.entries();
+    journal.extend(entries(&before.handle_init(
+        at(10),
+        1,
+        rules(1, 2000),
+        BODY,
+        Some(5),
+    )));
+    let said = ServerSaid::Answer(ANSWER.to_vec());
+    journal.extend(entries(&before.handle_server(at(20), rules(1, 0).id, said)));
+
+    let mut after = Agent::new(at(0), 8, &journal, true);
+    let again = after.handle_init(at(1), 1, rules(1, 2000), BODY, None);
+    assert_eq!(verdicts(&again), [(1, Verdict::Answer(ANSWER.to_vec()))]);
+    // The one that never came is refused in the new boot, and that is certain.
+    let next = after.handle_outcome(at(2), 2, rules(2, 2000));
+    let never = Verdict::NotStarted("never seen".to_owned());
+    assert_eq!(verdicts(&next), [(2, never)]);
+    // With a journal that may lack entries, nothing is certain.
+    let mut after = Agent::new(at(0), 8, &journal, false);
+    let next = after.handle_outcome(at(2), 2, rules(2, 2000));
+    assert!(matches!(
+        verdicts(&next).as_slice(),
+        [(2, Verdict::Unknown(_))]
+    ));
+}
+
+#[test]
+fn an_undecided_init_from_before_a_restart_is_asked_of_the_server() {
+    let mut before = agent();
+    let mut journal = before.entries();
+    journal.extend(entries(&before.handle_init(
+        at(10),
+        1,
+        rules(1, 2000),
+        BODY,
+        Some(5),
+    )));
+    for (told, expected) in [
+        (&b"$ztl;1;42;opening"[..], Verdict::Answer(ANSWER.to_vec())),
+        (
+            b"$ztl;2;0;never seen since boot 5",
+            Verdict::NotStarted("the robot's server did not get it".to_owned()),
+        ),
+        (
+            b"$ztl;2;0;never seen since boot 6",
+            Verdict::Unknown("whether it was started".to_owned()),
+        ),
+        (
+            b"$ztl;2;-1;No controller for scope: $ztl",
+            Verdict::Unknown("whether it was started".to_owned()),
+        ),
+    ] {
+        let mut after = Agent::new(at(0), 8, &journal, true);
+        let id = rules(1, 0).id;
+        let asked = after.handle_init(at(1), 1, rules(1, 2000), BODY, None);
+        assert_eq!(asked, [AgentEffect::AskServer(id)]);
+        let told = after.handle_server_outcome(at(2), id, Some(told));
+        assert_eq!(verdicts(&told), [(1, expected)]);
+    }
+}
+
+#[test]
+fn an_init_that_was_given_up_never_acts() {
+    let mut agent = agent();
+    let never = agent.handle_outcome(at(10), 1, rules(1, 2000));
+    let never_seen = Verdict::NotStarted("never seen".to_owned());
+    assert_eq!(verdicts(&never), [(1, never_seen)]);
+    let late = agent.handle_init(at(20), 2, rules(1, 2000), BODY, None);
+    let given_up = Verdict::NotStarted(GIVEN_UP.to_owned());
+    assert_eq!(verdicts(&late), [(2, given_up)]);
+    let next = agent.handle_init(at(30), 3, rules(2, 2000), BODY, None);
+    assert_eq!(forwards(&next), 1);
+}
+
+#[test]
+fn an_undecided_query_is_answered_in_bounded_time() {
+    let mut agent = agent();
+    agent.handle_init(at(0), 1, rules(1, 2000), BODY, None);
+    assert_eq!(agent.poll_timeout(), Some(at(1900)));
+    let late = agent.handle_timeout(at(1900));
+    assert!(matches!(
+        verdicts(&late).as_slice(),
+        [(1, Verdict::Unknown(_))]
+    ));
+    assert_eq!(agent.poll_timeout(), None);
+}
+
+#[test]
+fn clients_and_bytes_are_bounded() {
+    let mut agent = agent();
+    for client in 0..MOST_CLIENTS as u128 + 1 {
+        let mut rules = rules(1, 2000);
+        rules.id.client = ClientId(client.to_be_bytes());
+        let effects = agent.handle_init(at(0), 1, rules, BODY, None);
+        assert_eq!(
+            forwards(&effects),
+            usize::from(client < MOST_CLIENTS as u128)
+        );
+    }
+    for record in 0..MOST_CLIENTS as u128 {
+        let id = InitId {
+            client: ClientId(record.to_be_bytes()),
+            number: 1,
+        };
+        agent.handle_server(at(1), id, ServerSaid::Answer(ANSWER.to_vec()));
+    }
+    agent.handle_timeout(at(2000 + KEEP_MS));
+    assert_eq!((agent.records.len(), agent.bytes), (0, 0));
+}

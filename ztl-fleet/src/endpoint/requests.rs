@@ -1,0 +1,233 @@
+//! Requests of clients to robots, and the outcome of INITs.
+
+use ztl_core::envelope::Envelope;
+use ztl_core::{Instant, Message, Request};
+
+use super::{
+    Ask, ClientRequest, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST, LastInit, MOST,
+    Pending, Purpose, VALID_MS, about_server, rejection, with_any_scope,
+};
+
+/// The robot and its own scope in a scope of the endpoint: `/NAME/scope`.
+pub(super) fn split(scope: &str) -> Option<(&str, &str)> {
+    let rest = scope.strip_prefix('/')?;
+    let end = rest.find('/')?;
+    rest.split_at_checked(end)
+}
+
+impl Endpoint {
+    /// A client's request. `may_use` tells which scopes the client may use.
+    pub fn handle_request(
+        &mut self,
+        now: Instant,
+        asked: ClientRequest<'_>,
+        may_use: impl Fn(&str) -> bool,
+    ) -> Vec<EndpointEffect> {
+        let request = asked.request;
+        let answer = |body| vec![EndpointEffect::Answer { request, body }];
+        let message = match asked.body.map(Message::parse) {
+            Some(Ok(message)) => message,
+            Some(Err(error)) => {
+                let scope = error.scope();
+                return answer(rejection(scope, "Unknown protocol"));
+            }
+            None => return answer(rejection("", "Unknown protocol")),
+        };
+        let code = message.code().ok().and_then(|code| code.value());
+        let kind = code.and_then(Request::from_code);
+        if message.scope == "$ztl" {
+            return self.on_reserved(now, asked, kind, &message, may_use);
+        }
+        let scope = message.scope;
+        let unknown = || rejection(scope, &format!("No controller for scope: {scope}"));
+        let Some((name, robot_scope)) = split(scope).filter(|_| may_use(scope)) else {
+            return answer(unknown());
+        };
+        let Some(robot) = self.robots.get(name) else {
+            return answer(unknown());
+        };
+        let is_init = kind == Some(Request::Init);
+        let Some(agent) = robot.agent.clone() else {
+            return match is_init {
+                // Nothing is sent, so nothing is started.
+                true => answer(rejection(
+                    scope,
+                    &format!("robot '{name}' is not connected"),
+                )),
+                false => vec![EndpointEffect::Silence { request }],
+            };
+        };
+        if self.pending.len() >= MOST {
+            let reason = "too many requests are waiting, try again";
+            return match is_init {
+                true => answer(rejection(scope, reason)),
+                false => vec![EndpointEffect::Silence { request }],
+            };
+        }
+        let mut rules = None;
+        if is_init {
+            let (boot, clock_ms) = robot.clock(now);
+            let id = asked.envelope.map_or(
+                InitId {
+                    client: asked.fresh,
+                    number: 1,
+                },
+                |Envelope { client, number, .. }| InitId { client, number },
+            );
+            let new = InitRules {
+                id,
+                boot,
+                until_ms: clock_ms.saturating_add(VALID_MS),
+            };
+            if asked.envelope.is_some()
+                && let Err(reason) = self.note_init(now, name, &agent, new)
+            {
+                return answer(rejection(scope, reason));
+            }
+            rules = Some(new);
+        }
+        let Message {
+            state, id, payload, ..
+        } = message;
+        let body = format!("{robot_scope};{state};{id};{payload}").into_bytes();
+        let pending = Pending {
+            request,
+            robot: name.to_owned(),
+            agent,
+            what: Ask::Request {
+                rules,
+                envelope: asked.envelope,
+                body,
+            },
+            purpose: Purpose::Request {
+                scope: scope.to_owned(),
+                robot_scope: robot_scope.to_owned(),
+            },
+            deadline: now + LONGEST,
+            again: None,
+            stale: 0,
+        };
+        vec![self.ask(now, pending)]
+    }
+
+    /// `outcome N` of a client.
+    pub(super) fn on_outcome(
+        &mut self,
+        now: Instant,
+        request: u64,
+        envelope: Envelope,
+        number: u64,
+    ) -> Vec<EndpointEffect> {
+        let answer = |body| vec![EndpointEffect::Answer { request, body }];
+        let id = InitId {
+            client: envelope.client,
+            number,
+        };
+        let last = self.inits.get(&id.client);
+        if last.is_some_and(|last| last.number > number) {
+            return answer(about_server(2, "settled by a later INIT"));
+        }
+        match last.filter(|last| last.number == number && !last.void) {
+            Some(LastInit {
+                answer: Some(body), ..
+            }) => answer(with_any_scope(body, "$ztl")),
+            Some(LastInit {
+                robot,
+                agent,
+                rules: Some(rules),
+                ..
+            }) => {
+                let pending = Pending {
+                    request,
+                    robot: robot.clone(),
+                    agent: agent.clone(),
+                    what: Ask::Outcome(*rules),
+                    purpose: Purpose::Outcome(id),
+                    deadline: now + LONGEST,
+                    again: None,
+                    stale: 0,
+                };
+                vec![self.ask(now, pending)]
+            }
+            _ if self.inits.len() >= MOST && last.is_none() => {
+                let text = "too many clients at a time, try again in a minute";
+                answer(about_server(2, text))
+            }
+            _ => {
+                let void = LastInit {
+                    number,
+                    robot: String::new(),
+                    agent: String::new(),
+                    rules: None,
+                    answer: None,
+                    void: true,
+                    expires: now + KEEP,
+                };
+                self.inits.insert(id.client, void);
+                answer(self.never_seen())
+            }
+        }
+    }
+
+    /// Remembers an INIT that is about to be sent.
+    fn note_init(
+        &mut self,
+        now: Instant,
+        robot: &str,
+        agent: &str,
+        rules: InitRules,
+    ) -> Result<(), &'static str> {
+        let id = rules.id;
+        let last = self.inits.get(&id.client);
+        if last.is_none() && self.inits.len() >= MOST {
+            return Err("too many clients at a time, try again in a minute");
+        }
+        if let Some(last) = last {
+            if last.number > id.number || last.number == id.number && last.void {
+                return Err("this INIT was given up by its client");
+            }
+            if last.number == id.number && last.robot != robot {
+                return Err("another INIT has this number");
+            }
+            if last.number == id.number {
+                // A repetition, which the robot's agent knows.
+                return Ok(());
+            }
+        }
+        let init = LastInit {
+            number: id.number,
+            robot: robot.to_owned(),
+            agent: agent.to_owned(),
+            rules: Some(rules),
+            answer: None,
+            void: false,
+            expires: now + KEEP,
+        };
+        self.inits.insert(id.client, init);
+        Ok(())
+    }
+
+    pub(super) fn note_rules(&mut self, id: InitId, rules: InitRules) {
+        if let Some(last) = self.last(id) {
+            last.rules = Some(rules);
+        }
+    }
+
+    pub(super) fn note_answer(&mut self, now: Instant, id: InitId, body: &[u8]) {
+        if let Some(last) = self.last(id) {
+            last.answer = Some(body.to_vec());
+            last.expires = now + KEEP;
+        }
+    }
+
+    pub(super) fn give_up(&mut self, id: InitId) {
+        if let Some(last) = self.last(id) {
+            last.void = true;
+        }
+    }
+
+    fn last(&mut self, id: InitId) -> Option<&mut LastInit> {
+        let last = self.inits.get_mut(&id.client)?;
+        (last.number == id.number).then_some(last)
+    }
+}

@@ -1,0 +1,111 @@
+//! The robots that an endpoint knows.
+
+use std::collections::BTreeSet;
+
+use ztl_core::Instant;
+
+use super::{Endpoint, EndpointEffect, RobotInfo};
+
+/// A robot that is or was there.
+#[derive(Debug)]
+pub(super) struct Robot {
+    /// Its agent, while it is there.
+    pub(super) agent: Option<String>,
+    /// Other agents that claim the name.
+    rivals: BTreeSet<String>,
+    /// What it last said.
+    pub(super) info: Option<RobotInfo>,
+    /// The agent's boot id and its clock in milliseconds, and when that was heard.
+    clock: (u32, u64, Instant),
+}
+
+impl Robot {
+    /// The boot id of its agent, and what the agent's clock shows at least; zeros if that is not known.
+    pub(super) fn clock(&self, now: Instant) -> (u32, u64) {
+        let (boot, clock_ms, heard) = self.clock;
+        let since = u64::try_from(now.since(heard).as_millis()).unwrap_or(u64::MAX);
+        (boot, clock_ms.saturating_add(since))
+    }
+}
+
+impl Endpoint {
+    /// An agent is there.
+    pub fn handle_alive(&mut self, robot: &str, agent: &str) -> Vec<EndpointEffect> {
+        let known = self
+            .robots
+            .entry(robot.to_owned())
+            .or_insert_with(|| Robot {
+                agent: None,
+                rivals: BTreeSet::new(),
+                info: None,
+                clock: (0, 0, Instant::ZERO),
+            });
+        match &known.agent {
+            Some(served) if served == agent => Vec::new(),
+            Some(served) => {
+                known.rivals.insert(agent.to_owned());
+                vec![EndpointEffect::Rivals {
+                    robot: robot.to_owned(),
+                    agent: served.clone(),
+                    rival: agent.to_owned(),
+                }]
+            }
+            None => {
+                known.agent = Some(agent.to_owned());
+                // The agent may have been restarted.
+                known.clock = (0, 0, Instant::ZERO);
+                vec![EndpointEffect::AskInfo {
+                    robot: robot.to_owned(),
+                    agent: agent.to_owned(),
+                }]
+            }
+        }
+    }
+
+    /// An agent is gone, or not reached any more.
+    pub fn handle_gone(&mut self, robot: &str, agent: &str) -> Vec<EndpointEffect> {
+        let Some(known) = self.robots.get_mut(robot) else {
+            return Vec::new();
+        };
+        if known.agent.as_deref() != Some(agent) {
+            known.rivals.remove(agent);
+            return Vec::new();
+        }
+        known.agent = None;
+        match known.rivals.pop_first() {
+            Some(rival) => self.handle_alive(robot, &rival),
+            None => Vec::new(),
+        }
+    }
+
+    /// What an agent says of its robot.
+    pub fn handle_info(&mut self, now: Instant, robot: &str, agent: &str, info: RobotInfo) {
+        self.on_clock(now, robot, agent, info.boot, info.clock_ms);
+        if let Some(known) = self.robots.get_mut(robot)
+            && known.agent.as_deref() == Some(agent)
+        {
+            known.info = Some(info);
+        }
+    }
+
+    /// The agents that are there.
+    pub fn robots(&self) -> impl Iterator<Item = (&str, &str)> {
+        let robots = self.robots.iter();
+        robots.filter_map(|(name, robot)| Some((name.as_str(), robot.agent.as_deref()?)))
+    }
+
+    pub(super) fn on_clock(
+        &mut self,
+        now: Instant,
+        robot: &str,
+        agent: &str,
+        boot: u32,
+        clock_ms: u64,
+    ) {
+        if let Some(known) = self.robots.get_mut(robot)
+            && known.agent.as_deref() == Some(agent)
+        {
+            known.clock = (boot, clock_ms, now);
+        }
+    }
+}

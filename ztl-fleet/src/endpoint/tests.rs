@@ -1,0 +1,198 @@
+use ztl_core::envelope::ClientId;
+
+use super::*;
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn info(boot: u32) -> RobotInfo {
+    RobotInfo {
+        ztl_fleet: 1,
+        name: "arm".to_owned(),
+        agent: "a".to_owned(),
+        boot,
+        clock_ms: 500,
+        since: 0,
+        groups: Vec::new(),
+        ready: true,
+        problem: None,
+        server: None,
+        scopes: vec!["/lab".to_owned()],
+    }
+}
+
+/// An endpoint that knows a robot.
+fn endpoint() -> Endpoint {
+    let mut endpoint = Endpoint::new(77);
+    assert_eq!(endpoint.handle_alive("arm", "a").len(), 1);
+    endpoint.handle_info(at(0), "arm", "a", info(7));
+    endpoint
+}
+
+fn ask(
+    endpoint: &mut Endpoint,
+    now: u64,
+    request: u64,
+    number: Option<u64>,
+    body: &str,
+) -> Vec<EndpointEffect> {
+    let envelope = number.map(|number| Envelope {
+        client: ClientId([1; 16]),
+        number,
+        early_end: false,
+    });
+    let asked = ClientRequest {
+        request,
+        envelope,
+        fresh: ClientId([9; 16]),
+        body: Some(body.as_bytes()),
+    };
+    endpoint.handle_request(at(now), asked, |_| true)
+}
+
+/// The query, and what it asks.
+#[track_caller]
+fn asked(effects: &[EndpointEffect]) -> (u64, Ask) {
+    match effects {
+        [EndpointEffect::Ask { query, what, .. }] => (*query, what.clone()),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[track_caller]
+fn answered(effects: &[EndpointEffect]) -> String {
+    match effects {
+        [EndpointEffect::Answer { body, .. }] => String::from_utf8(body.clone()).unwrap(),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_request_goes_to_the_robot_with_its_own_scope_and_back() {
+    let mut endpoint = endpoint();
+    let (query, what) = asked(&ask(&mut endpoint, 1000, 1, Some(3), "/arm/lab;1;-1;x;y"));
+    let Ask::Request {
+        rules: Some(rules),
+        body,
+        ..
+    } = what
+    else {
+        panic!();
+    };
+    assert_eq!(body, b"/lab;1;-1;x;y");
+    assert_eq!((rules.id.number, rules.boot, rules.until_ms), (3, 7, 4000));
+    let answer = Verdict::Answer(b"/lab;1;42;on".to_vec());
+    let told = endpoint.handle_verdict(at(1001), query, answer);
+    assert_eq!(answered(&told), "/arm/lab;1;42;on");
+    let told = ask(&mut endpoint, 1002, 2, Some(4), "$ztl;2;-1;outcome 3");
+    assert_eq!(answered(&told), "$ztl;1;42;on");
+}
+
+#[test]
+fn silence_of_a_robot_is_silence_and_its_outcome_is_asked_there() {
+    let mut endpoint = endpoint();
+    let (query, first) = asked(&ask(&mut endpoint, 0, 1, Some(3), "/arm/lab;1;-1;x"));
+    endpoint.handle_no_reply(at(10), query);
+    assert_eq!(endpoint.poll_timeout(), Some(at(110)));
+    let (query, again) = asked(&endpoint.handle_timeout(at(110)));
+    assert_eq!(first, again);
+    let late = endpoint.handle_timeout(at(1900));
+    assert_eq!(late, [EndpointEffect::Silence { request: 1 }]);
+    assert_eq!(
+        endpoint.handle_verdict(at(1901), query, Verdict::Unknown(String::new())),
+        []
+    );
+
+    let (query, what) = asked(&ask(&mut endpoint, 2000, 2, Some(4), "$ztl;2;-1;outcome 3"));
+    assert!(matches!(what, Ask::Outcome(rules) if rules.id.number == 3));
+    let never = endpoint.handle_verdict(at(2001), query, Verdict::NotStarted(String::new()));
+    assert_eq!(answered(&never), "$ztl;2;0;never seen since boot 77");
+    let given_up = ask(&mut endpoint, 2002, 3, Some(3), "/arm/lab;1;-1;x");
+    let told = "/arm/lab;2;-1;this INIT was given up by its client";
+    assert_eq!(answered(&given_up), told);
+}
+
+#[test]
+fn a_robot_that_is_away_starts_nothing_and_says_nothing_of_its_tasks() {
+    let mut endpoint = endpoint();
+    endpoint.handle_gone("arm", "a");
+    let init = ask(&mut endpoint, 0, 1, None, "/arm/lab;1;-1;x");
+    assert_eq!(
+        answered(&init),
+        "/arm/lab;2;-1;robot 'arm' is not connected"
+    );
+    let status = ask(&mut endpoint, 0, 2, None, "/arm/lab;2;42;");
+    assert_eq!(status, [EndpointEffect::Silence { request: 2 }]);
+    let other = ask(&mut endpoint, 0, 3, None, "/leg/lab;1;-1;x");
+    let told = "/leg/lab;2;-1;No controller for scope: /leg/lab";
+    assert_eq!(answered(&other), told);
+}
+
+#[test]
+fn an_init_for_an_agent_that_was_restarted_is_sent_once_more() {
+    let mut endpoint = endpoint();
+    let (query, _) = asked(&ask(&mut endpoint, 0, 1, None, "/arm/lab;1;-1;x"));
+    let stale = Verdict::Stale {
+        boot: 8,
+        clock_ms: 100,
+    };
+    let (_, what) = asked(&endpoint.handle_verdict(at(5), query, stale));
+    let Ask::Request {
+        rules: Some(rules), ..
+    } = what
+    else {
+        panic!();
+    };
+    assert_eq!((rules.boot, rules.until_ms), (8, 2600));
+    assert_eq!(rules.id.client, ClientId([9; 16]));
+}
+
+#[test]
+fn a_second_agent_of_a_name_gets_nothing_while_the_first_is_there() {
+    let mut endpoint = endpoint();
+    let told = endpoint.handle_alive("arm", "b");
+    assert!(matches!(told.as_slice(), [EndpointEffect::Rivals { .. }]));
+    endpoint.handle_info(at(0), "arm", "b", info(9));
+    let effects = ask(&mut endpoint, 0, 1, None, "/arm/lab;2;42;");
+    assert!(matches!(&effects[..], [EndpointEffect::Ask { agent, .. }] if agent == "a"));
+    let told = endpoint.handle_gone("arm", "a");
+    assert!(matches!(&told[..], [EndpointEffect::AskInfo { agent, .. }] if agent == "b"));
+}
+
+#[test]
+fn questions_collect_what_robots_say() {
+    let mut endpoint = endpoint();
+    endpoint.handle_alive("leg", "l");
+    endpoint.handle_info(at(0), "leg", "l", info(5));
+    let effects = ask(&mut endpoint, 0, 1, None, "$ztl;2;-1;tasks");
+    assert_eq!(effects.len(), 2);
+    let part = b"$ztl;5;0;{\"tasks\": [{\"id\": 4, \"scope\": \"/lab\"}], \"more\": 1}";
+    let first = endpoint.handle_verdict(at(1), 1, Verdict::Answer(part.to_vec()));
+    assert_eq!(first, []);
+    // The other one does not answer.
+    let told = answered(&endpoint.handle_timeout(at(1900)));
+    let expected = r#"$ztl;5;0;{"elsewhere":0,"more":1,"tasks":[{"id":4,"scope":"/arm/lab"}]}"#;
+    assert_eq!(told, expected);
+
+    let probe = answered(&ask(&mut endpoint, 2000, 2, None, "$ztl;2;-1;probe"));
+    assert!(
+        probe.contains(r#"scopes: {"/arm/lab": {}, "/leg/lab": {}}"#),
+        "{probe}"
+    );
+
+    let (query, _) = asked(&ask(&mut endpoint, 2000, 3, None, "$ztl;2;-1;describe"));
+    let part = br#"$ztl;5;0;{"components": [{"scope": "/lab"}], "next": 7}"#;
+    let told = answered(&endpoint.handle_verdict(at(2001), query, Verdict::Answer(part.to_vec())));
+    assert!(
+        told.ends_with(r#"{"components":[{"scope":"/arm/lab"}],"next":7}"#),
+        "{told}"
+    );
+    let (query, _) = asked(&ask(&mut endpoint, 2000, 4, None, "$ztl;2;-1;describe ;7"));
+    let part = br#"$ztl;5;0;{"components": []}"#;
+    let told = answered(&endpoint.handle_verdict(at(2001), query, Verdict::Answer(part.to_vec())));
+    assert!(
+        told.ends_with(r#"{"components":[],"next":1000000}"#),
+        "{told}"
+    );
+}
