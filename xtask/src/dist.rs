@@ -130,6 +130,7 @@ fn run_all(project: &Project, built: &[(Target, PathBuf)]) -> Result<()> {
     let sh = &project.sh;
     install::emulators(sh)?;
     install::python(project)?;
+    install::naoqi(project)?;
     project.build_programs()?;
     let release = release(built)?;
     let check = "--check --strict --quiet SHA256SUMS".split(' ');
