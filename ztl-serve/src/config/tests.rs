@@ -39,7 +39,7 @@ fn kind_of<K: Clone + 'static>(component: &ComponentConfig) -> K {
 fn stream_program(stream: &StreamConfig) -> &Program {
     match &stream.origin {
         Origin::Program(program) => program,
-        Origin::Topic(_) | Origin::Signal(_) => panic!("{stream:?}"),
+        Origin::Topic(_) | Origin::Signal(_) | Origin::Event(_) => panic!("{stream:?}"),
     }
 }
 
