@@ -275,7 +275,6 @@ const OURS_ALONE: [&str; 14] = [
     "forward::with_keys",
     "parameters::only_clients_that_may",
     "updates::only_clients_that_may",
-    "updates::only_clients_that_may",
     "streams::a_key",
     // It does not tell that a connection was lost, so the client waits for its whole timeout.
     "aborts::a_lost_connection",
