@@ -12,6 +12,7 @@ pub mod dispatcher;
 pub mod goal;
 pub mod link;
 pub mod link_ends;
+pub mod manifest;
 pub mod message;
 pub mod naoqi;
 pub mod pickle;

@@ -139,7 +139,7 @@ pub fn frame(bytes: &[u8]) {
             Body::parse(&bytes[..whole]).expect("what is left is a message");
             return;
         }
-        Err(BodyError::UnknownTag { tag }) => return assert!(tag > 21),
+        Err(BodyError::UnknownTag { tag }) => return assert!(tag > 32),
         Err(_) => return,
     };
     let plain = written(&body);

@@ -11,6 +11,7 @@
 //! | `t` | this many times 16 ms pass |
 //! | `s` | session only: a client starts a task; `a` aborts the task with this id |
 //! | `p` | session only: a client asks about parameters: 0 saves them, an even number reads, an odd one sets one |
+//! | `u` | session only: a client asks about updates, with this request |
 //! | `o`, `c` | session only: the line is opened or closed |
 //! | `l` | node only: a frame of the current session that is not a command: length of the body, body |
 //! | `p`, `e` | node only: the firmware starts a task itself, or reports an event |
@@ -27,9 +28,10 @@ use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, 
 use ztl_core::{Instant, State, TaskId};
 use ztl_mcu::describe::{About, Describe, Described, Goal};
 use ztl_mcu::parameters::{Declaration, Parameter, Tunable, Tuned, Value};
+use ztl_mcu::update::{Firmware, Receiving, Updatable, UpdateError, Updater, Verification};
 use ztl_mcu::{Acting, Component, Identity, Node, Refused, Report, Run, description};
 
-use ztl_link::{LinkEvent, ParameterRequest, ParameterValue, Session};
+use ztl_link::{LinkEvent, ParameterRequest, ParameterValue, Session, UpdateRequest};
 
 /// The boot id of the example in `docs/link.md`, so that its frames are valid inputs.
 const BOOT: u32 = 0xcafe_0001;
@@ -131,7 +133,57 @@ impl Component for Motor {
     }
 }
 
-type SmallNode = Node<'static, Acting<Described<Tuned<[Motor; 1]>>>, 3, 128>;
+/// Receives an image of as many bytes as the first of its manifest says, times 32.
+#[derive(Debug, Default)]
+struct Memory {
+    image: Vec<u8>,
+    length: usize,
+    restarts: bool,
+}
+
+impl Updater for Memory {
+    fn firmware(&self) -> Firmware<'_> {
+        Firmware {
+            board: "board",
+            version: "1.0.0",
+            confirmed: true,
+            trial_ms: 1000,
+            self_test: None,
+        }
+    }
+
+    fn begin(&mut self, manifest: &[u8], _: bool) -> Result<Receiving, UpdateError> {
+        self.length = usize::from(*manifest.first().ok_or(UpdateError::Manifest)?) * 32;
+        self.image.truncate(self.length);
+        Ok(Receiving {
+            length: self.length as u32,
+            offset: self.image.len() as u32,
+        })
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), UpdateError> {
+        assert_eq!(offset as usize, self.image.len(), "out of its place");
+        self.image.extend_from_slice(bytes);
+        assert!(self.image.len() <= self.length, "too long");
+        Ok(())
+    }
+
+    fn verify(&mut self) -> Result<Verification, UpdateError> {
+        assert_eq!(self.image.len(), self.length, "incomplete");
+        Ok(Verification::Done)
+    }
+
+    fn restart(&mut self) {
+        self.restarts = true;
+    }
+
+    fn confirm(&mut self) -> Result<(), UpdateError> {
+        Ok(())
+    }
+}
+
+type Components = Acting<Described<Tuned<[Motor; 1]>>>;
+type SmallNode = Node<'static, Updatable<Components, Memory>, 3, 128>;
 
 fn new_node(boot: u32) -> SmallNode {
     let motor = Motor {
@@ -141,6 +193,7 @@ fn new_node(boot: u32) -> SmallNode {
         reversed: false,
     };
     let components = Acting::new(Described(Tuned::new([motor])));
+    let components = Updatable::new(components, Memory::default());
     Node::new(Identity::new("gripper", "1.0.0", boot), components)
 }
 
@@ -268,6 +321,18 @@ pub fn node(input: &[u8]) {
         node.handle_bytes(now, &bytes);
         node.handle_timeout(now);
         let _ = sent_by(&mut node, now);
+        if node.components().updater.restarts {
+            node = new_node(BOOT.wrapping_add(1));
+            break;
+        }
+    }
+    // An update that does not go on is over, and restarts do not wait for anything.
+    now = now + Duration::from_secs(30);
+    node.handle_timeout(now);
+    now = now + Duration::from_secs(1);
+    node.handle_timeout(now);
+    if node.components().updater.restarts {
+        node = new_node(BOOT.wrapping_add(1));
     }
     // The node admits another gateway after a period of silence. The new session uses a number that was not
     // used before.
@@ -333,6 +398,27 @@ pub fn session(input: &[u8]) {
                 told.asked += 1;
                 session.request_parameter(now, told.asked, request);
             }
+            b'u' => {
+                let request = match steps.byte().unwrap_or(0) {
+                    0 => UpdateRequest::Read,
+                    1 => UpdateRequest::Begin {
+                        now: true,
+                        downgrade: false,
+                        manifest: steps.bytes().to_vec(),
+                    },
+                    2 => UpdateRequest::Write {
+                        offset: steps.byte().unwrap_or(0).into(),
+                        bytes: steps.bytes().to_vec(),
+                    },
+                    3 => UpdateRequest::Finish,
+                    4 => UpdateRequest::Restart,
+                    5 => UpdateRequest::Confirm,
+                    6 => UpdateRequest::Cancel,
+                    _ => UpdateRequest::Ask,
+                };
+                told.asked += 1;
+                session.request_update(now, told.asked, request);
+            }
             b'o' => session.handle_connected(now),
             b'c' => session.handle_disconnected(),
             _ => {}
@@ -365,7 +451,7 @@ pub fn session(input: &[u8]) {
     let all: BTreeSet<u64> = (1..=told.asked).collect();
     assert_eq!(
         told.answered, all,
-        "each request about parameters is answered"
+        "each request about parameters and updates is answered"
     );
 }
 
@@ -389,7 +475,7 @@ fn take_up(
 struct Told {
     /// The final state of each task.
     tasks: BTreeMap<TaskId, Option<State>>,
-    /// The number of requests about parameters, and those that were answered.
+    /// The number of requests about parameters and updates, and those that were answered.
     asked: u64,
     answered: BTreeSet<u64>,
 }
@@ -399,7 +485,7 @@ impl Told {
         let (id, state) = match event {
             LinkEvent::TaskRejected(id, _) => (id, State::Rejected),
             LinkEvent::Ended(id, state, _) => (id, *state),
-            LinkEvent::Parameter(number, _) => {
+            LinkEvent::Parameter(number, _) | LinkEvent::Update(number, _) => {
                 assert!(self.answered.insert(*number), "{number} is answered twice");
                 return;
             }
@@ -442,7 +528,7 @@ impl Ends {
         let device = self.session.device().expect("it is up");
         let description = device.components.first().map(|it| &*it.description);
         assert_eq!(description, Some(Motor::DESCRIPTION.as_bytes()));
-        assert_eq!(device.parameters, 2);
+        assert_eq!((device.parameters, device.updates), (2, true));
         let id = TaskId::new(1000).expect("not 0");
         self.session.start(self.now, id, "finger", "40");
         let after = self.pass(Duration::from_millis(500));

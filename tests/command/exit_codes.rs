@@ -117,6 +117,8 @@ fn each_command_exits_with_the_documented_codes() {
         ("devices -p TESTS", 1, "devices"),
         ("param list hand -p NOBODY", 1, "param"),
         ("doctor -p NOBODY", 1, "doctor"),
+        ("firmware show none.jsonl", 1, "firmware"),
+        ("firmware update hand none.jsonl -p NOBODY", 2, "firmware"),
         ("gateway -d a=sim:gripper -p TAKEN -s /lab", 1, "gateway"),
         ("gateway wrong.yaml", 2, "gateway"),
         ("gateway wrong.yaml --check", 2, "gateway"),

@@ -7,6 +7,7 @@ mod doctor;
 mod errors;
 mod examples;
 mod exit_codes;
+mod firmware;
 mod foxglove;
 mod options;
 mod output;

@@ -5,3 +5,5 @@ mod line_command;
 mod line_faults;
 mod link;
 mod link_parameters;
+mod link_updates;
+mod updates;

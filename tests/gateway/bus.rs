@@ -191,9 +191,7 @@ fn the_walk_of_the_documentation_works() {
     line.wait_for("Serve it with");
     let begin = "gateway --device arm=rs485:/tmp/arm ";
     let mut command = ztl();
-    command
-        .args(of_walk(begin, &path, "0"))
-        .args(["--journal", "off"]);
+    command.args(of_walk(begin, &path, "0")).arg("--no-journal");
     let gateway = Server::start(&mut command);
     let port = gateway.port.to_string();
     for node in ["arm.left", "arm.right", "arm.head"] {

@@ -250,6 +250,20 @@ fn the_file_sets_the_journals_path() {
         gateway.wait_for(&said);
         gateway.wait_for("Serving head");
     }
+    let option = [
+        "gateway",
+        "-d",
+        "head=sim:head",
+        "-p",
+        "0",
+        "-s",
+        "/lab",
+        "--journal",
+        "off",
+    ];
+    let ended = Process::run(ztl().args(option));
+    assert_eq!(ended.code, Some(2));
+    assert!(ended.stderr.contains("give --no-journal"), "{ended:?}");
 }
 
 #[test]

@@ -1,14 +1,17 @@
 //! Faulty lines: what the gateway logs about them, and how often.
 
-use std::io::{Cursor, Read};
-use std::net::{TcpListener, TcpStream};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::io::{Cursor, Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
+use std::thread::spawn;
 
 use ztl_sim::{Device, Kind};
 use ztl_std::gateway::{Devices, Endpoint, Gateway, Line};
 use ztl_std::{RemoteTask, RunningServer, State, TaskServer};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, gateway, reserve_port, until, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, SCOPE, Server, connect, gateway, reserve_port, until, ztl,
+};
 
 /// The problem that the gateway reports for a device.
 #[track_caller]
@@ -143,6 +146,66 @@ fn a_broken_connection_is_reopened() {
     // Kept open without answers, like a device without power.
     let connections = [accept(&peer), accept(&peer)];
     drop(connections);
+}
+
+/// Passes on what both ends of two connections send, until one is closed. While `deaf`, nothing is passed on. Both stay
+/// open until the returned function ends them.
+fn forward(ends: [TcpStream; 2], deaf: &Arc<AtomicBool>) -> impl FnOnce() + use<> {
+    let pass = |from: &TcpStream, to: &TcpStream| {
+        let [mut from, mut to] = [from, to].map(|end| end.try_clone().expect("a socket"));
+        let deaf = Arc::clone(deaf);
+        spawn(move || {
+            let mut bytes = [0; 256];
+            while let Ok(count @ 1..) = from.read(&mut bytes) {
+                if !deaf.load(Ordering::SeqCst) && to.write_all(&bytes[..count]).is_err() {
+                    break;
+                }
+            }
+        })
+    };
+    let [line, nodes] = &ends;
+    line.set_nonblocking(false).expect("a socket");
+    let threads = [pass(line, nodes), pass(nodes, line)];
+    move || {
+        for end in ends {
+            // The other end may have closed it.
+            let _ = end.shutdown(Shutdown::Both);
+        }
+        for thread in threads {
+            thread.join().expect("no panic");
+        }
+    }
+}
+
+/// An adapter that was switched off does not close its connection.
+#[test]
+fn a_shared_line_over_tcp_without_answers_is_connected_again() {
+    let mut device = ztl();
+    let bus =
+        Process::start(device.args(["device", "--bus", "left=sim:gripper@1", "--on", "tcp:0"]));
+    let said = bus.wait_for("Simulated bus at rs485:tcp:");
+    let (_, address) = said.split_once("tcp:").expect("an address");
+    let address = address.split(". ").next().expect("an address");
+    let nodes = || TcpStream::connect(address).expect("the bus");
+    let peer = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let place = peer.local_addr().expect("its address");
+    let gateway = Server::gateway(&[&format!("arm=rs485:tcp:{place}?wait=100")]);
+    // No node was ever found.
+    let _silent = accept(&peer);
+    let deaf = Arc::default();
+    let end = forward([accept(&peer), nodes()], &deaf);
+    gateway.wait_ready("arm.left");
+    deaf.store(true, Ordering::SeqCst);
+    let again = accept(&peer);
+    end();
+    let end = forward([again, nodes()], &Arc::default());
+    complete(
+        &mut connect(&gateway.endpoint()),
+        "arm.left",
+        "finger",
+        "10",
+    );
+    end();
 }
 
 #[test]

@@ -15,3 +15,4 @@ mod readings;
 mod reload;
 mod restart;
 mod service;
+mod updates;

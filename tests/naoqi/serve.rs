@@ -430,3 +430,60 @@ streams: {/test: {touch: {naoqi-event: FrontTactilTouched}, stiffness: {naoqi-si
     });
     assert_eq!(nao.run("p", "set", "0.25"), completed("None"));
 }
+
+/// The greeting of a robot, on the services that the examples use.
+#[track_caller]
+fn greets(name: &str, scope: &'static str) {
+    let mut robot = Robot::start(&ALL);
+    let text = example(&format!("{name}.yaml"));
+    let served = Served::new(&robot.endpoint, scope, &text);
+    let scratch = Scratch::new();
+    let remotes = example("greet/remotes.yaml").replace("12345", &served.server.port.to_string());
+    std::fs::write(scratch.path("remotes.yaml"), remotes).expect("to write");
+    // The real animation ends by itself.
+    let scene = example(&format!("greet/{name}.yaml"));
+    let short = scene.replace("animations/Stand/Gestures/Hey_1", "short");
+    assert_ne!(scene, short);
+    std::fs::write(scratch.path("scene.yaml"), short).expect("to write");
+    // The service is found, which may take longer than a task waits on a busy machine.
+    assert_eq!(served.run("motion", "posture", "Crouch"), completed("True"));
+    let mut command = ztl();
+    command.current_dir(scratch.path(""));
+    let options = "run-script -s scene.yaml -c remotes.yaml --yes --plain";
+    let play = Process::start(command.args(options.split(' ')));
+    robot.line_with("posture Stand 0.5");
+    let mut seen = Vec::new();
+    for part in [
+        "say Hello! Touch my head",
+        "run short",
+        "angles ['HeadPitch'] [-0.2",
+    ] {
+        if !seen.iter().any(|line: &String| line.contains(part)) {
+            loop {
+                seen.push(robot.process.next_line(PATIENCE));
+                if seen.iter().any(|line| line.contains(part)) {
+                    break;
+                }
+            }
+        }
+    }
+    // A release is no touch.
+    robot.tell("raise FrontTactilTouched 0.0");
+    until("the touch ends it", PATIENCE, || {
+        robot.tell("raise FrontTactilTouched 1.0");
+        let straight = "angles ['HeadPitch'] [0.0]";
+        robot.process.stdout().contains(straight).then_some(())
+    });
+    let ended = play.end(PATIENCE);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
+#[test]
+fn nao_greets_until_a_touch() {
+    greets("nao", "/nao");
+}
+
+#[test]
+fn pepper_greets_until_a_touch() {
+    greets("pepper", "/pepper");
+}

@@ -1,12 +1,13 @@
 //! Actions of a real action server end in their true state.
 
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use ztl_ros1::{EndState, GoalEvent};
 use ztl_tests::lab::{PATIENCE, Process, in_time};
 
 use crate::rig::{
-    Master, Running, connected, not_sent, test_action, unique, wait_for_server, within,
+    Master, Running, connected, not_sent, of, test_action, unique, wait, wait_for_server, within,
 };
 
 /// An answer after the 1.5 s for which a goal waits is due within this time.
@@ -152,6 +153,34 @@ fn two_servers_under_one_name_get_no_goal() {
     let before = goals();
     not_sent(&action, &parts);
     assert_eq!(goals(), before);
+}
+
+#[test]
+fn a_second_server_is_noticed_also_when_a_stream_used_the_status_before() {
+    let master = Master::shared();
+    let name = unique("streamed");
+    let _robot = master.action(&name, &name);
+    let node = master.node();
+    let (told, senders) = channel();
+    let topic = format!("/{name}/status");
+    let status = of(
+        "actionlib_msgs/GoalStatusArray",
+        "8b2b82f13216d0a8ea88bd3af735e619",
+    );
+    let _stream = node.subscribe(&topic, status.clone(), move |sender, _| {
+        let _ = told.send(sender.to_owned());
+    });
+    let action = connected(&node, &name);
+    let other = master.node();
+    let second = other.publisher(&topic, status, false).unwrap();
+    wait("the second server is connected", || {
+        // A header without a stamp or frame, and no goals.
+        second.publish(vec![0; 20]);
+        senders.try_iter().any(|sender| sender == other.name())
+    });
+    let end = Running::send(&action, 1).end();
+    assert_eq!(end.state, EndState::NotSent, "{end:?}");
+    assert!(end.text.contains("more than one server"), "{end:?}");
 }
 
 #[test]

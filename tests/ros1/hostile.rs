@@ -1,12 +1,14 @@
 //! Connections to the node's ports that are not those of nodes.
 
 use std::io::{ErrorKind, Read as _, Write as _};
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
 
 use ztl_ros1::xmlrpc::Value;
 use ztl_tests::lab::PATIENCE;
 
-use crate::rig::{Master, string, unique};
+use crate::rig::{Master, string, text, unique, wait};
 
 /// The address of the node's API, and the ports of the API and of TCPROS.
 fn ports(node: &ztl_ros1::Node, topic: &str) -> (String, [u16; 2]) {
@@ -35,7 +37,7 @@ fn garbage_and_a_thousand_idle_connections_lock_nobody_out() {
     let node = master.node();
     let topic = unique("/target");
     let _publisher = node.publisher(&topic, string(), false).unwrap();
-    crate::rig::wait("it is registered", || {
+    wait("it is registered", || {
         node.ask_master("lookupNode", &[node.name().into()]).is_ok()
     });
     let (uri, ports) = ports(&node, &topic);
@@ -70,4 +72,99 @@ fn garbage_and_a_thousand_idle_connections_lock_nobody_out() {
         .collect();
     assert!(node.ask(&uri, "getPid", &[]).is_ok());
     drop(idle);
+}
+
+/// The number of threads of this process with this name.
+fn threads(name: &str) -> usize {
+    let tasks = std::fs::read_dir("/proc/self/task").unwrap();
+    let names = tasks.map(|task| std::fs::read_to_string(task.unwrap().path().join("comm")));
+    names
+        .filter(|found| found.as_ref().is_ok_and(|found| found.trim() == name))
+        .count()
+}
+
+#[test]
+fn a_thousand_named_publishers_take_few_threads_and_the_true_one_is_heard() {
+    let master = Master::shared();
+    let [node, other] = [master.node(), master.node()];
+    let topic = unique("/named");
+    let publisher = node.publisher(&topic, string(), false).unwrap();
+    wait("it is registered", || {
+        node.ask_master("lookupNode", &[node.name().into()]).is_ok()
+    });
+    let (uri, _) = ports(&node, &topic);
+    let (told, heard) = channel();
+    let _subscription = node.subscribe(&topic, string(), move |_, _| {
+        let _ = told.send(());
+    });
+    let names: Vec<Value> = (0..1000)
+        .map(|number| {
+            format!("http://no-such-host-{number}.invalid:9")
+                .as_str()
+                .into()
+        })
+        .collect();
+    let update = |names: Vec<Value>| {
+        let params = [topic[..].into(), Value::Array(names)];
+        other.ask(&uri, "publisherUpdate", &params).unwrap();
+    };
+    update(names);
+    for _ in 0..20 {
+        assert!(other.ask(&uri, "getPid", &[]).is_ok());
+        let threads = threads("ztl-lookup");
+        assert!(threads <= 40, "{threads} threads");
+    }
+    update(vec![uri[..].into()]);
+    wait("the true publisher is heard", || {
+        publisher.publish(text("here"));
+        heard.try_recv().is_ok()
+    });
+}
+
+/// A master that takes every registration and never knows the node.
+fn forgetful_master(listener: &TcpListener, on_call: impl Fn(&str)) {
+    for stream in listener.incoming() {
+        let mut stream = stream.unwrap();
+        let mut call = String::new();
+        let mut piece = [0; 4096];
+        while !call.contains("</methodCall>") {
+            let count = stream.read(&mut piece).unwrap();
+            call.push_str(&String::from_utf8_lossy(&piece[..count]));
+        }
+        let name = call.split("<methodName>").nth(1).unwrap();
+        let name = name.split('<').next().unwrap();
+        on_call(name);
+        let (code, value) = match name {
+            "registerPublisher" => (1, "<array><data></data></array>"),
+            _ => (-1, "<int>0</int>"),
+        };
+        let body = format!(
+            "<?xml version='1.0'?><methodResponse><params><param><value><array><data><value><int>{code}</int></value>\
+             <value><string>x</string></value><value>{value}</value></data></array></value></param></params></methodResponse>"
+        );
+        let head = format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n\r\n", body.len());
+        stream.write_all((head + &body).as_bytes()).unwrap();
+    }
+}
+
+#[test]
+fn a_master_that_never_knows_the_node_is_asked_once_a_second() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let config = ztl_ros1::Config {
+        master: format!("http://{}", listener.local_addr().unwrap()),
+        host: Some("127.0.0.1".to_owned()),
+        name: "ztl".to_owned(),
+    };
+    let (told, calls) = channel();
+    std::thread::spawn(move || {
+        forgetful_master(&listener, |name| {
+            let _ = told.send((name == "lookupNode", Instant::now()));
+        });
+    });
+    let node = ztl_ros1::Node::start(&config).unwrap();
+    let _publisher = node.publisher("/x", string(), false).unwrap();
+    let mut checks = std::iter::from_fn(|| calls.recv_timeout(PATIENCE).ok())
+        .filter_map(|(is_check, at)| is_check.then_some(at));
+    let (first, fourth) = (checks.next().unwrap(), checks.nth(2).unwrap());
+    assert!(fourth - first > Duration::from_secs(2));
 }

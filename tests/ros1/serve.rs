@@ -112,6 +112,7 @@ fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
 const DRIVE: &str = "scopes: {/test: {p: {
     drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, for: '{goal.seconds}', dead-man: 20 s,
             message: {linear: {x: '{goal.speed}'}}, stop: {}},
+    whole: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, for: '{goal.seconds}'},
     nowhere: {ros1-publish: /NAME/nowhere, type: geometry_msgs/Twist, message: {}}}}}";
 
 const GO: &str = "twist 0.5 0.0";
@@ -130,6 +131,19 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
     let twists = robot.twists();
     let count = twists.iter().filter(|line| *line == GO).count();
     assert!(count > 0 && twists.len() == count + 5, "{twists:?}");
+
+    assert_eq!(
+        robot.run("whole", "{linear: {x: 0.7}, seconds: 0.1}"),
+        Ok((Completed, "True".to_owned()))
+    );
+    wait("the goal as the message", || {
+        robot
+            .twists()
+            .last()
+            .is_some_and(|line| line == "twist 0.7 0.0")
+    });
+    let refused = robot.run("whole", "{linear: {x: 0.7}, second: 0.1}");
+    assert!(refused.is_err_and(|why| why.contains("second")));
 
     let mut remote = robot.remote();
     let task = trigger(&mut remote, "drive", "{speed: 0.5, seconds: 60}");
@@ -261,7 +275,10 @@ fn services_and_parameters_answer() {
     );
     let (state, text) = robot.run("nothing", "").expect("no rejection");
     assert_eq!(state, Failed);
-    assert!(!text.starts_with("unknown:"), "nothing was sent: {text}");
+    assert!(
+        text.starts_with("service /robot"),
+        "nothing was sent: {text}"
+    );
     let (state, text) = robot.run("limits", "").expect("no rejection");
     assert_eq!(state, Completed);
     assert!(
@@ -331,15 +348,19 @@ fn a_check_warns_of_names_that_the_robot_does_not_have() {
     let master = Master::shared();
     let name = unique("checked");
     let _action = master.action(&name, &name);
+    let lost = unique("lost");
+    let _lost = master.robot_at("no-such-robot.invalid", &["action", &lost, &lost]);
     let scratch = Scratch::new();
     let path = scratch.path("robot.yaml");
     let text = format!(
-        "ros1: {{master: 'http://127.0.0.1:{}'}}
+        "ros1: {{master: 'http://127.0.0.1:{}', host: no-such-ztl.invalid}}
 scopes: {{/test: {{p: {{
     right: {{ros1-action: /{name}, type: actionlib/TestAction}},
     typo: {{ros1-action: /{name}x, type: actionlib/TestAction}},
     other: {{ros1-action: /{name}, type: actionlib/TwoIntsAction}},
-    dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}}}}}}}}",
+    dock: {{ros1-service: /no/such/dock, type: std_srvs/Trigger}},
+    lost: {{ros1-action: /{lost}, type: actionlib/TestAction}},
+    pose: {{ros1-trajectory: /{name}/result, joint-states: /joint_stats, joints: [a]}}}}}}}}",
         master.port
     );
     std::fs::write(&path, text).expect("to write");
@@ -354,15 +375,35 @@ scopes: {{/test: {{p: {{
             "robot.yaml:5:26: warning: action /{name} is of the type actionlib/TestAction, not actionlib/TwoIntsAction; write type: actionlib/TestAction"
         ),
         "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
+        format!(
+            "robot.yaml:7:25: warning: the action server /{lost} of /{lost} cannot be reached: \
+             this machine cannot resolve the host name 'no-such-robot.invalid'"
+        ),
+        "warning: the master knows no topic /joint_stats; ".to_owned(),
+        "warning: this machine cannot resolve its own name 'no-such-ztl.invalid'; ".to_owned(),
     ] {
         assert!(ended.stderr.contains(&part), "{part}: {}", ended.stderr);
     }
     assert_eq!(
         ended.stderr.matches("warning: ").count(),
-        3,
+        7,
         "{}",
         ended.stderr
     );
+}
+
+#[test]
+fn a_check_names_a_package_path_that_is_not_a_directory() {
+    let scratch = Scratch::new();
+    let path = scratch.path("robot.yaml");
+    let text = "scopes: {/test: {p: {c: {ros1-publish: /c, type: qwerty_msgs/Qwerty}}}}";
+    std::fs::write(&path, text).expect("to write");
+    let mut command = ztl();
+    command.env("ROS_PACKAGE_PATH", "/usr/share:/no/such/src");
+    command.arg("serve").arg(&path);
+    let ended = Process::run(command.args(["--check", "-p", "0"]));
+    let part = "1:50: there is no definition of qwerty_msgs/Qwerty; '/no/such/src' in ROS_PACKAGE_PATH is not the absolute path of a directory";
+    assert!(ended.stderr.contains(part), "{ended:?}");
 }
 
 #[test]
@@ -444,6 +485,12 @@ fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     let _action = master.action("arm", "move");
     let _lost = master.robot_at("no-such-host.invalid", &["topics", "lost"]);
     let uri = format!("http://127.0.0.1:{}", master.port);
+    // A name with a line of its own.
+    let script = format!(
+        "import xmlrpc.client as x; x.ServerProxy('{uri}').registerPublisher('/x\\nok', '/y', 'std_msgs/String', '{uri}')"
+    );
+    let done = master.debian_python().args(["-c", &script]).status();
+    assert!(done.expect("Python").success());
     let doctor = || {
         let mut command = ztl();
         command.env("ROS_HOSTNAME", "127.0.0.1");
@@ -457,7 +504,9 @@ fn the_doctor_says_what_a_master_knows_and_what_cannot_be_reached() {
     });
     assert_eq!(ended.code, Some(1), "{ended:?}");
     for part in [
-        &format!("master {uri}: 2 nodes"),
+        &format!("master {uri}: 3 nodes"),
+        r"ok    ros1       node /x\nok at",
+        "ok    ros1       node /arm at http://127.0.0.1:",
         "ok    ros1       action /move (actionlib/TestAction)\n",
         "WRONG ros1       node /lost at http://no-such-host.invalid",
         "start it with ROS_HOSTNAME or ROS_IP",

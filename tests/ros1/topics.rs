@@ -100,7 +100,10 @@ fn services_answer_fail_and_are_missing() {
     }
     assert!(matches!(
         call("missing", trigger()),
-        Err(ServiceError::NotFound(CallError::Refused { .. }))
+        Err(ServiceError::NotFound {
+            error: CallError::Refused { .. },
+            ..
+        })
     ));
     let wrong = of("std_srvs/Trigger", "0123456789abcdef0123456789abcdef");
     match call("trigger", wrong) {
@@ -222,4 +225,23 @@ fn a_node_that_floods_keeps_no_other_waiting() {
         arrives(&heard, &last, &line);
         last = line;
     }
+}
+
+#[test]
+fn a_second_subscription_gets_the_latched_message_too() {
+    let master = Master::shared();
+    let [node, other] = [master.node(), master.node()];
+    let topic = unique("/latched");
+    let publisher = other.publisher(&topic, string(), true).unwrap();
+    publisher.publish(text("kept"));
+    let subscribe = || {
+        let (told, heard) = channel();
+        let on_message = move |_: &str, bytes: &[u8]| drop(told.send(bytes.to_vec()));
+        let subscription = node.subscribe(&topic, string(), on_message).unwrap();
+        (subscription, heard)
+    };
+    let (_one, first) = subscribe();
+    assert_eq!(first.recv_timeout(PATIENCE), Ok(text("kept")));
+    let (_other, second) = subscribe();
+    assert_eq!(second.recv_timeout(PATIENCE), Ok(text("kept")));
 }

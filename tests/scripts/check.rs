@@ -361,7 +361,7 @@ s:
         "show.yaml:2:6: step 'a' is a mapping of handlers; found a list",
         "show.yaml:3:7: no remote 'robto' in remotes.yaml",
         "show.yaml:3:20: '2020-02-30' looks like a date",
-        "show.yaml:3:43: server 'gripper': '400' is not a number",
+        "show.yaml:3:51: server 'gripper': '400' is not a number",
         "show.yaml:4:17: server 'gripper': 'gripper' has no component 'fingre'",
         "6 mistakes.",
     ] {
@@ -430,10 +430,10 @@ s:
     let ended = directory.run("check show.yaml -c remotes.yaml --live");
     assert_eq!(ended.code, Some(1));
     for words in [
-        "show.yaml:3:15: server 'gripper': '400' is not a number from 0 to 100 percent",
+        "show.yaml:3:23: server 'gripper': '400' is not a number from 0 to 100 percent",
         "show.yaml:3:28: server 'gripper': 'gripper' has no component 'fingre'; did you mean 'finger'?",
         "show.yaml:4:5: server 'gripper': it has no handler 'hand'; there are: gripper, head",
-        "show.yaml:5:12: server 'head': 'lift' is not a number from -90 to 90 degrees, or left, straight, right",
+        "show.yaml:5:17: server 'head': 'lift' is not a number from -90 to 90 degrees, or left, straight, right",
         "show.yaml:6:5: server 'nobody' does not answer: no answer from tcp://127.0.0.1:",
         "one of the original's: it answers, but cannot be asked which tasks it accepts",
         "show.yaml:8:5: the server at tcp://127.0.0.1:",
@@ -460,7 +460,7 @@ fn an_oversized_goal_is_reported_before_and_during_the_run() {
     let ended = directory.run("check show.yaml -c remotes.yaml --live");
     assert_eq!(ended.code, Some(1));
     for words in [
-        "mistake: show.yaml:1:19: server 'gripper': the message has ",
+        "mistake: show.yaml:1:27: server 'gripper': the message has ",
         reason,
     ] {
         assert!(ended.stdout.contains(words), "{words}: {}", ended.stdout);

@@ -203,9 +203,9 @@ fn wrong_goals_of_a_script_are_found_with_the_server_and_without_it() {
     assert_eq!(
         findings(&live),
         [
-            "show.yaml:4:7: server 'p': the goal '81' is not a number from 0 to 80 mm",
-            "show.yaml:6:7: server 'p': the goal '[0, 2]' is not a list, each a number from -1 to 1",
-            "show.yaml:8:11: server 'p': 'maybe' for a is not True or False",
+            "show.yaml:4:13: server 'p': the goal '81' is not a number from 0 to 80 mm",
+            "show.yaml:6:13: server 'p': the goal '[0, 2]' is not a list, each a number from -1 to 1",
+            "show.yaml:8:17: server 'p': 'maybe' for a is not True or False",
             "show.yaml:8:35: server 'p': 'p' has no component 'trun'; did you mean 'turn'?",
         ],
         "{live:?}"
@@ -276,7 +276,7 @@ fn goals_for_a_server_that_only_describes_itself_are_checked_live() {
         &format!("remotes: {{head: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n"),
     );
     let ended = run(&files, "check show.yaml -c remotes.yaml --live");
-    let wrong = "show.yaml:1:16: server 'head': the goal 'up' is not left or right";
+    let wrong = "show.yaml:1:21: server 'head': the goal 'up' is not left or right";
     assert_eq!(findings(&ended), [wrong], "{ended:?}");
 }
 
@@ -325,7 +325,7 @@ fn a_server_also_describes_what_it_forwards() {
         &format!("remotes: {{p: {{host: localhost, port: {port}, scope: {SCOPE}}}}}\n"),
     );
     let ended = run(&near.scratch, "check show.yaml -c remotes.yaml --live");
-    let wrong = "show.yaml:1:13: server 'p': the goal '81' is not a number from 0 to 80 mm";
+    let wrong = "show.yaml:1:19: server 'p': the goal '81' is not a number from 0 to 80 mm";
     assert_eq!(findings(&ended), [wrong], "{ended:?}");
     far.server.process.signal("STOP");
     // No answer waits for it.

@@ -212,6 +212,7 @@ fn init_prints_a_file_for_a_known_robot() {
         ("nao", "nao.yaml"),
         ("pepper", "pepper.yaml"),
         ("misty", "misty.yaml"),
+        ("reachy-mini", "reachy-mini.yaml"),
         ("fetch", "ros1/fetch.yaml"),
         ("care-o-bot-4", "ros1/care-o-bot-4.yaml"),
         ("turtlebot3", "ros1/turtlebot3.yaml"),

@@ -1,247 +1,19 @@
 //! `http`, against a server on a thread: requests, what their answers mean, and servers that misbehave.
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::{TcpListener, TcpStream};
+mod events;
+mod robots;
+mod tls;
+mod web;
+
+use std::io::{Read as _, Write as _};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ztl_std::State;
 use ztl_std::State::{Aborted, Completed, Failed};
-use ztl_std::{RemoteTask, State, TaskId};
-use ztl_tests::lab::{
-    PATIENCE, Process, Scratch, Server, connect_to, end, outcome, start, until, ztl,
-};
+use ztl_tests::lab::{Process, Scratch, end, ztl};
 
-use crate::rig::project;
-
-/// A request: method and address, headers in lower case, body.
-type Request = (String, String, String);
-type Answer = dyn Fn(&Request, &mut TcpStream) + Send + Sync;
-
-/// A server that notes what it is asked.
-struct Web {
-    port: u16,
-    asked: Arc<Mutex<Vec<Request>>>,
-}
-
-impl Web {
-    fn start(answer: impl Fn(&Request, &mut TcpStream) + Send + Sync + 'static) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-        let port = listener.local_addr().expect("an address").port();
-        let asked = Arc::new(Mutex::new(Vec::new()));
-        let (noted, answer): (_, Arc<Answer>) = (Arc::clone(&asked), Arc::new(answer));
-        std::thread::spawn(move || {
-            for stream in listener.incoming().flatten() {
-                let (noted, answer) = (Arc::clone(&noted), Arc::clone(&answer));
-                std::thread::spawn(move || serve(stream, &noted, &*answer));
-            }
-        });
-        Self { port, asked }
-    }
-
-    /// The bodies of all requests for this.
-    fn asked(&self, what: &str) -> Vec<Request> {
-        let asked = self.asked.lock().expect("requests");
-        let meant = asked.iter().filter(|(line, ..)| line == what);
-        meant.cloned().collect()
-    }
-
-    #[track_caller]
-    fn wait_for(&self, what: &str) -> Request {
-        until(what, PATIENCE, || self.asked(what).pop())
-    }
-}
-
-fn serve(mut stream: TcpStream, noted: &Mutex<Vec<Request>>, answer: &Answer) {
-    let mut reader = BufReader::new(stream.try_clone().expect("a stream"));
-    let mut line = String::new();
-    let _ = reader.read_line(&mut line);
-    let what = line.trim_end().trim_end_matches(" HTTP/1.1").to_owned();
-    let (mut headers, mut length) = (String::new(), 0);
-    loop {
-        let mut header = String::new();
-        let _ = reader.read_line(&mut header);
-        let header = header.trim_end().to_owned();
-        if header.is_empty() {
-            break;
-        }
-        if let Some(number) = header.to_lowercase().strip_prefix("content-length: ") {
-            length = number.parse().expect("a length");
-        }
-        headers.push_str(&header);
-        headers.push('\n');
-    }
-    let mut body = vec![0; length];
-    let _ = reader.read_exact(&mut body);
-    let body = String::from_utf8(body).expect("UTF-8");
-    let request = (what, headers, body);
-    noted.lock().expect("requests").push(request.clone());
-    answer(&request, &mut stream);
-}
-
-fn say(stream: &mut TcpStream, status: &str, body: &str) {
-    let length = body.len();
-    let head =
-        format!("HTTP/1.1 {status}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n");
-    let _ = stream.write_all(format!("{head}{body}").as_bytes());
-}
-
-/// `ztl serve` with components of a handler `p`.
-struct Served {
-    server: Server,
-    scope: &'static str,
-    scratch: Scratch,
-}
-
-impl Served {
-    #[track_caller]
-    fn file(scope: &'static str, text: &str) -> Self {
-        let scratch = Scratch::new();
-        std::fs::write(scratch.path("token.txt"), "s3cret\n").expect("to write");
-        let path = scratch.path("robot.yaml");
-        std::fs::write(&path, text).expect("to write");
-        let server = Server::start(ztl().arg("serve").arg(&path).args(["-p", "0"]));
-        Self {
-            server,
-            scope,
-            scratch,
-        }
-    }
-
-    #[track_caller]
-    fn new(web: &Web, components: &str) -> Self {
-        let hosts = format!("http: {{robot: '127.0.0.1:{}'}}", web.port);
-        let text = format!("{hosts}\nscopes: {{/test: {{p: {{\n{components}}}}}}}");
-        Self::file("/test", &text)
-    }
-
-    #[track_caller]
-    fn remote(&self) -> RemoteTask {
-        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
-    }
-
-    /// [`outcome`] of a task.
-    #[track_caller]
-    fn run(&self, handler: &str, component: &str, goal: &str) -> (State, String) {
-        outcome(&mut self.remote(), handler, component, goal)
-    }
-
-    #[track_caller]
-    fn trigger(&self, handler: &str, component: &str, goal: &str) -> (RemoteTask, TaskId) {
-        let mut remote = self.remote();
-        let id = start(&mut remote, handler, component, goal);
-        (remote, id)
-    }
-}
-
-const SUCCESS: &str = r#"{"result": true, "status": "Success"}"#;
-
-/// A stand-in for Misty, as its documentation says.
-fn misty() -> Web {
-    Web::start(|(what, _, body), stream| match what.as_str() {
-        "GET /api/battery" => say(
-            stream,
-            "200 OK",
-            r#"{"result": {"chargePercent": 0.87}, "status": "Success"}"#,
-        ),
-        "POST /api/images/display" if !body.contains(".jpg") => {
-            say(
-                stream,
-                "400 Bad Request",
-                r#"{"error": "no such file", "status": "Failed"}"#,
-            );
-        }
-        "POST /api/images/display"
-        | "POST /api/arms/set"
-        | "POST /api/drive/time"
-        | "POST /api/tts/speak"
-        | "POST /api/tts/stop"
-        | "POST /api/halt"
-        | "POST /api/head"
-        | "POST /api/led" => say(stream, "200 OK", SUCCESS),
-        _ => say(stream, "404 Not Found", ""),
-    })
-}
-
-#[test]
-fn the_example_for_misty_shows_moves_drives_speaks_and_halts() {
-    let web = misty();
-    let text = std::fs::read_to_string(project("examples/serve/misty.yaml")).expect("an example");
-    let text = text.replace("192.168.1.50", &format!("'127.0.0.1:{}'", web.port));
-    let misty = Served::file("/misty", &text);
-    let success = (
-        Completed,
-        "{'result': True, 'status': 'Success'}".to_owned(),
-    );
-    for (handler, component, goal, request, body) in [
-        (
-            "face",
-            "show",
-            "e_Joy.jpg",
-            "POST /api/images/display",
-            r#"{"FileName":"e_Joy.jpg"}"#,
-        ),
-        (
-            "face",
-            "led",
-            "{red: 255, green: 0, blue: 7}",
-            "POST /api/led",
-            r#"{"red":255,"green":0,"blue":7}"#,
-        ),
-        (
-            "arms",
-            "move",
-            "{left: -29, right: 90}",
-            "POST /api/arms/set",
-            r#"{"LeftArmPosition":-29,"RightArmPosition":90,"LeftArmVelocity":60,"RightArmVelocity":60,"Units":"degrees"}"#,
-        ),
-        (
-            "head",
-            "look",
-            "{yaw: 10.5}",
-            "POST /api/head",
-            r#"{"Pitch":0,"Roll":0,"Yaw":10.5,"Velocity":60,"Units":"degrees"}"#,
-        ),
-        (
-            "base",
-            "drive",
-            "{speed: 10, ms: 100}",
-            "POST /api/drive/time",
-            r#"{"LinearVelocity":10,"AngularVelocity":0,"TimeMs":100}"#,
-        ),
-        (
-            "tts",
-            "say",
-            "he said \"hi\", {x}",
-            "POST /api/tts/speak",
-            r#"{"Text":"he said \"hi\", {x}","Flush":false}"#,
-        ),
-    ] {
-        assert_eq!(misty.run(handler, component, goal), success, "{component}");
-        let (_, headers, sent) = web.wait_for(request);
-        assert_eq!(sent, body, "{component}");
-        assert!(
-            headers
-                .to_lowercase()
-                .contains("content-type: application/json"),
-            "{headers}"
-        );
-    }
-    assert_eq!(
-        misty.run("battery", "level", ""),
-        (Completed, "0.87".to_owned())
-    );
-    let failed = "status 400: {'error': 'no such file', 'status': 'Failed'}";
-    assert_eq!(
-        misty.run("face", "show", "joy"),
-        (Failed, failed.to_owned())
-    );
-
-    let (mut remote, task) = misty.trigger("base", "drive", "{speed: 10, ms: 10000}");
-    web.wait_for("POST /api/drive/time");
-    remote.abort(task).expect("an answer");
-    assert_eq!(end(&mut remote, task), (Aborted, "aborted".to_owned()));
-    assert!(!web.asked("POST /api/halt").is_empty());
-}
+use web::{Served, Web, Wire, say};
 
 #[test]
 fn nothing_of_a_goal_becomes_structure() {
@@ -303,7 +75,7 @@ fn redirects_endless_answers_and_closed_connections_are_bounded_and_clear() {
     let other = Web::start(|_, stream| say(stream, "200 OK", "other"));
     let port = other.port;
     let web = Web::start(move |(what, ..), stream| {
-        let redirect = |stream: &mut TcpStream, status: &str, to: &str| {
+        let redirect = |stream: &mut Wire, status: &str, to: &str| {
             let head = format!(
                 "HTTP/1.1 {status}\r\nLocation: {to}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
             );
@@ -459,7 +231,8 @@ fn an_abort_reaches_a_robot_that_has_not_answered_and_again_after_its_answer() {
 fn mistakes_of_the_file_have_their_places() {
     let scratch = Scratch::new();
     let path = scratch.path("robot.yaml");
-    let text = "http: {robot: 'a b'}
+    std::fs::write(scratch.path("empty.pem"), "").expect("to write");
+    let text = "http: {robot: 'a b', safe: {host: 10.0.0.7, certificate: empty.pem}}
 scopes: {/test: {p: {
     a: {http: {post: 'http://{robt}/x', json: {}}},
     b: {http: {post: 'ftp://10.0.0.7/x'}},
@@ -468,7 +241,12 @@ scopes: {/test: {p: {
     e: {http: {post: 'http://{goal}/x'}},
     f: {http: {post: 'http://10.0.0.7/', put: 'http://10.0.0.7/', done: 99}},
     g: {http: {post: 'http://10.0.0.7/', headers: {Authorization: x}, progress: {get: 'http://10.0.0.7/'}}},
-    h: {http: {post: 'http://10.0.0.7/', for: 1 s, bearer: nowhere.txt, done: {field: a..b, is: 1}}}}}}";
+    h: {http: {post: 'http://10.0.0.7/', for: 1 s, bearer: nowhere.txt, done: {field: a..b, is: 1}}},
+    i: {http: {post: 'ws://10.0.0.7/', json: '{answer.id}', event: {post: 'ws://10.0.0.7/', until: 200}}},
+    j: {http: {event: {get: 'http://10.0.0.7/', send: 1, until: {event: x}, ready: {has: ''}}}},
+    k: {http: {for: 1 s, event: {get: 'wss://{safe}:x/', until: {event: x}}}},
+    l: {http: {get: 'http://{safe}/', event: {get: 'ws://{safe}/'}}}}}}
+streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event: 1, x: 1}, frame: line}}}";
     std::fs::write(&path, text).expect("to write");
     let mut command = ztl();
     command.arg("serve").arg(&path).args(["-p", "0", "--check"]);
@@ -487,6 +265,19 @@ scopes: {/test: {p: {
         ":9:52: write bearer: FILE or basic: FILE",
         "until: {field: state, is: idle}",
         ":10:87: 'a..b' is not a field of the answer",
+        ":1:58: ",
+        "empty.pem: no certificate: expected PEM",
+        ":11:22: 'ws://10.0.0.7/' is not an address",
+        ":11:46: '{answer}' is known only after the answer",
+        ":11:68: events are asked for with get, without a body",
+        ":11:100: '200' is not {field: state, is: idle}",
+        ":12:55: only a WebSocket takes messages",
+        ":12:90: '' is not a field of the answer",
+        ":13:33: give only one of: for, progress, event",
+        ":14:46: 'until' is missing",
+        ":15:41: no goal has 'x': it is nothing",
+        ":15:85: unknown key 'x'",
+        ":15:99: each message is a frame; leave this out",
     ] {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }

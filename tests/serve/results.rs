@@ -79,7 +79,7 @@ fn an_option_like_goal_or_invalid_argument_is_rejected() {
     assert!(
         ended
             .stdout
-            .contains("1:13: server 'p': '-n' begins with '-'"),
+            .contains("1:18: server 'p': '-n' begins with '-'"),
         "{ended:?}"
     );
     assert!(ended.stdout.contains("1 mistake"), "{ended:?}");

@@ -36,6 +36,8 @@ fn main() -> io::Result<()> {
         "node.rs",
         "node",
         "parameters",
+        "update.rs",
+        "update",
     ];
     for name in names {
         collect(&mcu.join(name), &mut files)?;
@@ -63,7 +65,7 @@ fn main() -> io::Result<()> {
     }
     let modules = format!(
         "#[path = {:?}]\n/// The node.\npub mod mcu {{\n\
-         mod acting;\npub mod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\n\
+         mod acting;\npub mod bus;\nmod component;\npub mod describe;\npub mod log;\nmod node;\npub mod parameters;\npub mod update;\n\
          pub use acting::{{Acting, OwnWork}};\n\
          pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\
@@ -130,6 +132,9 @@ fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
     };
     *text = text
         .replace("use crate::", &format!("use {inside}"))
-        .replace("in crate::", &format!("in {inside}"));
+        .replace("in crate::", &format!("in {inside}"))
+        .replace("&crate::", &format!("&{inside}"))
+        .replace("mut crate::", &format!("mut {inside}"))
+        .replace("dyn crate::", &format!("dyn {inside}"));
     lost
 }

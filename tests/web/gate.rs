@@ -338,6 +338,11 @@ fn it_says_what_is_wrong_with_its_files() {
             &format!("other.pem: not the key of {certificate}"),
         ),
         (
+            vec!["--tls", "/dev/zero", &wrong],
+            "/dev/zero: it is not a regular file",
+        ),
+        (vec!["-s", &missing], "missing: No such file"),
+        (
             vec!["--host", "https://robot.local"],
             "expected a name such as robot.local, without http:// and without a port",
         ),

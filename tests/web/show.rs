@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use ztl_std::{ExecutableTask, TaskContext, TaskController, TaskError, TaskRequest};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, busy, port_of, serve, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, busy, port_of, serve, until, ztl};
 
 use crate::client::Client;
 use crate::console::{Console, node, port, web};
@@ -477,6 +477,26 @@ scopes:
       held: {shell: 'until test -e released; do sleep 0.1; done'}
       flaky: {shell: 'test -e tried || { touch tried; exit 1; }'}
 ";
+
+#[test]
+fn a_task_of_the_original_without_progress_has_no_text() {
+    let robot = Server::original_with_patient_tasks();
+    let files = Scratch::new();
+    let path = files.path("show.yaml");
+    let script = "one: {nap: {nap(remote=ours): {for: x}}}\n";
+    fs::write(&path, script).expect("a file");
+    let path = path.display().to_string();
+    let (_console, url) = web(0, &[("ours", robot.port)], &["--script", &path]);
+    let mut client = Client::open(port(&url));
+    client.subscribe("/ztl/show");
+    let question = asked(&mut client, 0);
+    assert!(command(&mut client, "start", &question).0);
+    // The answer to the INIT has a text, those to STATUS have none.
+    client.topic("/ztl/show", |show| {
+        let task = &show["steps"][0]["tasks"][0];
+        task["state"] == "accepted" && task["text"] == ""
+    });
+}
 
 #[test]
 fn each_command_of_the_show_works_by_a_tap() {

@@ -378,3 +378,25 @@ fn a_server_of_the_original_is_told_to_stop_each_goal_of_this_console() {
         "{told:?}"
     );
 }
+
+#[test]
+fn a_task_of_the_original_whose_state_cannot_be_learnt_is_shown_and_stopped() {
+    let robot = Server::original_with_patient_tasks();
+    let (_console, mut client) = console(robot.port);
+    client.goal("g", "/test/nap/for", &json!({ "goal": "mute" }));
+    let result = client.result("g");
+    assert_eq!(result["values"]["state"], "UNKNOWN", "{result}");
+    let task = client.task(|task| task["state"] == "UNKNOWN");
+    assert_eq!(task["task"], "nap:for:mute");
+    let stop = client.call("/ztl/stop", &json!({}));
+    robot.process.wait_for("abort mute");
+    let told = told(&stop);
+    assert!(
+        !told[0].0
+            && told[0]
+                .1
+                .contains("1 of this console were asked to stop, 1 of them have ended"),
+        "{told:?}"
+    );
+    client.topic("/ztl/tasks", |list| list["tasks"] == json!([]));
+}

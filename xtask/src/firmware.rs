@@ -35,8 +35,13 @@ const POSTCARD: &str = "postcard";
 /// An image that saves parameters in flash, and the feature that it needs.
 const FLASH: &str = "flash";
 
+/// The bootloader, images that are updated with it, and the feature that all of them need.
+const BOOT: &str = "boot";
+const UPDATABLE: [&str; 2] = ["update", "updated"];
+
 /// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the same
-/// by another project, with an async driver, with parameters, with parameters that are saved, a bare serial port, and
+/// by another project, with an async driver, with parameters, with parameters that are saved, a
+/// bootloader and two versions of a lamp for it, a bare serial port, and
 /// servers for ZeroMQ clients without a gateway; an I2C servo driver, and the robot as an RTIC app.
 const MORE: &[(&str, &[&str])] = &[
     (
@@ -49,6 +54,9 @@ const MORE: &[(&str, &[&str])] = &[
             ASYNC,
             "parameters",
             FLASH,
+            BOOT,
+            UPDATABLE[0],
+            UPDATABLE[1],
             "uart",
             "zmtp",
         ],
@@ -110,17 +118,23 @@ pub(crate) fn run_in_qemu(project: &Project, name: &str, port: u16) -> Result<()
 }
 
 /// Whether an image has much code that is not ours and may panic or format text: a network stack, embassy's HAL,
-/// postcard-rpc, `sequential-storage`.
+/// postcard-rpc, `sequential-storage`, `embassy-boot`.
 pub(crate) fn has_foreign_code(image: &str) -> bool {
-    [NETWORKED, POSTCARD, FLASH]
+    [NETWORKED, POSTCARD, FLASH, BOOT]
         .iter()
+        .chain(&UPDATABLE)
         .any(|name| image.ends_with(name))
         || image.starts_with("pico")
 }
 
-/// Whether an image needs the feature of its name.
-fn needs_feature(image: &str) -> bool {
-    [NETWORKED, ASYNC, FLASH, RTIC, POSTCARD].contains(&image)
+/// The feature that an image needs, if any.
+fn feature(image: &'static str) -> Option<&'static str> {
+    if UPDATABLE.contains(&image) {
+        return Some(BOOT);
+    }
+    [NETWORKED, ASYNC, FLASH, RTIC, POSTCARD, BOOT]
+        .into_iter()
+        .find(|feature| *feature == image)
 }
 
 /// Whether an image has async functions.
@@ -133,8 +147,14 @@ pub(crate) fn check(project: &Project) -> Result<()> {
     for board in boards(&project.sh)? {
         // Debian's compiler is not the one that clippy belongs to.
         if let core @ Core::Compiled(_) = Core::provide(&project.sh, &board.target)? {
-            let special = images(&board).iter().filter(|image| needs_feature(image));
-            let features = special.map(|feature| vec!["--features", *feature]);
+            let mut special: Vec<_> = images(&board)
+                .iter()
+                .filter_map(|image| feature(image))
+                .collect();
+            special.dedup();
+            let features = special
+                .into_iter()
+                .map(|feature| vec!["--features", feature]);
             for features in core::iter::once(Vec::new()).chain(features) {
                 let clippy = core.cargo(project, "clippy", &board.target, "firmware")?;
                 let clippy = clippy.args(["--release", "--manifest-path", MANIFEST, "--package"]);
@@ -161,8 +181,8 @@ pub(crate) fn build(project: &Project, board: &Board) -> Result<Vec<PathBuf>> {
     for image in images(board) {
         // They do not log.
         let mut features = vec!["--no-default-features"];
-        if needs_feature(image) {
-            features.extend(["--features", *image]);
+        if let Some(feature) = feature(image) {
+            features.extend(["--features", feature]);
         }
         let image = format!("{}-{image}", board.name);
         paths.push(build_image(project, board, &image, &features)?);

@@ -65,11 +65,12 @@ impl Soak {
     }
 }
 
-/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, actions of ROS 1, and parts of the server comparison.
-pub(crate) const PARTS: [&str; 13] = [
+/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, actions of ROS 1, calls of NAOqi, and parts of the server comparison.
+pub(crate) const PARTS: [&str; 14] = [
     "firmware",
     "web",
     "ros1",
+    "naoqi",
     "rates",
     "most",
     "cpu",
@@ -87,10 +88,14 @@ pub(crate) const PARTS: [&str; 13] = [
 pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
     let all = parts.is_empty();
     let wanted = |part: &str| all || parts.iter().any(|wanted| wanted == part);
-    let others = |part: &&String| !["firmware", "web", "ros1"].contains(&part.as_str());
+    let others = |part: &&String| !["firmware", "web", "ros1", "naoqi"].contains(&part.as_str());
     let server: Vec<_> = parts.iter().filter(others).collect();
     if wanted("ros1") {
         install::actionlib(&project.sh)?;
+    }
+    if wanted("naoqi") {
+        install::naoqi(project)?;
+        project.cargo(BUILD).run()?;
     }
     if all || !server.is_empty() {
         install::python(project)?;
@@ -99,11 +104,12 @@ pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
         let bench = project.cargo(&format!("bench --package ztl-tests{choice}"));
         bench.args(server).run()?;
     }
-    // It is among all benchmarks.
-    if !all && wanted("ros1") {
-        project
-            .cargo("bench --package ztl-tests --bench ros1")
-            .run()?;
+    // They are among all benchmarks.
+    for part in ["ros1", "naoqi"] {
+        if !all && wanted(part) {
+            let bench = format!("bench --package ztl-tests --bench {part}");
+            project.cargo(&bench).run()?;
+        }
     }
     if wanted("web") {
         install::javascript(project)?;

@@ -7,7 +7,7 @@ use xshell::cmd;
 use crate::cross;
 use crate::project::{PACKAGE, Project};
 
-/// In an order in which they can be published.
+/// In an order in which they can be published. Without `ztl-fleet`, a beginning that is not published.
 #[rustfmt::skip]
 const CRATES: [&str; 15] = [
     "ztl-core", "ztl-zmtp", "ztl-mcu", "ztl-link", "ztl-yaml", "ztl-pickle", "ztl-naoqi", "ztl-std", "ztl-script", "ztl-record", "ztl-ros1", "ztl-serve", "ztl-sim", "ztl-web", "ztl",

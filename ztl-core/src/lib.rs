@@ -16,6 +16,7 @@ pub mod goal;
 pub mod integer;
 pub mod lifecycle;
 pub mod link;
+pub mod manifest;
 pub mod memory;
 pub mod message;
 pub mod reply;

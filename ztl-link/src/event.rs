@@ -3,6 +3,7 @@
 use ztl_core::{State, TaskId};
 
 use crate::parameters::ParameterAnswer;
+use crate::update::UpdateAnswer;
 
 /// A change of a task or of the link.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +33,8 @@ pub enum LinkEvent {
     Reported(String),
     /// The answer to the request about parameters with this number.
     Parameter(u64, ParameterAnswer),
+    /// The answer to the request about updates with this number.
+    Update(u64, UpdateAnswer),
     /// A reading, with the number of its topic.
     Reading(u8, Vec<u8>),
     /// The next bytes of the firmware's log.

@@ -16,6 +16,7 @@ mod session;
 mod state;
 mod statistics;
 mod task;
+mod update;
 
 pub use device::{ComponentInfo, DeviceInfo};
 pub use event::LinkEvent;
@@ -26,3 +27,4 @@ pub use parameters::{
 };
 pub use state::{BusNeeds, Session};
 pub use statistics::{LinkCounters, RoundTrips};
+pub use update::{FirmwareInfo, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest};

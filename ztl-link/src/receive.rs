@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use ztl_core::link::parameter::NO_COMPONENT;
+use ztl_core::link::update::TAKES_UPDATES;
 use ztl_core::link::{
     Body, DESCRIPTION_PART, Frame, FrameError, LINK_TIMEOUTS, LinkId, NO_SEQ, NO_SESSION, VERSION,
     Welcome, session_key,
@@ -140,11 +141,17 @@ impl<J: SessionJournal> Session<J> {
             self.own.on_boot(welcome.replaces);
         }
         self.on_reset(now, welcome);
-        let (components, parameters, known_parameters) = match known {
-            Some(it) => (it.components, it.parameters, it.known_parameters),
+        let (components, parameters, known_parameters, updates) = match known {
+            Some(it) => (
+                it.components,
+                it.parameters,
+                it.known_parameters,
+                it.updates,
+            ),
             None => {
                 // Their numbers are those of another boot [13.9].
                 self.fail_parameter_requests();
+                self.fail_update_requests();
                 Default::default()
             }
         };
@@ -158,6 +165,7 @@ impl<J: SessionJournal> Session<J> {
             components,
             parameters,
             known_parameters,
+            updates,
         });
         self.compare_held(now, welcome);
         self.ask_about_own_soon(now);
@@ -301,6 +309,7 @@ impl<J: SessionJournal> Session<J> {
                 if let Some(device) = &mut self.device {
                     if component == NO_COMPONENT {
                         device.parameters = bytes.first().copied().unwrap_or_default();
+                        device.updates = bytes.get(1) == Some(&TAKES_UPDATES);
                     } else if let Some(known) = device.components.get_mut(usize::from(component)) {
                         known.description.extend_from_slice(bytes);
                     }
@@ -320,6 +329,7 @@ impl<J: SessionJournal> Session<J> {
             }
             (CommandKind::Ping, Body::Pong { clock_ms, .. }) => self.clock = Some((clock_ms, now)),
             (CommandKind::Parameter, body) if self.on_parameter_answer(&body) => {}
+            (CommandKind::Update, body) if self.on_update_answer(&body) => {}
             // The outcome will be reported, or was reported already.
             (CommandKind::Abort(link), Body::Aborting { task }) if task == link => {
                 self.on_abort_answered(link);

@@ -83,7 +83,7 @@ impl<J: SessionJournal> Session<J> {
     }
 
     /// Sends the most urgent command if none is in flight: aborts, starts, questions for descriptions, requests
-    /// about parameters, pings.
+    /// about parameters and updates, pings.
     pub(crate) fn next_command(&mut self, now: Instant) {
         if self.in_flight.is_some() || self.phase != Phase::Up {
             return;
@@ -99,7 +99,7 @@ impl<J: SessionJournal> Session<J> {
         if let Some(index) = self.next_part {
             let command = CommandKind::DescribePart(index);
             self.command(now, command, Body::Describe { index });
-        } else if self.send_parameter_request(now) {
+        } else if self.send_parameter_request(now) || self.send_update_request(now) {
             // It is in flight.
         } else if now >= self.ping_due() {
             self.command(now, CommandKind::Ping, Body::Ping);

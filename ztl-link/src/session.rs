@@ -19,6 +19,7 @@ use crate::own::Own;
 use crate::state::{BusNeeds, CommandKind, Phase, START_LIMIT, Session};
 use crate::statistics::{LinkCounters, RoundTrips};
 use crate::task::{Stage, Task};
+use crate::update::Updates;
 
 impl Session {
     /// A session that is not connected and has no journal. `random` returns numbers for sessions.
@@ -51,6 +52,7 @@ impl<J: SessionJournal> Session<J> {
             next_part: None,
             parameter_asked: None,
             parameter_requests: VecDeque::new(),
+            updates: Updates::default(),
             write_again: None,
             highest: 0,
             clock: None,
@@ -293,6 +295,7 @@ impl<J: SessionJournal> Session<J> {
             self.events.push_back(LinkEvent::Lost);
         }
         self.fail_parameter_requests();
+        self.fail_update_requests();
         let carrying: Vec<TaskId> = self
             .tasks
             .iter()

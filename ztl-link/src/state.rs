@@ -12,6 +12,7 @@ use crate::own::Own;
 use crate::parameters::ParameterRequest;
 use crate::statistics::{LinkCounters, RoundTrips};
 use crate::task::Task;
+use crate::update::Updates;
 
 /// A node refuses a `Start` that arrives later than this after the client's INIT.
 pub(crate) const START_LIMIT: Duration = Duration::from_millis(1000);
@@ -42,6 +43,8 @@ pub(crate) enum CommandKind {
     Ping,
     /// The request in [`Session::parameter_asked`].
     Parameter,
+    /// The request in [`Session::updates`].
+    Update,
 }
 
 /// The command that was sent and is not answered.
@@ -105,6 +108,7 @@ pub struct Session<J = ()> {
     /// The request about parameters in flight, and those that wait, each with its number.
     pub(crate) parameter_asked: Option<(u64, ParameterRequest)>,
     pub(crate) parameter_requests: VecDeque<(u64, ParameterRequest)>,
+    pub(crate) updates: Updates,
     /// When to retry outcomes that could not be written.
     pub(crate) write_again: Option<Instant>,
     /// The highest link id that the device is known to have started. The next `Start` uses the one above, so that a

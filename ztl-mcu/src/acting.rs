@@ -64,7 +64,7 @@ impl<C> Acting<C> {
 impl<C: Components> Components for Acting<C> {
     const ACTING: bool = true;
 
-    forward!(components: parts descriptions bus parameters);
+    forward!(components: parts descriptions bus parameters updates);
 
     fn own_work(&self) -> Option<&OwnWork> {
         Some(&self.own)

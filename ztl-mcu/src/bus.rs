@@ -154,7 +154,7 @@ impl<C> OnBus<C> {
 }
 
 impl<C: Components> Components for OnBus<C> {
-    forward!(components: parts descriptions own_work parameters);
+    forward!(components: parts descriptions own_work parameters updates);
 
     fn bus(&self) -> Option<&BusState> {
         Some(&self.state)

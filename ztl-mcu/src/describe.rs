@@ -31,6 +31,7 @@
 use ztl_core::Instant;
 use ztl_core::link::DESCRIPTION_PART;
 use ztl_core::link::parameter::NO_COMPONENT;
+use ztl_core::link::update::TAKES_UPDATES;
 
 use crate::acting::{Acting, OwnWork};
 use crate::bus::BusState;
@@ -98,14 +99,16 @@ pub struct Described<C>(pub C);
 impl<C: Components + DescribeAll> Components for Described<C> {
     const DESCRIBED: bool = {
         assert!(
-            parts(C::DESCRIPTIONS) + C::DESCRIPTIONS.len() + (C::PARAMETER_COUNT > 0) as usize
+            parts(C::DESCRIPTIONS)
+                + C::DESCRIPTIONS.len()
+                + (C::PARAMETER_COUNT > 0 || C::UPDATES) as usize
                 <= 256,
             "the descriptions are too long: 48 bytes for each index that is not a component's"
         );
         true
     };
 
-    forward!(0: parts bus own_work parameters);
+    forward!(0: parts bus own_work parameters updates);
 
     fn description(&self, index: usize) -> &str {
         C::DESCRIPTIONS.get(index).copied().unwrap_or_default()
@@ -124,11 +127,11 @@ const fn parts(descriptions: &[&str]) -> usize {
 
 /// Whether there is anything for an index beyond the components.
 pub(crate) const fn has_parts<C: Components>() -> bool {
-    C::DESCRIBED || C::PARAMETER_COUNT > 0
+    C::DESCRIBED || C::PARAMETER_COUNT > 0 || C::UPDATES
 }
 
 /// The part of the descriptions for an index beyond the components: the component, and the next bytes of its
-/// description. The last one announces the parameters ([13.1]).
+/// description. The last one announces parameters ([13.1]) and updates ([16.1]).
 pub(crate) fn part<C: Components>(components: &C, index: u8) -> Option<(u8, &[u8])> {
     let count = components.count();
     let mut before = usize::from(index).checked_sub(count)?;
@@ -140,6 +143,10 @@ pub(crate) fn part<C: Components>(components: &C, index: u8) -> Option<(u8, &[u8
             }
             before -= 1;
         }
+    }
+    if C::UPDATES && before == 0 {
+        let announced = const { &[C::PARAMETER_COUNT, TAKES_UPDATES] };
+        return Some((NO_COMPONENT, announced));
     }
     (C::PARAMETER_COUNT > 0 && before == 0)
         .then_some((NO_COMPONENT, const { &[C::PARAMETER_COUNT] }))

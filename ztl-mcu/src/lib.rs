@@ -70,6 +70,7 @@
 //! | run the main loop on a serial port | [`pump::Pump`]; as a future, `Pump::run` | `async` for the future |
 //! | use a port of a HAL on `embedded-io` 0.6 | `pump::Io06` | `embedded-io-06` |
 //! | share data with interrupts | `shared`: received bytes (also by DMA), emergency stop, limit switches, log | `critical-section` |
+//! | take firmware updates over the link | [`update::Updatable`]; with the bootloader `embassy-boot`, `update::Slots` | `embassy-boot` for the latter |
 //! | share a half-duplex line with other nodes (RS-485) | [`bus`] | |
 //! | send defmt's log over the link | `defmt_logger!` | `defmt` |
 //! | use the protocol directly | [`link`], and `docs/link.md` | |
@@ -98,6 +99,7 @@ pub mod pump;
 mod reading;
 #[cfg(feature = "critical-section")]
 pub mod shared;
+pub mod update;
 #[cfg(feature = "zmtp")]
 pub mod zmtp;
 

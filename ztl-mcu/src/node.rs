@@ -12,6 +12,7 @@ mod refusal;
 mod runner;
 pub(crate) mod tasks;
 mod transmit;
+mod update;
 pub(crate) mod utf8;
 
 use core::hash::{Hash, Hasher};
@@ -240,7 +241,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         let sessions = [self.state.session, NO_SESSION];
         match self.decoder.command(&sessions) {
             Ok(frame) => self.state.on_frame(now, &frame, &mut self.counters),
-            Err(FrameError::Body(_)) if C::ACTING || C::PARAMETER_COUNT > 0 => {
+            Err(FrameError::Body(_)) if C::ACTING || C::PARAMETER_COUNT > 0 || C::UPDATES => {
                 self.on_other_frame(now);
             }
             Err(_) => self.on_damage(),
@@ -248,7 +249,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         self.decoder.reset();
     }
 
-    /// Handles what only some nodes know: commands about parameters, and answers about tasks and events of the firmware.
+    /// Handles what only some nodes know: commands about parameters and updates, and answers about tasks and events of the firmware.
     fn on_other_frame(&mut self, now: Instant) {
         let session = self.state.session;
         if session == NO_SESSION {
@@ -259,6 +260,12 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         {
             let counters = &mut self.counters;
             return self.state.on_parameter_command(now, command, counters);
+        }
+        if C::UPDATES
+            && let Ok(command) = self.decoder.update_command(session)
+        {
+            let counters = &mut self.counters;
+            return self.state.on_update_command(now, command, counters);
         }
         let address = self.state.address();
         if C::ACTING
@@ -280,6 +287,9 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     pub fn handle_timeout(&mut self, now: Instant) {
         self.state.check_link_timer(now);
         self.state.runner.handle_timeout(now);
+        if C::UPDATES {
+            self.state.on_update_timeout(now);
+        }
     }
 
     /// Writes the next bytes to send into `buffer` and returns how many. Fewer than the buffer holds means that
@@ -325,7 +335,11 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
 
     /// When `handle_timeout` has work, or [`Instant::NEVER`].
     pub(crate) fn next_move(&self) -> Instant {
-        self.state.lost_at.min(self.state.runner.next_move())
+        let next = self.state.lost_at.min(self.state.runner.next_move());
+        if C::UPDATES {
+            return next.min(self.state.next_update());
+        }
+        next
     }
 
     /// When there is something to send, or [`Instant::NEVER`].

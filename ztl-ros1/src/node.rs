@@ -3,6 +3,7 @@
 mod actions;
 mod api;
 mod engine;
+mod fit;
 mod net;
 mod registrar;
 mod rpc;
@@ -10,7 +11,7 @@ mod service;
 mod topics;
 
 use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs, UdpSocket};
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -22,13 +23,13 @@ use crate::uri::Address;
 use crate::xmlrpc::Value;
 use crate::{ActionTypes, WireType};
 use engine::{Engine, Identity};
+pub use fit::TypeConflict;
 pub use net::NetError;
 use net::{Net, Wake};
 pub use rpc::CallError;
+pub(crate) use rpc::read_offer;
 pub use service::ServiceError;
 use topics::Consumer;
-pub use topics::TypeConflict;
-pub(crate) use topics::read_offer;
 
 /// How long the master or a node may take to answer a question of the owner.
 const ANSWER: Duration = Duration::from_secs(5);
@@ -313,6 +314,17 @@ impl Node {
         method: &str,
         params: &[Value],
     ) -> Result<Value, CallError> {
+        let answer = self.ask_soon(uri, method, params);
+        answer.recv().unwrap_or(Err(CallError::Stopped))
+    }
+
+    /// Calls the master, or this node, without waiting.
+    pub(crate) fn ask_soon(
+        &self,
+        uri: Option<String>,
+        method: &str,
+        params: &[Value],
+    ) -> Receiver<Result<Value, CallError>> {
         let (method, params) = (method.to_owned(), params.to_vec());
         let (answered, answer) = channel();
         self.mailbox.send(move |engine, now| {
@@ -322,7 +334,7 @@ impl Node {
             let then = move |_: &mut Engine, _: Instant, answer| drop(answered.send(answer));
             engine.rpc(now, &uri, &method, &all, ANSWER, Box::new(then));
         });
-        answer.recv().unwrap_or(Err(CallError::Stopped))
+        answer
     }
 
     /// Has the thread do something, and waits for it.

@@ -1,10 +1,14 @@
 //! What is there: the nodes, topics, actions and services that a master knows.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::mpsc::Receiver;
 
 use crate::action::wire::STATUS_TYPE;
 use crate::node::{CallError, Node};
 use crate::xmlrpc::Value;
+
+/// Nodes that are asked at once.
+const AT_ONCE: usize = 64;
 
 /// What a master knows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -23,8 +27,8 @@ pub struct Survey {
 }
 
 impl Node {
-    /// Asks the master what is there, and each node whether it lives. Blocks for up to some seconds for each node that
-    /// does not answer.
+    /// Asks the master what is there, and each node whether it lives. Blocks for up to some seconds for each 64 nodes of
+    /// which one does not answer.
     ///
     /// # Errors
     /// If the master does not answer.
@@ -34,12 +38,10 @@ impl Node {
         let state = self.ask_master("getSystemState", &[])?;
         let parts = state.as_array().unwrap_or_default();
         let lists: Vec<_> = parts.iter().map(lists).collect();
-        let mut nodes = BTreeMap::new();
-        for name in lists.iter().flat_map(BTreeMap::values).flatten() {
-            nodes
-                .entry(name.clone())
-                .or_insert_with(|| self.look_at(name));
-        }
+        let names: BTreeSet<_> = lists.iter().flat_map(BTreeMap::values).flatten().collect();
+        let names: Vec<_> = names.into_iter().collect();
+        let nodes = names.chunks(AT_ONCE);
+        let nodes = nodes.flat_map(|names| self.look_at(names)).collect();
         let list = |index: usize| lists.get(index).cloned().unwrap_or_default();
         Ok(Survey {
             actions: actions(&published),
@@ -50,14 +52,24 @@ impl Node {
         })
     }
 
-    /// The address of a node, and what is wrong with it.
-    fn look_at(&self, name: &str) -> (String, Option<String>) {
-        let uri = match self.ask_master("lookupNode", &[name.into()]) {
-            Ok(uri) => uri.as_str().unwrap_or_default().to_owned(),
-            Err(error) => return (String::new(), Some(error.to_string())),
+    /// The addresses of nodes, and what is wrong with each; asks all at once.
+    fn look_at(&self, names: &[&String]) -> Vec<(String, (String, Option<String>))> {
+        let answer =
+            |of: Receiver<Result<Value, CallError>>| of.recv().unwrap_or(Err(CallError::Stopped));
+        let find = |name: &&String| self.ask_soon(None, "lookupNode", &[name[..].into()]);
+        let found: Vec<_> = names.iter().map(find).collect();
+        let ask = |found| {
+            let uri = answer(found)?.as_str().unwrap_or_default().to_owned();
+            let lives = self.ask_soon(Some(uri.clone()), "getPid", &[]);
+            Ok((uri, lives))
         };
-        let wrong = self.ask(&uri, "getPid", &[]).err();
-        (uri, wrong.map(|error| error.to_string()))
+        let asked: Vec<Result<_, CallError>> = found.into_iter().map(ask).collect();
+        let state = |asked| match asked {
+            Ok((uri, lives)) => (uri, answer(lives).err().map(|error| error.to_string())),
+            Err(error) => (String::new(), Some(CallError::to_string(&error))),
+        };
+        let names = names.iter().map(|name| (*name).clone());
+        names.zip(asked.into_iter().map(state)).collect()
     }
 }
 

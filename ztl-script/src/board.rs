@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use ztl_core::dispatcher::NOTHING_KNOWN;
+
 use crate::event::{
     DecidedBy, Ending, Outline, Question, RemoteOutline, RequestNumber, RunCommand, RunEvent,
     RunOutcome, ServerState, StampedEvent, TaskNumber, TaskOutline, TaskState, WaitReason,
@@ -534,6 +536,8 @@ impl Board {
             // A gateway puts the request before the reason; the screen shows the request already.
             let text = match text.split_once("' refused: ") {
                 Some((request, reason)) if request.starts_with('\'') => reason,
+                // As long as there is no progress.
+                None if text == NOTHING_KNOWN && !state.is_over() => "",
                 _ => text,
             };
             text.clone_into(&mut task.text);

@@ -126,7 +126,7 @@ impl Script {
                     let told = accepts(&handler.name, task);
                     silent &= told == Acceptance::Unknown;
                     match told {
-                        Acceptance::No(why) => Some((task.span, why, None)),
+                        Acceptance::No(why) => Some((task.goal_span, why, None)),
                         Acceptance::Yes | Acceptance::Unknown => None,
                     }
                 }

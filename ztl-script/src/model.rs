@@ -89,6 +89,8 @@ pub struct Task {
     pub limit: Option<Duration>,
     /// The goal, as it is sent.
     pub goal: String,
+    /// Its place; that of the key if nothing is written.
+    pub goal_span: Span,
     /// Place of its key.
     pub span: Span,
 }

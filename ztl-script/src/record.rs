@@ -14,12 +14,23 @@ const LONGEST: usize = 64 << 20;
 trait Target: Write {
     /// Flushes to the disk, to survive a power failure.
     fn settle(&mut self) {}
+
+    /// Whether nobody can read any more what is written.
+    fn is_deleted(&self) -> bool {
+        false
+    }
 }
 
 impl Target for File {
     fn settle(&mut self) {
         // Fails on pipes and terminals; errors that matter appear when writing.
         let _ = self.sync_data();
+    }
+
+    #[cfg(unix)]
+    fn is_deleted(&self) -> bool {
+        use std::os::unix::fs::MetadataExt as _;
+        self.metadata().is_ok_and(|of| of.nlink() == 0)
     }
 }
 
@@ -110,6 +121,9 @@ impl Recorder {
     }
 
     fn line(&mut self, event: &StampedEvent) -> io::Result<()> {
+        if self.target.is_deleted() {
+            return Err(io::Error::new(ErrorKind::NotFound, "it was deleted"));
+        }
         // Leave an incomplete line as it is, and start a new one.
         let mut line = if self.cut { vec![b'\n'] } else { Vec::new() };
         serde_json::to_writer(&mut line, event)?;

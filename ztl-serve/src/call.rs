@@ -1,7 +1,7 @@
 //! A task that a client has asked for.
 
 use ztl_core::TaskId;
-use ztl_std::describe::CheckedGoal;
+use ztl_std::describe::{CheckedGoal, GoalValue};
 
 /// A task whose goal was checked.
 #[derive(Debug, Clone)]
@@ -11,4 +11,6 @@ pub(crate) struct Call {
     pub(crate) handler: String,
     pub(crate) component: String,
     pub(crate) goal: CheckedGoal,
+    /// What a robot has answered to the task's request, for what comes after it.
+    pub(crate) answer: Option<GoalValue>,
 }

@@ -112,6 +112,7 @@ impl Components {
             handler: spec.handler.to_owned(),
             component: spec.component.to_owned(),
             goal,
+            answer: None,
         })
     }
 }

@@ -1,42 +1,42 @@
-//! Robots with an HTTP interface, such as Misty: a request is the task, or begins it.
+//! Robots with an HTTP interface, such as Misty: a request is the task, or begins it; events are streams, or end it.
 //!
 //! | file | what |
 //! |---|---|
-//! | `hosts` | `http` at the top of the file: names for hosts |
+//! | `hosts` | `http` at the top of the file: names for hosts, and their certificates |
 //! | `request` | a request of the file, and what it is for a goal |
+//! | `dial` | connections, plain or encrypted, each with its time |
+//! | `tls` | whom to trust |
 //! | `exchange` | one request and its answer, bounded |
-//! | `condition` | what an answer means |
-//! | `task` | `http`: the kind, and the thread of a task |
+//! | `events` | WebSockets and Server-Sent Events (`sse`), read on a thread |
+//! | `condition` | what an answer or an event means |
+//! | `task` | `http`: the kind |
+//! | `run` | the thread of a task, and the supervisor's side of it |
+//! | `stream` | `http-event`: events as a stream |
 
 #[cfg(feature = "http")]
 mod condition;
 #[cfg(feature = "http")]
+mod dial;
+#[cfg(feature = "http")]
+mod events;
+#[cfg(feature = "http")]
 mod exchange;
+#[cfg(feature = "http")]
 pub(crate) mod hosts;
 #[cfg(feature = "http")]
 mod request;
 #[cfg(feature = "http")]
+mod run;
+#[cfg(feature = "http")]
+mod sse;
+#[cfg(feature = "http")]
+pub(crate) mod stream;
+#[cfg(feature = "http")]
 pub(crate) mod task;
+#[cfg(feature = "http")]
+mod tls;
 
-/// What reads the kind where it is left out.
 #[cfg(not(feature = "http"))]
-pub(crate) mod task {
-    use std::sync::Arc;
-
-    use ztl_yaml::{Fields, Node};
-
-    use crate::kind::Kind;
-    use crate::reader::{ComponentContext, ConfigReader};
-
-    /// Says that it is left out.
-    pub(crate) fn read<'d>(
-        reader: &mut ConfigReader<'d>,
-        node: &'d Node,
-        _: Option<&mut Fields<'d>>,
-        _: ComponentContext<'_>,
-    ) -> Option<Arc<dyn Kind>> {
-        let message = "this ztl has no http, as those for old robots; take one built with the feature http, beside the robot";
-        reader.yaml.wrong(node, message);
-        None
-    }
-}
+mod left_out;
+#[cfg(not(feature = "http"))]
+pub(crate) use left_out::{stream, task};

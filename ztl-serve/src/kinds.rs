@@ -18,7 +18,7 @@ pub(crate) type ReadKind = for<'d> fn(
 ) -> Option<Arc<dyn Kind>>;
 
 /// Each kind by its key in the file.
-pub(crate) const KINDS: [(&str, ReadKind); 11] = [
+pub(crate) const KINDS: [(&str, ReadKind); 12] = [
     ("run", program::read::read),
     ("shell", program::read::read_shell),
     ("built-in", built_in::read),
@@ -29,6 +29,7 @@ pub(crate) const KINDS: [(&str, ReadKind); 11] = [
     ("ros1-service", ros1::service::read),
     ("ros1-parameter", ros1::parameter::read),
     ("naoqi", naoqi::call::read),
+    ("naoqi-wait", naoqi::wait::read),
     ("http", http::task::read),
 ];
 

@@ -7,12 +7,14 @@
 //! | `names` | what of the file's services, methods and signals is not there |
 //! | `call` | `naoqi`: a call of a method |
 //! | `signal` | `naoqi-event` and `naoqi-signal`, streams |
+//! | `wait` | `naoqi-wait`: a wait for an event |
 
 mod arguments;
 pub(crate) mod call;
 pub(crate) mod connection;
 pub(crate) mod names;
 pub(crate) mod signal;
+pub(crate) mod wait;
 
 use std::sync::Arc;
 

@@ -7,6 +7,7 @@ use ztl_yaml::{Diagnostic, Document, Node, Reading};
 
 use ztl_std::describe::GoalRule;
 
+#[cfg(feature = "http")]
 use crate::http::hosts::Hosts;
 use crate::naoqi::connection::Naoqi;
 use crate::ros1::connection::Ros1;
@@ -20,7 +21,10 @@ pub(crate) struct ConfigReader<'d> {
     pub(crate) warnings: Vec<Diagnostic>,
     pub(crate) ros1: Ros1,
     pub(crate) naoqi: Naoqi,
+    #[cfg(feature = "http")]
     pub(crate) http: Hosts,
+    /// Whether what is read is used after a robot's answer, so that it may use its fields.
+    pub(crate) knows_answer: bool,
 }
 
 /// What is known of a component when its kind is read.
@@ -41,7 +45,9 @@ impl<'d> ConfigReader<'d> {
             warnings: Vec::new(),
             ros1: Ros1::default(),
             naoqi: Naoqi::default(),
+            #[cfg(feature = "http")]
             http: Hosts::default(),
+            knows_answer: false,
         }
     }
 

@@ -1,4 +1,4 @@
-//! Streams: programs whose output is published, frame by frame, topics of ROS 1, and signals of NAOqi.
+//! Streams: programs whose output is published, frame by frame, topics of ROS 1, signals of NAOqi, and events over HTTP.
 
 mod outlet;
 pub(crate) mod read;
@@ -12,6 +12,7 @@ use std::time::Duration;
 
 pub use worker::Streams;
 
+use crate::http::stream::EventStream;
 use crate::naoqi::signal::Signal;
 use crate::program::settings::Program;
 use crate::ros1::topic::Topic;
@@ -43,6 +44,8 @@ pub(crate) enum Origin {
     Topic(Arc<Topic>),
     /// A signal of NAOqi.
     Signal(Arc<Signal>),
+    /// Events over a WebSocket, or Server-Sent Events.
+    Event(Arc<EventStream>),
 }
 
 impl StreamConfig {

@@ -174,6 +174,7 @@ impl Supervisor {
                 handler,
                 component: name,
                 goal,
+                answer: None,
             }),
             component_index,
             accepted: false,

@@ -5,7 +5,7 @@ use ztl_yaml::python::{self, PythonValue};
 use ztl_yaml::{Node, NodeValue};
 
 use crate::call::Call;
-use crate::program::template::Template;
+use crate::program::template::{Template, answer_part};
 use crate::reader::ConfigReader;
 
 /// A value in which some parts come from the goal.
@@ -17,6 +17,8 @@ pub(crate) enum ValueTemplate {
         path: Vec<String>,
         rule: GoalRule,
     },
+    /// The answer to the task's request, or the part of it at this path.
+    Answer(Vec<String>),
     /// A text with placeholders.
     Text(Template),
     List(Vec<ValueTemplate>),
@@ -29,6 +31,7 @@ impl ValueTemplate {
         Ok(match self {
             Self::Fixed(value) => value.clone(),
             Self::Goal { path, rule } => goal_part(call, path, rule)?,
+            Self::Answer(path) => answer_part(call, path)?.clone(),
             Self::Text(template) => GoalValue::Text(template.fill(call)?),
             Self::List(items) => {
                 let items = items.iter().map(|item| item.fill(call));
@@ -46,7 +49,7 @@ impl ValueTemplate {
     /// Whether it needs the goal as a value, not only as its text.
     pub(crate) fn needs_fields(&self) -> bool {
         match self {
-            Self::Fixed(_) => false,
+            Self::Fixed(_) | Self::Answer(_) => false,
             Self::Goal { path, .. } => !path.is_empty(),
             Self::Text(template) => template.has_fields(),
             Self::List(items) => items.iter().any(Self::needs_fields),
@@ -54,10 +57,22 @@ impl ValueTemplate {
         }
     }
 
+    /// Whether it uses the answer to the task's request.
+    #[cfg(feature = "http")]
+    pub(crate) fn uses_answer(&self) -> bool {
+        match self {
+            Self::Answer(_) => true,
+            Self::Text(template) => template.uses_answer(),
+            Self::Fixed(_) | Self::Goal { .. } => false,
+            Self::List(items) => items.iter().any(Self::uses_answer),
+            Self::Map(pairs) => pairs.iter().any(|(_, value)| value.uses_answer()),
+        }
+    }
+
     /// Adds each part of the goal that it uses.
     pub(crate) fn goal_paths<'t>(&'t self, paths: &mut Vec<&'t [String]>) {
         match self {
-            Self::Fixed(_) => {}
+            Self::Fixed(_) | Self::Answer(_) => {}
             Self::Goal { path, .. } => paths.push(path),
             Self::Text(template) => paths.extend(template.goal_paths()),
             Self::List(items) => items.iter().for_each(|item| item.goal_paths(paths)),
@@ -111,26 +126,21 @@ impl<'d> ConfigReader<'d> {
     /// Reads a text with placeholders for goals of this rule.
     pub(crate) fn text_template(&mut self, node: &'d Node, rule: &GoalRule) -> Option<Template> {
         let text = self.yaml.text(node, "a text, in quotes if it has braces")?;
-        let template = Template::parse(text);
-        let template = template.and_then(|template| match template.lacks(rule) {
-            Some(lacking) => Err(format!("no goal has '{lacking}': it is {rule}")),
-            None => Ok(template),
-        });
+        let template = self.template(text, rule);
         template
             .map_err(|mistake| self.yaml.wrong(node, mistake))
             .ok()
     }
 
-    /// Reads a number, a text or a truth value.
-    #[cfg(feature = "http")]
-    pub(crate) fn fixed_value(&mut self, node: &'d Node) -> Option<GoalValue> {
-        match self.value_template(node, &GoalRule::Nothing)? {
-            ValueTemplate::Fixed(value) => Some(value),
-            _ => {
-                let message = "expected a number, a text, or a truth value, without placeholders";
-                self.yaml.wrong(node, message);
-                None
-            }
+    /// Parses a text with placeholders for goals of this rule.
+    pub(crate) fn template(&self, text: &str, rule: &GoalRule) -> Result<Template, String> {
+        let template = match self.knows_answer {
+            true => Template::parse_with_answer(text)?,
+            false => Template::parse(text)?,
+        };
+        match template.lacks(rule) {
+            Some(lacking) => Err(format!("no goal has '{lacking}': it is {rule}")),
+            None => Ok(template),
         }
     }
 
@@ -144,6 +154,9 @@ impl<'d> ConfigReader<'d> {
             NodeValue::Scalar { text, plain } => {
                 if text.contains('{') {
                     let template = self.text_template(node, rule)?;
+                    if let Some(path) = template.answer_alone() {
+                        return Some(ValueTemplate::Answer(path.to_vec()));
+                    }
                     return Some(match template.goal_alone() {
                         Some(path) => ValueTemplate::Goal {
                             path: path.to_vec(),
@@ -222,6 +235,7 @@ mod tests {
             handler: "arm".to_owned(),
             component: "move".to_owned(),
             goal: rule.check(goal, template.needs_fields())?,
+            answer: None,
         };
         Ok(format!("{:?}", template.fill(&call)?))
     }

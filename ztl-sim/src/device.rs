@@ -7,6 +7,7 @@ pub(crate) mod kind;
 mod power;
 mod record;
 mod sensor;
+mod slots;
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -24,8 +25,11 @@ use crate::pty::{Link, Pty};
 pub use bus::{Bus, BusNode, Switches};
 pub use buttons::Buttons;
 use kind::{Kind, UnknownKind};
-use power::{Input, Settings};
+use power::{Input, Settings, Updates};
 use record::Record;
+pub use slots::BOARD;
+use slots::Verify;
+use ztl_core::manifest::{Parsed, Version};
 #[cfg(unix)]
 use ztl_std::gateway::{BAUD, READ_TIMEOUT};
 use ztl_std::gateway::{Endpoint, EndpointError, InProcess, Line, is_pause};
@@ -73,6 +77,7 @@ impl Device {
             baud: None,
             record: None,
             place: None,
+            updates: None,
         })
     }
 
@@ -88,6 +93,22 @@ impl Device {
     #[must_use]
     pub fn with_record(mut self, file: File) -> Self {
         self.0.record = Some(Record::new(file));
+        self
+    }
+
+    /// Lets it take firmware updates into memory: it runs `version` at first, and takes images for the board [`BOARD`] whose
+    /// signature is valid by `verify`. The image is a text. Each of its lines may be `self-test: GOAL`, with which the new
+    /// firmware tests its component, or `trial: MILLISECONDS`, how long it waits for a confirmation.
+    #[must_use]
+    pub fn with_updates(
+        mut self,
+        version: Version,
+        verify: impl Fn(&Parsed<'_>) -> bool + Send + Sync + 'static,
+    ) -> Self {
+        self.0.updates = Some(Updates {
+            version,
+            verify: Verify(Arc::new(verify)),
+        });
         self
     }
 

@@ -8,5 +8,5 @@ mod pty;
 mod random;
 
 pub use device::kind::{Kind, UnknownKind};
-pub use device::{Bus, BusNode, Buttons, Device, Running, Switches, endpoint};
+pub use device::{BOARD, Bus, BusNode, Buttons, Device, Running, Switches, endpoint};
 pub use disk::Disk;

@@ -18,7 +18,10 @@ fn open(path: &Path) -> io::Result<File> {
 }
 
 /// Reads a regular file, or a stream of this process, of at most `most` bytes.
-pub(crate) fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+///
+/// # Errors
+/// Why it cannot be read, or that it is longer.
+pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let read = open(path)?.take(most + 1).read_to_end(&mut bytes)?;
     if read as u64 > most {

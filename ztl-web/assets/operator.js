@@ -80,7 +80,7 @@ export class Operator {
     const mine = this.#operates !== null;
     const other = this.#me !== null && !mine && this.#now !== null;
     if (this.#me === null) setText(said, '');
-    else if (mine) setText(said, 'You operate.');
+    else if (mine) setText(said, `You operate. Others see ${this.#now.by}.`);
     else if (!other) setText(said, 'Nobody operates.');
     else setText(said, `${this.#now.by} ${this.#replaced ? 'has taken over' : 'operates'}.`);
     said.classList.toggle('bad', other && this.#replaced);

@@ -1,6 +1,6 @@
 //! What is known of all robots: the watchers and goals write it, every socket shows it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -24,6 +24,8 @@ use crate::topics::{Topic, Topics};
 
 /// Most tasks of one server that are shown.
 const SHOWN: usize = 200;
+/// Most goals whose final state cannot be learnt that are remembered.
+const LOST: usize = 100;
 /// Most aborts that wait for the thread of a server.
 const WAITING: usize = 1000;
 
@@ -62,6 +64,8 @@ struct Post {
 struct Goals {
     next: u64,
     open: BTreeMap<u64, Arc<Goal>>,
+    /// Those of servers of the original whose final state cannot be learnt. They may run, and no list tells it.
+    lost: VecDeque<Arc<Goal>>,
 }
 
 /// What a watcher knows of its server.
@@ -342,7 +346,15 @@ impl Board {
     }
 
     pub(crate) fn remove_goal(&self, number: u64) {
-        let goal = locked(&self.goals).open.remove(&number);
+        let mut goals = locked(&self.goals);
+        let goal = goals.open.remove(&number);
+        if let Some(goal) = goal.as_ref().filter(|goal| goal.is_lost()) {
+            if goals.lost.len() >= LOST {
+                goals.lost.pop_front();
+            }
+            goals.lost.push_back(Arc::clone(goal));
+        }
+        drop(goals);
         if let Some(goal) = goal
             && let (Some(server), Some(id)) = (self.servers.get(goal.target.server), goal.id())
         {
@@ -350,6 +362,32 @@ impl Board {
             self.past.on_goal(key, &goal.by);
         }
         self.publish();
+    }
+
+    /// The task with this id has ended, its server does not know it, or another task has the id now.
+    pub(crate) fn forget_lost(&self, server: usize, scope: &str, id: &RemoteId) {
+        let is_it = |goal: &Arc<Goal>| {
+            let of = &goal.target;
+            of.server == server && of.scope == scope && goal.id() == Some(id)
+        };
+        let mut goals = locked(&self.goals);
+        let before = goals.lost.len();
+        goals.lost.retain(|goal| !is_it(goal));
+        let is_forgotten = goals.lost.len() < before;
+        drop(goals);
+        if is_forgotten {
+            self.publish();
+        }
+    }
+
+    /// The goals of a server whose final state cannot be learnt.
+    pub(crate) fn lost_at(&self, server: usize) -> Vec<Arc<Goal>> {
+        let goals = locked(&self.goals);
+        let own = goals
+            .lost
+            .iter()
+            .filter(|goal| goal.target.server == server);
+        own.cloned().collect()
     }
 
     pub(crate) fn goals(&self) -> Vec<Arc<Goal>> {
@@ -370,7 +408,8 @@ impl Board {
     pub(crate) fn publish(&self) {
         let _publishing = locked(&self.publishing);
         let seen = locked(&self.seen).clone();
-        let goals = self.goals();
+        let mut goals = self.goals();
+        goals.extend(locked(&self.goals).lost.iter().cloned());
         self.topics.set(Topic::Robots, &self.robots(&seen));
         self.topics.set(Topic::Tasks, &self.tasks(&seen, &goals));
     }
@@ -444,13 +483,17 @@ impl Board {
 /// A goal of this console as a task, for a server that lists none.
 fn unlisted_task(goal: &Goal, robot: &str) -> Option<Task> {
     let target = &goal.target;
+    let (state, text) = match goal.has_ended() {
+        true => ("UNKNOWN", "its robot does not tell its state: it may run"),
+        false => (State::Accepted.name(), ""),
+    };
     Some(Task {
         robot: robot.to_owned(),
         scope: target.scope.clone(),
         id: goal.id()?.clone(),
         task: format!("{}:{}:{}", target.handler, target.component, goal.goal),
-        state: State::Accepted.name().to_owned(),
-        text: String::new(),
+        state: state.to_owned(),
+        text: text.to_owned(),
         runs: true,
         started_ms: None,
         by: Some(goal.by.clone()),

@@ -24,6 +24,7 @@ pub(crate) struct Goal {
     settled: AtomicBool,
     ended: AtomicBool,
     left: AtomicBool,
+    lost: AtomicBool,
 }
 
 impl Goal {
@@ -38,6 +39,7 @@ impl Goal {
             settled: AtomicBool::new(false),
             ended: AtomicBool::new(false),
             left: AtomicBool::new(false),
+            lost: AtomicBool::new(false),
         }
     }
 
@@ -87,6 +89,15 @@ impl Goal {
 
     pub(crate) fn has_ended(&self) -> bool {
         self.ended.load(Ordering::SeqCst)
+    }
+
+    /// Notes that its task may run although nobody waits for its final state any more.
+    pub(crate) fn lose(&self) {
+        self.lost.store(true, Ordering::SeqCst);
+    }
+
+    pub(crate) fn is_lost(&self) -> bool {
+        self.lost.load(Ordering::SeqCst)
     }
 
     /// Notes whether its client has gone: its thread then does not wait for a server that is gone, too.

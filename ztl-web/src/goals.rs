@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use serde::Serialize;
-use ztl_std::{RemoteId, RemoteTask, State, TriggerError, Triggered, encoded};
+use ztl_std::{RemoteId, RemoteTask, RequestError, State, TriggerError, Triggered, encoded};
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;
@@ -112,6 +112,7 @@ fn run(goal: &Arc<Goal>, board: &Board, tell: &Tell) -> Outcome {
         Err(error) => return Outcome::of_init(error),
     };
     goal.set_id(id.clone());
+    board.forget_lost(goal.target.server, scope, &id);
     board.publish();
     if goal.is_cancelled()
         && let Err(why) = abort(goal, &id, board)
@@ -135,7 +136,12 @@ fn run(goal: &Arc<Goal>, board: &Board, tell: &Tell) -> Outcome {
             text: cut::text(&status.text, cut::RESULT),
             id,
         },
-        Err(error) => Outcome::unknown(error.to_string(), id),
+        Err(error) => {
+            if !matches!(error.last, Err(RequestError::UnknownTask { .. })) {
+                goal.lose();
+            }
+            Outcome::unknown(error.to_string(), id)
+        }
     }
 }
 
@@ -207,8 +213,6 @@ impl Outcome {
 
 #[cfg(test)]
 mod tests {
-    use ztl_std::RequestError;
-
     use super::*;
 
     #[test]

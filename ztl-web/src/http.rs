@@ -309,7 +309,7 @@ async fn own_page(page: &OwnPage, path: &str) -> Response {
     }
     let path = page.path.clone();
     // A slow disk must not delay the sockets.
-    match spawn_blocking(move || std::fs::read(path)).await {
+    match spawn_blocking(move || OwnPage::read(&path)).await {
         Ok(Ok(content)) => (OWN, Html(content)).into_response(),
         Ok(Err(error)) => {
             let why = format!("cannot read {}: {error}\n", page.path.display());

@@ -35,9 +35,9 @@ mod topics;
 use std::collections::BTreeSet;
 use std::io;
 use std::net::TcpListener;
-use std::path::PathBuf;
 use std::sync::Arc;
 
+pub use own_page::OwnPage;
 pub use robots::{Connect, Robot};
 pub use show::{Record, Show, ShowRecord};
 pub use streams::{Connect as ConnectPublisher, Publisher};
@@ -59,7 +59,7 @@ pub struct Options {
     /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
     /// A page of one's own instead of the console's, which is then at `/console`.
-    pub page: Option<PathBuf>,
+    pub page: Option<OwnPage>,
     /// A script to play.
     pub show: Option<Show>,
     /// The certificate and key of `https`; without it, connections are not encrypted.
@@ -82,7 +82,6 @@ pub fn serve(options: Options) -> io::Result<()> {
         show,
         tls,
     } = options;
-    let page = page.map(own_page::OwnPage::new);
     let streams = streams::Streams::new(publishers, sounds);
     let (console, woken) = board::Board::new(robots::group(robots), streams);
     let console = Arc::new(console);

@@ -15,7 +15,7 @@ pub(crate) struct Client {
     /// No other client ever has it, also none of an earlier console.
     #[serde(rename = "client")]
     pub(crate) number: u64,
-    /// Its role and address, for people.
+    /// Its role, its number since the console was started, and its address, for people.
     pub(crate) by: String,
     #[serde(skip)]
     pub(crate) role: Role,
@@ -34,6 +34,8 @@ impl Client {
 
 /// Who operates.
 pub(crate) struct Operator {
+    /// What the numbers of clients follow.
+    before: u64,
     next: Mutex<u64>,
     now: Mutex<Option<Operates>>,
     /// When whoever operated was heard last.
@@ -49,9 +51,11 @@ pub(crate) struct Operates {
 
 impl Operator {
     pub(crate) fn new() -> Self {
+        // A console that starts later counts from later, because no client takes less than a millisecond.
+        let before = now_ms();
         Self {
-            // A console that starts later counts from later, because no client takes less than a millisecond.
-            next: Mutex::new(now_ms()),
+            before,
+            next: Mutex::new(before),
             now: Mutex::default(),
             heard: Mutex::new(Instant::now()),
         }
@@ -61,9 +65,10 @@ impl Operator {
     pub(crate) fn client(&self, role: Role, address: impl std::fmt::Display) -> Client {
         let mut next = locked(&self.next);
         *next += 1;
+        let count = *next - self.before;
         Client {
             number: *next,
-            by: format!("{} at {address}", role.name()),
+            by: format!("{} {count} at {address}", role.name()),
             role,
         }
     }
@@ -175,7 +180,7 @@ mod tests {
         assert_eq!(operator.begin(&a), Ok(false));
         let refused = operator.begin(&b).expect_err("another operates");
         assert!(
-            refused.starts_with("operator at 10.0.0.7 operates"),
+            refused.starts_with("operator 1 at 10.0.0.7 operates"),
             "{refused}"
         );
         assert_eq!(operator.take_over(&b, Some(a.number)), Ok(()));

@@ -1,11 +1,13 @@
 //! A page of one's own instead of the console's, and its forms, as the original's `ztl_web` serves them.
 
+use std::io;
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
+use ztl_std::files;
 
 use crate::board::{Board, locked};
 use crate::clock::now_ms;
@@ -17,7 +19,11 @@ use crate::robots::Target;
 /// A press that follows sooner belongs to the one before: a double click, or a held key.
 const SAME_PRESS: Duration = Duration::from_millis(600);
 
-pub(crate) struct OwnPage {
+/// Most bytes of a page.
+const LONGEST: u64 = 16 << 20;
+
+/// A page of one's own. It is read anew each time, so that it can be written while it is served.
+pub struct OwnPage {
     pub(crate) path: PathBuf,
     last: Mutex<Option<(IpAddr, String, Instant)>>,
 }
@@ -32,11 +38,24 @@ pub(crate) enum Posted {
 }
 
 impl OwnPage {
-    pub(crate) fn new(path: PathBuf) -> Self {
-        Self {
+    /// A page, which is there.
+    ///
+    /// # Errors
+    /// Why it cannot be read.
+    pub fn open(path: PathBuf) -> io::Result<Self> {
+        Self::read(&path)?;
+        Ok(Self {
             path,
             last: Mutex::default(),
-        }
+        })
+    }
+
+    /// Reads the page.
+    ///
+    /// # Errors
+    /// Why it cannot be read.
+    pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
+        files::read(path, LONGEST)
     }
 
     /// A form was sent. Only its first field counts: `port`, or `handler:component` with the goal as its value.

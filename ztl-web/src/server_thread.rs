@@ -179,7 +179,11 @@ impl<'b> ServerThread<'b> {
             self.next_look = now;
         }
         if self.stop.is_some() {
-            for goal in self.board.goals_at(self.index) {
+            let mut goals = self.board.goals_at(self.index);
+            if self.is_original {
+                goals.extend(self.board.lost_at(self.index));
+            }
+            for goal in goals {
                 if let Some(id) = goal.id() {
                     let request = AbortRequest::of_goal(&goal, id);
                     self.stop_task((goal.target.scope.clone(), id.clone()), request);
@@ -281,6 +285,12 @@ impl<'b> ServerThread<'b> {
     }
 
     fn on_abort(&mut self, key: &Key, answer: Answer) {
+        if match &answer {
+            Ok(status) => status.state.is_final(),
+            Err(error) => matches!(error, RequestError::UnknownTask { .. }),
+        } {
+            self.board.forget_lost(self.index, &key.0, &key.1);
+        }
         if let Some(Ok(status)) = self.aborts.on_answer(key, answer, Instant::now())
             && status.state.is_final()
             && let Some(stop) = &mut self.stop

@@ -8,6 +8,10 @@ use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::{self, PemObject as _};
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::{Error, ServerConfig};
+use ztl_std::files;
+
+/// Most bytes of a file with certificates or a key.
+const LONGEST: u64 = 1 << 20;
 
 /// A certificate and its key.
 #[derive(Clone)]
@@ -20,13 +24,14 @@ impl Tls {
     /// What is wrong with which file.
     pub fn read(certificate: &Path, key: &Path) -> Result<Self, String> {
         let wrong = |file: &Path, why: &dyn std::fmt::Display| format!("{}: {why}", file.display());
-        let chain = CertificateDer::pem_file_iter(certificate)
-            .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        let read = |file: &Path| files::read(file, LONGEST).map_err(|error| wrong(file, &error));
+        let chain = CertificateDer::pem_slice_iter(&read(certificate)?)
+            .collect::<Result<Vec<_>, _>>()
             .map_err(|error| wrong(certificate, &error))?;
         if chain.is_empty() {
             return Err(wrong(certificate, &"no certificate: expected PEM"));
         }
-        let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| match error {
+        let secret = PrivateKeyDer::from_pem_slice(&read(key)?).map_err(|error| match error {
             pem::Error::NoItemsFound => wrong(key, &"no private key: expected PEM"),
             error => wrong(key, &error),
         })?;

@@ -6,10 +6,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use ztl_core::link::{ADDR_MOST, ADDR_NONE};
+#[cfg(feature = "firmware")]
+use ztl_core::manifest::Version;
 use ztl_sim::{Bus, BusNode, Buttons, Device as Simulated, Kind, Running, Switches};
 use ztl_std::gateway::config::name_mistake;
 
 use crate::exit::Done;
+#[cfg(feature = "firmware")]
+use crate::exit::Misuse;
 use crate::signals;
 use crate::terminal::{flat, line};
 
@@ -37,6 +41,21 @@ pub(crate) struct Device {
     /// Append a line to FILE when a task really begins or ends: seconds, component, event, goal
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+
+    /// Take firmware updates into memory, for the board `simulated`, signed for this public key of `ztl firmware keygen`
+    #[cfg(feature = "firmware")]
+    #[arg(long, value_name = "KEY", conflicts_with = "bus")]
+    firmware_key: Option<PathBuf>,
+
+    /// Version of the firmware that takes updates
+    #[cfg(feature = "firmware")]
+    #[arg(
+        long,
+        value_name = "X.Y.Z",
+        default_value = "1.0.0",
+        requires = "firmware_key"
+    )]
+    firmware_version: Version,
 
     /// Read lines from the standard input: `press GOAL` starts a task at the device, `release` aborts it, `report TEXT` reports an event. On a shared line after the node's name, also `NAME off` and `NAME on`
     #[arg(long)]
@@ -101,6 +120,14 @@ impl Device {
         });
         let record = record.transpose()?;
         let machine = machine(&self.devices, self.bus, self.baud, record)?;
+        #[cfg(feature = "firmware")]
+        let machine = match (machine, &self.firmware_key) {
+            (Machine::Device(device), Some(key)) => {
+                let verify = crate::firmware::read_key(key).map_err(Misuse::of)?;
+                Machine::Device(device.with_updates(self.firmware_version, verify))
+            }
+            (machine, _) => machine,
+        };
         let (running, url) = match self.on {
             Place::Tcp(address) => {
                 let (running, address) = machine

@@ -19,7 +19,7 @@ use crate::data_format::DataFormat;
 use crate::exit::{Done, Misuse};
 use crate::option_values::port;
 use crate::server_address::AddressOptions;
-use crate::terminal::line;
+use crate::terminal::{flat, line};
 use crate::version;
 use finding::{Finding, Health};
 
@@ -111,7 +111,7 @@ fn show(found: &[Finding], problems: usize) {
             Health::Note => "note",
             Health::Problem => "WRONG",
         };
-        line(format_args!("{mark:<6}{about:<10} {text}"));
+        line(format_args!("{mark:<6}{about:<10} {}", flat(text)));
         if let Some(remedy) = remedy {
             line(format_args!("{:<17}-> {remedy}", ""));
         }

@@ -15,7 +15,7 @@ use crate::terminal::line;
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub(crate) struct JournalOptions {
     /// File of the journal, or the directory for it (docs/journal.md) [default: in $STATE_DIRECTORY, else in $XDG_STATE_HOME/ztl, else in ~/.local/state/ztl]
-    #[arg(long, value_name = "FILE|DIR")]
+    #[arg(long, value_name = "FILE|DIR", value_parser = file)]
     journal: Option<PathBuf>,
 
     /// Keep no journal: the outcomes of tasks are lost at a restart
@@ -25,6 +25,16 @@ pub(crate) struct JournalOptions {
     /// Sync each entry to the disk before acting on it, for machines that may lose power
     #[arg(long)]
     journal_sync: bool,
+}
+
+/// In the configuration file, these words mean that there is no journal.
+fn file(text: &str) -> Result<PathBuf, String> {
+    match text {
+        "off" | "no" | "false" => Err(format!(
+            "to keep no journal, give --no-journal; a file with this name is ./{text}"
+        )),
+        path => Ok(path.into()),
+    }
 }
 
 impl JournalOptions {

@@ -22,6 +22,8 @@ mod devices;
 #[cfg(target_os = "linux")]
 mod doctor;
 mod exit;
+#[cfg(feature = "firmware")]
+mod firmware;
 mod gateway;
 
 mod journal_options;
@@ -138,6 +140,9 @@ enum ZtlCommand {
     Replay(replay::Replay),
     /// Create a key pair for encrypted connections
     Keys(keys::Keys),
+    /// Sign images of firmware, for updates over the link
+    #[cfg(feature = "firmware")]
+    Firmware(firmware::Firmware),
     /// Create a page and tables from recorded runs of scripts, or a page from a recording
     Report(report::Report),
     /// Check a script for mistakes
@@ -187,6 +192,8 @@ fn main() -> ExitCode {
         #[cfg(target_os = "linux")]
         ZtlCommand::Doctor(doctor) => doctor.run(),
         ZtlCommand::Keys(keys) => keys.run(),
+        #[cfg(feature = "firmware")]
+        ZtlCommand::Firmware(firmware) => firmware.run(),
         ZtlCommand::Describe(describe) => describe.run(),
         ZtlCommand::Param(param) => param.run(),
         ZtlCommand::Ps(ps) => ps.run(),

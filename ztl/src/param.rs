@@ -5,8 +5,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use ztl_std::State;
 use ztl_std::gateway::{DeviceReports, PARAMETERS, ParameterGoal, ParameterReport, ReportedValue};
+use ztl_std::{RemoteTask, State};
 
 use crate::columns::table;
 use crate::data_format::DataFormat;
@@ -39,7 +39,7 @@ enum What {
 }
 
 #[derive(Debug, Args)]
-struct At {
+pub(crate) struct At {
     #[command(flatten)]
     server: QueryOptions,
 
@@ -48,7 +48,7 @@ struct At {
     scope: Option<String>,
 
     /// The device
-    device: String,
+    pub(crate) device: String,
 }
 
 #[derive(Debug, Args)]
@@ -156,12 +156,7 @@ impl Param {
 impl At {
     /// The device's name and the result of a request.
     fn ask(self, goal: &ParameterGoal) -> Result<(String, String), Box<dyn std::error::Error>> {
-        let server = self.server.server()?;
-        let scope = match self.scope {
-            Some(scope) => scope,
-            None => scope_of(&server, &self.device)?,
-        };
-        let mut remote = server.connect(&scope)?;
+        let (server, mut remote) = connect(self.server, self.scope, &self.device)?;
         let status = remote.run(&self.device, PARAMETERS, &goal.to_text(), Some(LIMIT));
         let status = status.map_err(|error| {
             let text = error.to_string();
@@ -178,6 +173,29 @@ impl At {
             _ => Err(format!("{}: {}", self.device, flat(&status.text)).into()),
         }
     }
+}
+
+impl At {
+    /// Connects to the scope that has the device.
+    #[cfg(feature = "firmware")]
+    pub(crate) fn connect(self) -> Result<RemoteTask, Box<dyn std::error::Error>> {
+        Ok(connect(self.server, self.scope, &self.device)?.1)
+    }
+}
+
+/// The server, and the scope that has this device.
+fn connect(
+    server: QueryOptions,
+    scope: Option<String>,
+    device: &str,
+) -> Result<(QueriedServer, RemoteTask), Box<dyn std::error::Error>> {
+    let server = server.server()?;
+    let scope = match scope {
+        Some(scope) => scope,
+        None => scope_of(&server, device)?,
+    };
+    let remote = server.connect(&scope)?;
+    Ok((server, remote))
 }
 
 /// The scope that has a device of this name.

@@ -16,7 +16,7 @@ use ztl_script::PlayOptions;
 use ztl_script::event::StampedEvent;
 use ztl_std::keys::exposure;
 use ztl_std::{RemoteTask, Remotes};
-use ztl_web::{Options, Publisher, Record, Robot, Show, ShowRecord, Tls, Tokens, serve};
+use ztl_web::{Options, OwnPage, Publisher, Record, Robot, Show, ShowRecord, Tls, Tokens, serve};
 
 use crate::chosen_publisher::ChosenPublisher;
 use crate::connect_options::ConnectOptions;
@@ -128,6 +128,11 @@ impl Web {
             Some([certificate, key]) => Some(Tls::read(certificate, key).map_err(Misuse)?),
             _ => None,
         };
+        let page = self.serve.as_ref().map(|path| {
+            let wrong = |error| Misuse(format!("{}: {error}", path.display()));
+            OwnPage::open(path.clone()).map_err(wrong)
+        });
+        let page = page.transpose()?;
         let mut publishers = Vec::new();
         for name in remotes.publisher_names() {
             let publisher = remotes
@@ -199,7 +204,7 @@ impl Web {
                     sounds: self.sound.into_iter().collect(),
                     tokens,
                     hosts: self.host,
-                    page: self.serve,
+                    page,
                     show,
                     tls,
                 };

@@ -5,6 +5,7 @@
 //! The other end is this machine's own build.
 
 mod names;
+mod naoqi;
 mod place;
 
 use ztl_std::{RemoteTask, State, Status};

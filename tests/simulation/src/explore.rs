@@ -40,6 +40,9 @@ pub trait System: Clone {
     /// # Errors
     /// The violated guarantee.
     fn serves(&self) -> Result<(), String>;
+
+    /// Describes what happens on a path from this state.
+    fn trace(&self, path: &[Self::Action]) -> Vec<String>;
 }
 
 /// A broken promise, and the path to it.
@@ -313,6 +316,10 @@ mod tests {
 
         fn serves(&self) -> Result<(), String> {
             Ok(())
+        }
+
+        fn trace(&self, path: &[i8]) -> Vec<String> {
+            path.iter().map(i8::to_string).collect()
         }
     }
 

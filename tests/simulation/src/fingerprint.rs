@@ -29,6 +29,13 @@ const SKIPPED: [u64; 9] = [
     name("round_trips"),
 ];
 
+/// Frames that a bus keeps as bytes. Whoever skips them adds them in another form.
+pub const BUS_FRAMES: [u64; 2] = [name("sent"), name("unasked")];
+
+/// How often in a row something has failed. Larger numbers are equal.
+const FAILURES: [u64; 2] = [name("garbled"), name("silent")];
+const MANY_FAILURES: u64 = 12;
+
 const SEQ: u64 = name("seq");
 const CLOCK: u64 = name("clock");
 const NODE_CLOCKS: [u64; 2] = [name("clock_ms"), name("before_ms")];
@@ -39,15 +46,18 @@ const SESSIONS: [u64; 4] = [
     name("replaces"),
 ];
 /// Times at which something is due: how long ago does not matter.
-const DUE: [u64; 9] = [
+const DUE: [u64; 12] = [
     name("ask_at"),
     name("awake_due"),
     name("begun_due"),
     name("due"),
     name("event_due"),
+    name("not_before"),
+    name("quiet_at"),
     name("receiving"),
     name("repeat"),
     name("safety_wake"),
+    name("until"),
     name("wake"),
 ];
 const INSTANT: u64 = name("Instant");
@@ -111,6 +121,8 @@ pub struct Fingerprint {
     /// The first task id, to which the others are relative.
     link: Option<u64>,
     depth: u32,
+    /// More fields without influence.
+    also_skipped: &'static [u64],
     /// Depth of the field that is being skipped.
     skipping: Option<u32>,
     /// The current word, and the current number.
@@ -136,6 +148,7 @@ impl Fingerprint {
             current: 0,
             link: None,
             depth: 0,
+            also_skipped: &[],
             skipping: None,
             word: None,
             number: None,
@@ -150,6 +163,11 @@ impl Fingerprint {
     /// Sets the clock of the next part.
     pub const fn set_now(&mut self, now: Instant) {
         self.origin.now = now;
+    }
+
+    /// Skips these fields of the next parts, too.
+    pub const fn skip(&mut self, fields: &'static [u64]) {
+        self.also_skipped = fields;
     }
 
     /// Adds a part of the state.
@@ -190,6 +208,8 @@ impl Fingerprint {
             return;
         } else if NODE_CLOCKS.contains(&self.field) {
             relative(number.saturating_mul(1000), node.as_micros())
+        } else if FAILURES.contains(&self.field) {
+            number.min(MANY_FAILURES)
         } else if self.field == SEQ && number != 0 {
             self.sequence(number)
         } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
@@ -259,7 +279,8 @@ impl Fingerprint {
             b'"' => self.quoted = true,
             b':' => {
                 self.field = word;
-                if self.skipping.is_none() && SKIPPED.contains(&word) {
+                let skipped = SKIPPED.contains(&word) || self.also_skipped.contains(&word);
+                if self.skipping.is_none() && skipped {
                     self.skipping = Some(self.depth);
                 }
             }

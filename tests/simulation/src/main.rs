@@ -11,10 +11,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::Instant;
 
-use ztl_simulation::explore::{Explored, explore};
+use ztl_simulation::explore::{System, explore};
 use ztl_simulation::lab::Summary;
 use ztl_simulation::plan::Plan;
-use ztl_simulation::real::model::{Action, LinkModel, SCENARIOS, Scenario};
+use ztl_simulation::real::model::{BUS_SCENARIOS, BusModel, LinkModel, SCENARIOS};
 use ztl_simulation::shrink::{attempt, report, shrink};
 
 /// About 10 GiB of memory suffice for these.
@@ -76,50 +76,57 @@ fn model(words: &[&str]) -> Result<bool, String> {
                 let faults = number(word, words.next())?;
                 times = u8::try_from(faults).map_err(|_| "more than 255 faults".to_owned())?;
             }
-            name if SCENARIOS.iter().any(|scenario| scenario.name == name) => wanted = Some(name),
+            name if names().any(|known| known == name) => wanted = Some(name),
             name => {
-                let names: Vec<&str> = SCENARIOS.iter().map(|scenario| scenario.name).collect();
+                let names: Vec<&str> = names().collect();
                 let names = names.join(", ");
                 return Err(format!("no scenario `{name}`; there are: {names}\n{USAGE}"));
             }
         }
     }
-    let chosen = |scenario: &&Scenario| wanted.is_none_or(|name| name == scenario.name);
-    let scenarios: Vec<&Scenario> = SCENARIOS.iter().filter(chosen).collect();
-    let open = Mutex::new(scenarios.into_iter());
+    let chosen: Vec<&str> = names()
+        .filter(|name| wanted.is_none_or(|wanted| wanted == *name))
+        .collect();
+    let open = Mutex::new(chosen.into_iter());
     Ok(on_all_cores(|| {
         let mut well = true;
         let next = || open.lock().ok()?.next();
-        while let Some(scenario) = next() {
-            let scenario = scenario.with_times(times);
-            let begin = Instant::now();
-            let first = LinkModel::new(scenario);
-            let explored = explore(&first, STATES);
-            print!("{}", told(scenario, &first, &explored, begin));
-            well &= explored.broken.is_none() && explored.complete;
+        while let Some(name) = next() {
+            if let Some(scenario) = SCENARIOS.iter().find(|known| known.name == name) {
+                let scenario = scenario.with_times(times);
+                well &= explored(name, times, &LinkModel::new(scenario));
+            }
+            if let Some(scenario) = BUS_SCENARIOS.iter().find(|known| known.name == name) {
+                let scenario = scenario.with_times(times);
+                well &= explored(name, times, &BusModel::new(scenario));
+            }
         }
         well
     }))
 }
 
-fn told(
-    scenario: &Scenario,
-    first: &LinkModel,
-    explored: &Explored<Action>,
-    begin: Instant,
-) -> String {
+/// Names of all scenarios.
+fn names() -> impl Iterator<Item = &'static str> {
+    let alone = SCENARIOS.iter().map(|scenario| scenario.name);
+    alone.chain(BUS_SCENARIOS.iter().map(|scenario| scenario.name))
+}
+
+/// Explores a scenario and prints what was found. Returns whether every promise holds.
+fn explored<S: System>(name: &str, times: u8, first: &S) -> bool {
+    let begin = Instant::now();
+    let explored = explore(first, STATES);
     let seconds = begin.elapsed().as_secs_f32();
-    let mut text = format!(
-        "{}, {} faults: {explored}; {seconds:.1} s\n",
-        scenario.name, scenario.times
-    );
+    let mut text = format!("{name}, {times} faults: {explored}; {seconds:.1} s\n");
     if let Some(broken) = &explored.broken {
         for line in first.trace(&broken.path) {
             text.push_str(&line);
             text.push('\n');
         }
+        text.push_str(&broken.promise);
+        text.push('\n');
     }
-    text
+    print!("{text}");
+    explored.broken.is_none() && explored.complete
 }
 
 fn simulate(words: &[&str]) -> Result<bool, String> {

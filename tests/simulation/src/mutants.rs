@@ -25,6 +25,9 @@ const RECEIVE: &str = "ztl-link/src/receive.rs";
 const OUTCOME: &str = "ztl-link/src/outcome.rs";
 const OWN: &str = "ztl-link/src/own.rs";
 const OWN_NODE: &str = "ztl-mcu/src/node/own.rs";
+const BUS: &str = "ztl-link/src/bus.rs";
+const MEMBER: &str = "ztl-link/src/bus/member.rs";
+const BUS_FRAMES: &str = "ztl-mcu/src/node/bus.rs";
 const ACTING: &str = "ztl-mcu/src/acting.rs";
 
 const REPEATED: (&str, &str, &str) = (
@@ -437,5 +440,45 @@ pub const MUTANTS: &[Mutant] = &[
         )],
         caught_in: ("own-restart", 1),
         complaint: "promise 7",
+    },
+    Mutant {
+        name: "a node on a shared line handles frames for others",
+        edits: &[(
+            BUS_FRAMES,
+            "if !bus.is_for(address) {",
+            "if !bus.is_for(address) && !ON {",
+        )],
+        caught_in: ("bus-frames", 0),
+        complaint: "promise",
+    },
+    Mutant {
+        name: "the gateway never polls a node on a shared line",
+        edits: &[(
+            MEMBER,
+            "command.into_iter().chain([poll])",
+            "command.into_iter().chain(Some(poll).filter(|_| !ON))",
+        )],
+        caught_in: ("bus-frames", 0),
+        complaint: "promise",
+    },
+    Mutant {
+        name: "the gateway waits for ever for an answer on a shared line",
+        edits: &[(
+            BUS,
+            "now >= question.deadline)",
+            "now >= question.deadline && !ON)",
+        )],
+        caught_in: ("bus-frames", 1),
+        complaint: "promise",
+    },
+    Mutant {
+        name: "the gateway never asks a node on a shared line again that was silent",
+        edits: &[(
+            MEMBER,
+            "self.not_before = now + pause.min(BACK_OFF_MOST);",
+            "self.not_before = if ON { Instant::NEVER } else { now + pause.min(BACK_OFF_MOST) };",
+        )],
+        caught_in: ("bus-abort", 1),
+        complaint: "promise",
     },
 ];

@@ -1,6 +1,6 @@
 //! The exploration of `cargo xtask model` with few faults, and the mutants that the model must catch.
 
-use ztl_simulation::explore::explore;
+use ztl_simulation::explore::{System, explore};
 use ztl_simulation::mutants::{MUTANTS, Mutant};
 use ztl_simulation::{broken, real};
 
@@ -11,16 +11,28 @@ const STATES: usize = 2_000_000;
 #[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
 fn the_guarantees_hold_with_one_fault() {
     for scenario in real::model::SCENARIOS {
-        let scenario = scenario.with_times(1);
-        let first = real::model::LinkModel::new(scenario);
-        let explored = explore(&first, STATES);
-        if let Some(broken) = &explored.broken {
-            let trace = first.trace(&broken.path).join("\n");
-            panic!("{}:\n{trace}\n{}", scenario.name, broken.promise);
-        }
-        assert!(explored.complete, "{}", scenario.name);
-        println!("{:<10} {explored}", scenario.name);
+        let first = real::model::LinkModel::new(scenario.with_times(1));
+        holds(scenario.name, &first);
     }
+}
+
+#[test]
+#[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
+fn the_guarantees_hold_on_a_shared_line_with_one_fault() {
+    for scenario in real::model::BUS_SCENARIOS {
+        let first = real::model::BusModel::new(scenario.with_times(1));
+        holds(scenario.name, &first);
+    }
+}
+
+fn holds<S: System>(name: &str, first: &S) {
+    let explored = explore(first, STATES);
+    if let Some(broken) = &explored.broken {
+        let trace = first.trace(&broken.path).join("\n");
+        panic!("{name}:\n{trace}\n{}", broken.promise);
+    }
+    assert!(explored.complete, "{name}");
+    println!("{name:<11} {explored}");
 }
 
 #[test]
@@ -51,9 +63,16 @@ fn every_mutant_is_caught() {
 
 fn complaint(mutant: &Mutant) -> Option<String> {
     let (name, times) = mutant.caught_in;
+    let mut shared = broken::model::BUS_SCENARIOS.iter();
+    if let Some(scenario) = shared.find(|scenario| scenario.name == name) {
+        return complaint_about(&broken::model::BusModel::new(scenario.with_times(times)));
+    }
     let mut scenarios = broken::model::SCENARIOS.iter();
     let scenario = scenarios.find(|scenario| scenario.name == name)?;
-    let first = broken::model::LinkModel::new(scenario.with_times(times));
-    let broken = explore(&first, STATES).broken?;
+    complaint_about(&broken::model::LinkModel::new(scenario.with_times(times)))
+}
+
+fn complaint_about(first: &impl System) -> Option<String> {
+    let broken = explore(first, STATES).broken?;
     Some(format!("{} ({} steps)", broken.promise, broken.path.len()))
 }

@@ -263,7 +263,7 @@ fn receive_byte(network: u16) -> Option<()> {
 }
 
 /// Where a symbol of an image is.
-fn find(image: &[u8], name: &str) -> Option<u64> {
+pub(super) fn find(image: &[u8], name: &str) -> Option<u64> {
     let elf = object::File::parse(image).expect("an ELF file");
     let symbol = elf.symbols().find(|symbol| symbol.name() == Ok(name));
     symbol.map(|symbol| symbol.address())

@@ -4,6 +4,7 @@
 
 mod board;
 mod build;
+mod debugged_board;
 mod fake;
 mod keys;
 mod original;
@@ -20,6 +21,7 @@ mod zmtp;
 
 pub use board::{Board, Pin};
 pub use build::{built, installed};
+pub use debugged_board::{DebuggedBoard, FLASH, FlashImage, microbit};
 pub use fake::FakeServer;
 pub use keys::Keys;
 pub use original::{

@@ -24,7 +24,7 @@ from ztl.example.task_server import main_cli
 main_cli()
 ";
 
-/// A server of the original with tasks that can be aborted: they last until then.
+/// A server of the original with tasks that can be aborted: they last until then. The goal `mute` has no status.
 const PATIENT_TASKS: &str = "\
 import sys, threading
 from ztl.core.server import TaskServer
@@ -34,6 +34,8 @@ class Nap(ExecutableTask):
         self.goal, self.over = goal, threading.Event()
     def execute(self):
         self.over.wait(60)
+    def status(self):
+        if self.goal == 'mute': raise Exception('no sensor')
     def abort(self):
         print('abort ' + self.goal)
         return True

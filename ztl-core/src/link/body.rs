@@ -6,6 +6,7 @@
 use super::ids::Ids;
 use super::link_id::LinkId;
 use super::parameter::ParameterMessage;
+use super::update::UpdateMessage;
 use crate::lifecycle::State;
 
 /// Opens a session.
@@ -302,6 +303,8 @@ pub enum Body<'a> {
     },
     /// Either: about parameters.
     Parameter(ParameterMessage<'a>),
+    /// Either: about firmware updates.
+    Update(UpdateMessage<'a>),
 }
 
 /// A message of a gateway, as a node parses it: like [`Body`], but the goal is not validated.

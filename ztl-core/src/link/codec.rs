@@ -4,6 +4,7 @@ use super::body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAns
 use super::ids::{IdList, Ids};
 use super::link_id::LinkId;
 use super::parameter;
+use super::update;
 use super::wire::{BodyError, Reader, WriteValues};
 use crate::lifecycle::State;
 use crate::sink::Sink;
@@ -19,6 +20,7 @@ impl<'a> Body<'a> {
         let body = match tag {
             0..=5 => Self::from_gateway(tag, &mut reader),
             parameter::FIRST..=parameter::LAST => Self::Parameter(reader.parameter_message(tag)),
+            update::FIRST..=update::LAST => Self::Update(reader.update_message(tag)),
             _ => Self::from_node(tag, &mut reader),
         };
         reader.finish(body)
@@ -194,6 +196,7 @@ impl<'a> Body<'a> {
                 sink.byte(21).number(number);
             }
             Self::Parameter(message) => message.put(sink),
+            Self::Update(message) => message.put(sink),
         }
     }
 }

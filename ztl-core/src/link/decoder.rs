@@ -4,6 +4,7 @@ use super::NO_SEQ;
 use super::body::{Body, LinkCommand, OwnAnswer};
 use super::frame::{CommandFrame, Frame, FrameError, begin, checked};
 use super::parameter::ParameterCommand;
+use super::update::UpdateCommand;
 
 /// The result of [`Decoder::push_all`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -245,6 +246,16 @@ impl<const N: usize> Decoder<N> {
     ) -> Result<(u8, u8, ParameterCommand<'_>), FrameError> {
         let (_, addr, seq, body) = self.checked(&[session])?;
         let command = ParameterCommand::parse(body).map_err(FrameError::Body)?;
+        Ok((addr, seq, command))
+    }
+
+    /// Like [`parameter_command`](Self::parameter_command), for commands about updates only.
+    ///
+    /// # Errors
+    /// See [`FrameError`]; all other messages are unknown.
+    pub fn update_command(&self, session: u32) -> Result<(u8, u8, UpdateCommand<'_>), FrameError> {
+        let (_, addr, seq, body) = self.checked(&[session])?;
+        let command = UpdateCommand::parse(body).map_err(FrameError::Body)?;
         Ok((addr, seq, command))
     }
 

@@ -12,6 +12,7 @@ mod frame;
 mod ids;
 mod link_id;
 pub mod parameter;
+pub mod update;
 mod wire;
 
 pub use body::{Body, Busy, GoalShape, Hello, LinkCommand, Loss, Offer, OwnAnswer, Welcome};

@@ -45,7 +45,7 @@ pub(super) struct Member {
     /// Acknowledgements, which ask for no answer. They are sent with the next question.
     unasked: Vec<Vec<u8>>,
     command: Option<Waiting>,
-    /// The command that was sent last.
+    /// The command that the last question was; empty if it was a poll.
     sent: Vec<u8>,
     /// When it was last polled.
     polled: Instant,
@@ -131,6 +131,7 @@ impl Member {
             }
             None => {
                 self.polled = now;
+                self.sent.clear();
                 frames.push(Turn::Poll.encode(address).to_vec());
             }
         }

@@ -10,8 +10,9 @@ mod lab;
 use std::time::Duration;
 
 use lab::{Lab, Trouble};
-use ztl_core::State;
-use ztl_link::bus::BusEvent;
+use ztl_core::link::Turn;
+use ztl_core::{Instant, State};
+use ztl_link::bus::{Bus, BusEvent, TURNAROUND};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -175,4 +176,25 @@ fn a_search_finds_all_nodes_gives_addresses_and_names_two_with_one_address() {
             assert!(found.len() >= 28, "{}", found.len());
         }
     }
+}
+
+#[test]
+fn the_answer_to_a_poll_keeps_a_command_that_is_repeated() {
+    // The address, a sequence number and a tag that is not urgent.
+    let command = [5, 1, 7, 1, 9, 0];
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    bus.add(Instant::ZERO, 1);
+    bus.queue(Instant::ZERO, 1, &command);
+    let asked = bus.poll_transmit(Instant::ZERO).unwrap();
+    assert!(asked.ends_with(&command));
+    // No answer arrives; a poll is due before the repetition.
+    let later = Instant::from_millis(300);
+    bus.handle_timeout(later);
+    bus.queue(later, 1, &command);
+    let later = Instant::from_millis(310);
+    let asked = bus.poll_transmit(later).unwrap();
+    assert!(asked.ends_with(&Turn::Poll.encode(1)));
+    bus.handle_bytes(later, &Turn::Idle.encode(1));
+    let asked = bus.poll_transmit(Instant::from_millis(320)).unwrap();
+    assert!(asked.ends_with(&command), "{asked:?}");
 }

@@ -29,6 +29,7 @@ mod late;
 mod own;
 mod parameters;
 mod restart;
+mod updates;
 
 /// The real motions of the motors, independent of any message.
 #[derive(Default)]

@@ -86,10 +86,10 @@ fn node(sets: &RefCell<Vec<u32>>, boot: u32) -> Desk<'_> {
 }
 
 /// Numbers of a linear congruence.
-struct Dice(u64);
+pub(crate) struct Dice(pub(crate) u64);
 
 impl Dice {
-    fn below(&mut self, limit: u64) -> u64 {
+    pub(crate) fn below(&mut self, limit: u64) -> u64 {
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)

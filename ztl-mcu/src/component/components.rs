@@ -6,6 +6,7 @@ use super::Component;
 use crate::acting::OwnWork;
 use crate::bus::BusState;
 use crate::parameters::Tuning;
+use crate::update::{UpdateState, Updater};
 
 /// The components of a node: an array of one type, a tuple of up to twelve types, or a mutable reference to
 /// either or to a slice, such as `&mut [&mut dyn Component]`.
@@ -20,6 +21,9 @@ pub trait Components {
 
     /// Number of parameters that clients may set. With 0, the node contains no code for parameters.
     const PARAMETER_COUNT: u8 = 0;
+
+    /// Whether the firmware takes updates over the link. If not, the node contains no code for them.
+    const UPDATES: bool = false;
 
     /// Number of components; the first 255 are used.
     fn count(&self) -> usize;
@@ -80,6 +84,16 @@ pub trait Components {
     fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
         None
     }
+
+    /// The firmware's updates; only [`Updatable`](crate::update::Updatable) has some.
+    fn update(&self) -> Option<(&UpdateState, &dyn Updater)> {
+        None
+    }
+
+    /// The same, mutable.
+    fn update_mut(&mut self) -> Option<(&mut UpdateState, &mut dyn Updater)> {
+        None
+    }
 }
 
 impl<T: Component> Components for [T] {
@@ -130,6 +144,7 @@ impl<C: Components + ?Sized> Components for &mut C {
     const DESCRIBED: bool = C::DESCRIBED;
     const ACTING: bool = C::ACTING;
     const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
+    const UPDATES: bool = C::UPDATES;
 
     fn count(&self) -> usize {
         C::count(self)
@@ -177,6 +192,14 @@ impl<C: Components + ?Sized> Components for &mut C {
 
     fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
         C::tuning_mut(self)
+    }
+
+    fn update(&self) -> Option<(&UpdateState, &dyn Updater)> {
+        C::update(self)
+    }
+
+    fn update_mut(&mut self) -> Option<(&mut UpdateState, &mut dyn Updater)> {
+        C::update_mut(self)
     }
 }
 
@@ -245,6 +268,27 @@ macro_rules! forward {
 
         fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
             self.$field.tuning_mut()
+        }
+    };
+    (@updates $field:tt) => {
+        const UPDATES: bool = C::UPDATES;
+
+        fn update(
+            &self,
+        ) -> Option<(
+            &crate::update::UpdateState,
+            &dyn crate::update::Updater,
+        )> {
+            self.$field.update()
+        }
+
+        fn update_mut(
+            &mut self,
+        ) -> Option<(
+            &mut crate::update::UpdateState,
+            &mut dyn crate::update::Updater,
+        )> {
+            self.$field.update_mut()
         }
     };
 }

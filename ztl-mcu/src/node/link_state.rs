@@ -55,6 +55,10 @@ pub(super) enum Answer {
     /// To a command about the parameter with this number.
     Parameter(u8),
     Saved,
+    /// To a question for what runs.
+    Firmware,
+    /// To any other command about updates.
+    Update,
 }
 
 /// Everything but the decoder, whose buffer a received frame borrows while it is handled.

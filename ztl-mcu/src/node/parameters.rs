@@ -59,7 +59,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
 
     /// Whether a component carries out a task, or is on its way to the safe state; or any component, for
     /// [`NO_COMPONENT`].
-    fn moves(&self, component: u8) -> bool {
+    pub(super) fn moves(&self, component: u8) -> bool {
         let concerned = |index: usize| component == NO_COMPONENT || index == usize::from(component);
         let mut open = self.tasks.0.iter().filter(|task| task.is_open());
         if open.any(|task| concerned(usize::from(task.component))) {

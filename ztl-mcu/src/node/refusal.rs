@@ -31,11 +31,27 @@ pub(crate) enum Refusal {
     TableFullOfEnded,
     /// The component's description does not fit a frame.
     DescriptionTooLong,
+    /// The node receives a firmware update.
+    Updating,
+    /// A task runs that an update would end.
+    UpdateWaits,
+    /// A piece of an image is longer than the image, or shorter than the flash can write.
+    BadPiece,
 }
 
 impl Refusal {
-    /// The text that the gateway shows; for [`ByComponent`](Self::ByComponent) it is empty.
-    pub(crate) const fn as_str(self) -> &'static str {
+    /// The text that the gateway shows; for [`ByComponent`](Self::ByComponent) it is empty. Only a node that takes `updates`
+    /// carries their texts (104 bytes).
+    #[inline(always)]
+    pub(crate) fn as_str(self, updates: bool) -> &'static str {
+        if updates {
+            return self.text();
+        }
+        TEXTS.get(self as usize).copied().unwrap_or_default()
+    }
+
+    /// The text, where the compiler knows which reasons are possible, so that it leaves out the others.
+    pub(crate) const fn text(self) -> &'static str {
         match self {
             Self::ByComponent => "",
             Self::OtherVersion => "this node speaks version 1 of the link",
@@ -52,9 +68,35 @@ impl Refusal {
             Self::TableFull => NoRoom.as_str(),
             Self::TableFullOfEnded => "ends not yet acknowledged",
             Self::DescriptionTooLong => "its description is longer than a frame",
+            Self::Updating => UPDATING,
+            Self::UpdateWaits => "a task runs, and the update would end it",
+            Self::BadPiece => "the piece does not fit the image",
         }
     }
 }
 
+/// The texts of the variants before [`Updating`](Refusal::Updating), in their order.
+const TEXTS: [&str; Refusal::Updating as usize] = [
+    Refusal::ByComponent.text(),
+    Refusal::OtherVersion.text(),
+    Refusal::OtherGateway.text(),
+    Refusal::NoSuchComponent.text(),
+    Refusal::TooLate.text(),
+    Refusal::StaleTask.text(),
+    Refusal::NoSuchTask.text(),
+    Refusal::EmergencyStop.text(),
+    Refusal::Busy.text(),
+    Refusal::GoingToSafeState.text(),
+    Refusal::QueueFull.text(),
+    Refusal::GoalTooLongToWait.text(),
+    Refusal::TableFull.text(),
+    Refusal::TableFullOfEnded.text(),
+    Refusal::DescriptionTooLong.text(),
+];
+
 /// Also ends the tasks that run when it begins.
 pub(super) const EMERGENCY_STOP: &str = "emergency stop";
+/// Also ends the tasks that run when an update begins.
+pub(super) const UPDATING: &str = "a firmware update is in progress";
+/// Also ends the tasks that run when a trial is over.
+pub(super) const RESTARTING: &str = "the device restarts";

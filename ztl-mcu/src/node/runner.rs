@@ -1,9 +1,10 @@
 //! Starts, queues, replaces and ends tasks.
 
 use ztl_core::Instant;
+use ztl_core::link::update::UpdatePhase;
 use ztl_core::link::{Busy, LinkId, Loss};
 
-use super::refusal::{EMERGENCY_STOP, Reason, Refusal};
+use super::refusal::{EMERGENCY_STOP, RESTARTING, Reason, Refusal, UPDATING};
 use super::tasks::{Stage, TEXT, Table, Task, TaskText};
 use crate::component::{Component, Components, Refused, Report, Run};
 
@@ -103,7 +104,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             };
             let (end, why) = match task.stage {
                 Stage::Lost => (Stage::Failed, LINK_LOST),
-                Stage::Stopped => (Stage::Aborted, EMERGENCY_STOP),
+                Stage::Stopped => (Stage::Aborted, stop_reason(&self.components)),
                 Stage::Replaced if end == Stage::Aborted => (end, REPLACED),
                 _ => (end, ""),
             };
@@ -139,9 +140,13 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
 
     /// Sends the components to the safe state, idle ones too: `all`, or those that do not carry on without a
     /// link. Ends waiting tasks at once, and running ones when their component is safe.
-    fn make_safe(&mut self, now: Instant, all: bool) {
+    pub(super) fn make_safe(&mut self, now: Instant, all: bool) {
         let (stopping, end, why) = if all {
-            (Stage::Stopped, Stage::Aborted, EMERGENCY_STOP)
+            (
+                Stage::Stopped,
+                Stage::Aborted,
+                stop_reason(&self.components),
+            )
         } else {
             (Stage::Lost, Stage::Failed, LINK_LOST)
         };
@@ -193,6 +198,9 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     ) -> Result<(), Refusal> {
         if self.stopped {
             return Err(Refusal::EmergencyStop);
+        }
+        if is_updating(&self.components) {
+            return Err(Refusal::Updating);
         }
         // Constant if no component has long results.
         let has_result = !self.components.result(component.into()).is_empty();
@@ -308,6 +316,25 @@ pub(super) fn kept_result<'c, C: Components>(components: &'c C, task: &Task) -> 
     // Constant, and so the rest absent, if no component has long results.
     let result = components.result(task.component.into());
     (!result.is_empty() && task.is_kept()).then_some(result)
+}
+
+/// Whether an update keeps the components in the safe state.
+fn is_updating<C: Components>(components: &C) -> bool {
+    C::UPDATES
+        && components
+            .update()
+            .is_some_and(|(state, _)| state.is_active())
+}
+
+/// Why the tasks end for which all components go to the safe state.
+fn stop_reason<C: Components>(components: &C) -> &'static str {
+    if !is_updating(components) {
+        return EMERGENCY_STOP;
+    }
+    match components.update() {
+        Some((state, _)) if state.phase == UpdatePhase::Restarting => RESTARTING,
+        _ => UPDATING,
+    }
 }
 
 /// Whether a component goes to the safe state: all do, or it does not carry on without a link.

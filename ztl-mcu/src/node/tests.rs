@@ -10,6 +10,7 @@ mod refusals;
 mod safety;
 mod sessions;
 mod ticks;
+mod update;
 
 use super::*;
 use crate::component::{Component, Refused, Report, Run};

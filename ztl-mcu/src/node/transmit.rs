@@ -284,7 +284,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Refused(refusal) => {
                     let reason = match refusal {
                         Refusal::ByComponent => self.runner.reason.as_str(),
-                        refusal => refusal.as_str(),
+                        refusal => refusal.as_str(C::UPDATES),
                     };
                     Body::Refused { reason }.put(frame);
                 }
@@ -296,10 +296,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Saved if C::PARAMETER_COUNT > 0 => {
                     Body::Parameter(ParameterMessage::Saved).put(frame);
                 }
-                Answer::Parameter(_) | Answer::Saved => {}
+                Answer::Firmware | Answer::Update if C::UPDATES => {
+                    self.runner.put_update(answer, frame);
+                }
+                Answer::Parameter(_) | Answer::Saved | Answer::Firmware | Answer::Update => {}
             });
         if !fits {
-            let reason = Refusal::DescriptionTooLong.as_str();
+            let reason = Refusal::DescriptionTooLong.as_str(C::UPDATES);
             self.frame_out.encode(address, session, seq, |frame| {
                 Body::Refused { reason }.put(frame)
             });

@@ -292,7 +292,7 @@ impl<C: Components + TuneAll, P: Tunable, S: Storage, const N: usize> Components
         count::<C, P>() as u8
     };
 
-    forward!(components: parts descriptions bus own_work);
+    forward!(components: parts descriptions bus own_work updates);
 
     fn tuning(&self) -> Option<&dyn Tuning> {
         Some(self)

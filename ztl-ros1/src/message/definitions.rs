@@ -8,7 +8,7 @@ use std::{error, fmt};
 use super::carried;
 use super::definition::{DeclaredCount, Definition, Primitive, is_name};
 use super::message_type::{ActionType, Count, Element, FieldType, MessageType, ServiceType};
-use super::packages::Packages;
+use super::packages::{self, Packages};
 
 /// How many messages may be within one another.
 const DEEPEST: usize = 32;
@@ -134,6 +134,12 @@ impl Definitions {
             packages: Packages::of_this_machine(),
             messages: BTreeMap::new(),
         }
+    }
+
+    /// A path of `ROS_PACKAGE_PATH` that is not used, because it is relative or not a directory.
+    #[must_use]
+    pub fn useless_path() -> Option<PathBuf> {
+        packages::useless_path()
     }
 
     /// The definitions in the packages below these directories, then the carried ones. If several have one name, the first counts.

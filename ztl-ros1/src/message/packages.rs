@@ -22,6 +22,19 @@ pub(super) struct Packages {
     found: Option<BTreeMap<String, Vec<PathBuf>>>,
 }
 
+/// The paths in an environment variable.
+fn paths(variable: &str) -> Vec<PathBuf> {
+    let value = env::var_os(variable).unwrap_or_default();
+    env::split_paths(&value).collect()
+}
+
+/// A path of `ROS_PACKAGE_PATH` that is not used, because it is relative or not a directory.
+pub(super) fn useless_path() -> Option<PathBuf> {
+    let is_useful = |path: &PathBuf| path.is_absolute() && path.is_dir();
+    let mut paths = paths("ROS_PACKAGE_PATH").into_iter();
+    paths.find(|path| !path.as_os_str().is_empty() && !is_useful(path))
+}
+
 impl Packages {
     pub(super) const fn new(roots: Vec<PathBuf>) -> Self {
         Self { roots, found: None }
@@ -29,10 +42,6 @@ impl Packages {
 
     /// The places of this machine's ROS: those that its environment names, and those where it is usually installed.
     pub(super) fn of_this_machine() -> Self {
-        let paths = |name| {
-            let value = env::var_os(name).unwrap_or_default();
-            env::split_paths(&value).collect::<Vec<_>>()
-        };
         let mut roots = paths("ROS_PACKAGE_PATH");
         // Definitions that were made from those of actions.
         let prefixes = paths("CMAKE_PREFIX_PATH").into_iter();

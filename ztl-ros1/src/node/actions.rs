@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use super::engine::Engine;
+use super::fit::TypeConflict;
 use super::rpc::CallError;
-use super::topics::{Consumer, TypeConflict};
+use super::topics::Consumer;
 use crate::action::GoalEvent;
 use crate::action::machine::{Effect, GoalKey, Links, Machine};
 use crate::action::wire::{self, RosTime};

@@ -217,7 +217,7 @@ impl Engine {
 
     /// Looks up host names, each on a thread of its own, since the system's lookup blocks.
     fn look_up(&mut self) {
-        for host in self.net.take_lookups() {
+        while let Some(host) = self.net.next_lookup() {
             let mailbox = self.mailbox.clone();
             let name = host.clone();
             let look_up = move || {

@@ -18,6 +18,9 @@ pub(crate) const PIECE: usize = 64 * 1024;
 /// Connections that others may hold open; the one that would time out first makes room for another.
 const MOST_ACCEPTED: usize = 512;
 
+/// Host names that are looked up at a time, each on a thread.
+const MOST_LOOKUPS: usize = 8;
+
 /// The pause after the system had no room for another connection.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
 
@@ -140,8 +143,9 @@ pub(crate) struct Net {
     events: VecDeque<NetEvent>,
     /// Hosts that are looked up or were, with the time when the answer is too old.
     hosts: HashMap<String, Host>,
-    /// Host names to look up.
-    to_look_up: Vec<String>,
+    /// Host names to look up, and how many are being looked up.
+    to_look_up: VecDeque<String>,
+    lookups: usize,
     /// When something is to be done next.
     next: Instant,
 }
@@ -171,7 +175,8 @@ impl Net {
             readable: VecDeque::new(),
             events: VecDeque::new(),
             hosts: HashMap::new(),
-            to_look_up: Vec::new(),
+            to_look_up: VecDeque::new(),
+            lookups: 0,
             next: Instant::now(),
         };
         Ok((net, wake))
@@ -240,13 +245,26 @@ impl Net {
         self.events.pop_front()
     }
 
-    /// Host names for [`handle_host`](Self::handle_host).
-    pub(crate) fn take_lookups(&mut self) -> Vec<String> {
-        mem::take(&mut self.to_look_up)
+    /// A host name to look up, for [`handle_host`](Self::handle_host).
+    pub(crate) fn next_lookup(&mut self) -> Option<String> {
+        if self.lookups >= MOST_LOOKUPS {
+            return None;
+        }
+        while let Some(host) = self.to_look_up.pop_front() {
+            let mut connections = self.connections.values();
+            if connections.any(|of| of.stream.is_none() && of.peer.host == host) {
+                self.lookups += 1;
+                return Some(host);
+            }
+            // Whoever waited for it has given up.
+            self.hosts.remove(&host);
+        }
+        None
     }
 
     /// A host name was looked up.
     pub(crate) fn handle_host(&mut self, now: Instant, host: &str, address: Option<IpAddr>) {
+        self.lookups = self.lookups.saturating_sub(1);
         // An unknown name is looked up again soon: a person may be adding it.
         let valid = Duration::from_secs(if address.is_some() { 30 } else { 1 });
         let known = Host::Known(address, now + valid);
@@ -417,7 +435,7 @@ impl Net {
             (Err(_), Some(Host::Asked)) => return,
             (Err(_), _) => {
                 self.hosts.insert(host.clone(), Host::Asked);
-                self.to_look_up.push(host.clone());
+                self.to_look_up.push_back(host.clone());
                 return;
             }
         };

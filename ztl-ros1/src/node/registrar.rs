@@ -24,6 +24,8 @@ pub(crate) const STOP: Duration = Duration::from_secs(2);
 #[derive(Debug, Default)]
 pub(crate) struct Registrar {
     calling: bool,
+    /// Whether the master knew this node at the last check.
+    known: bool,
     /// No call before this.
     not_before: Option<Instant>,
     /// Topics to unregister: the method and its parameters after the node's name.
@@ -106,7 +108,9 @@ impl Engine {
                     }
                     let anything =
                         !engine.publications.is_empty() || !engine.subscriptions.is_empty();
-                    if known || !anything {
+                    // Registers again at once, but not again and again with a master that never knows this node.
+                    let was_known = std::mem::replace(&mut engine.registrar.known, known);
+                    if known || !was_known || !anything {
                         engine.registrar.not_before = Some(now + CHECK);
                     }
                 });

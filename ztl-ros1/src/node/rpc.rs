@@ -147,3 +147,17 @@ fn read(answer: Result<http::Message, String>, peer: String) -> Result<Value, Ca
         _ => Err(malformed("not a list of code, text and value".to_owned())),
     }
 }
+
+/// Reads `["TCPROS", host, port]`.
+pub(crate) fn read_offer(value: &Value) -> Option<Address> {
+    let [protocol, host, port] = value.as_array()? else {
+        return None;
+    };
+    if protocol.as_str() != Some("TCPROS") {
+        return None;
+    }
+    Some(Address {
+        host: host.as_str()?.to_owned(),
+        port: u16::try_from(port.as_int()?).ok()?,
+    })
+}

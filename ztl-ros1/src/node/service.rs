@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::engine::{Engine, Role};
+use super::fit::fits;
 use super::net::{ConnectionId, NetError};
 use super::rpc::CallError;
-use super::topics::fits;
 use crate::WireType;
 use crate::tcpros::{FrameError, Frames, Header, LONGEST_HEADER, frame};
 use crate::uri::Address;
@@ -27,7 +27,12 @@ pub(crate) type OnResponse = Box<dyn FnOnce(Result<Vec<u8>, ServiceError>) + Sen
 #[non_exhaustive]
 pub enum ServiceError {
     /// The master does not name it, or cannot be asked.
-    NotFound(CallError),
+    NotFound {
+        /// The service.
+        service: String,
+        /// What the master says.
+        error: CallError,
+    },
     /// The connection failed. If the request was sent, it is unknown whether the service has carried it out.
     Net {
         /// What failed.
@@ -55,7 +60,7 @@ pub enum ServiceError {
 impl fmt::Display for ServiceError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotFound(error) => error.fmt(f),
+            Self::NotFound { service, error } => write!(f, "service {service}: {error}"),
             Self::Net { error, sent: false } => write!(f, "{error}; nothing was sent"),
             Self::Net { error, sent: true } => {
                 write!(
@@ -109,11 +114,11 @@ impl Engine {
         let found = move |engine: &mut Self, now: Instant, answer: Result<Value, CallError>| {
             let uri = match answer {
                 Ok(value) => value.as_str().unwrap_or_default().to_owned(),
-                Err(error) => return then(Err(ServiceError::NotFound(error))),
+                Err(error) => return then(Err(ServiceError::NotFound { service, error })),
             };
             let Some(address) = Address::parse(&uri, "rosrpc") else {
                 let error = CallError::Address { uri };
-                return then(Err(ServiceError::NotFound(error)));
+                return then(Err(ServiceError::NotFound { service, error }));
             };
             let header = Header::new([
                 ("callerid", &engine.name[..]),

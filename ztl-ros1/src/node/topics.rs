@@ -1,17 +1,16 @@
 //! What the node publishes, and what it subscribes to.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::actions::Part;
 use super::engine::{Engine, Role};
+use super::fit::{TypeConflict, conflict, fits};
 use super::net::ConnectionId;
-use super::rpc::CallError;
+use super::rpc::{CallError, read_offer};
 use crate::WireType;
 use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
-use crate::uri::Address;
 use crate::xmlrpc::Value;
 
 /// Messages that wait for a slow subscriber; then the oldest is dropped.
@@ -19,6 +18,9 @@ const QUEUE: usize = 64;
 
 /// The longest message that is received, in bytes.
 const LONGEST: usize = 64 * 1024 * 1024;
+
+/// Publishers of a topic that are connected. Any node can name some to this one.
+const MOST_PUBLISHERS: usize = 128;
 
 /// How long a publisher may take to say where it publishes, and then to accept the connection.
 const CONNECT: Duration = Duration::from_secs(5);
@@ -86,34 +88,11 @@ pub(crate) struct Source {
     frames: Frames,
     /// The name of the node, once its header has arrived.
     caller: Option<Arc<str>>,
+    /// Whether the publisher keeps its last message for new subscribers.
+    latching: bool,
+    /// That message, for new consumers here.
+    last: Option<Vec<u8>>,
 }
-
-/// Another part of this process uses the topic with another type.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TypeConflict {
-    /// The topic.
-    pub topic: String,
-    /// The type in use.
-    pub used: String,
-    /// The type that was asked for.
-    pub wanted: String,
-}
-
-impl fmt::Display for TypeConflict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            topic,
-            used,
-            wanted,
-        } = self;
-        write!(
-            f,
-            "{topic} is used as {used} already, and cannot be {wanted}"
-        )
-    }
-}
-
-impl std::error::Error for TypeConflict {}
 
 impl Subscription {
     pub(crate) fn connected_uris(&self) -> impl Iterator<Item = &str> {
@@ -156,22 +135,6 @@ impl Publisher {
     }
 }
 
-/// Whether messages of these types are the same; `*` is every type.
-pub(crate) fn fits(ours: &str, theirs: &str) -> bool {
-    ours == theirs || ours == "*" || theirs == "*"
-}
-
-fn conflict(topic: &str, used: &WireType, wanted: &WireType) -> Result<(), TypeConflict> {
-    match used.name == wanted.name && used.md5 == wanted.md5 {
-        true => Ok(()),
-        false => Err(TypeConflict {
-            topic: topic.to_owned(),
-            used: format!("{} ({})", used.name, used.md5),
-            wanted: format!("{} ({})", wanted.name, wanted.md5),
-        }),
-    }
-}
-
 impl Engine {
     /// Publishes a topic, for one more owner.
     pub(crate) fn advertise(
@@ -184,6 +147,7 @@ impl Engine {
         if let Some(publication) = self.publications.get_mut(topic) {
             conflict(topic, &publication.ty, &ty)?;
             publication.owners += 1;
+            publication.action = publication.action.take().or(action);
             return Ok(());
         }
         let publication = Publication {
@@ -236,17 +200,26 @@ impl Engine {
         topic: &Arc<str>,
         ty: WireType,
         id: u32,
-        consumer: Consumer,
+        mut consumer: Consumer,
     ) -> Result<(), TypeConflict> {
-        if let Some(subscription) = self.subscriptions.get_mut(topic) {
-            conflict(topic, &subscription.ty, &ty)?;
-            subscription.consumers.push((id, consumer));
-            return Ok(());
-        }
         let action = match &consumer {
             Consumer::Action(action, _) => Some(Arc::clone(action)),
             _ => None,
         };
+        if let Some(subscription) = self.subscriptions.get_mut(topic) {
+            conflict(topic, &subscription.ty, &ty)?;
+            for publisher in subscription.publishers.values() {
+                if let State::Open(id, caller) = &publisher.state
+                    && let Some(Role::Source(source)) = self.roles.get(id)
+                    && let (Some(last), Consumer::Owner(on_message)) = (&source.last, &mut consumer)
+                {
+                    on_message(caller, last);
+                }
+            }
+            subscription.consumers.push((id, consumer));
+            subscription.action = subscription.action.take().or(action);
+            return Ok(());
+        }
         let subscription = Subscription {
             ty,
             registered: false,
@@ -289,19 +262,29 @@ impl Engine {
             publisher.listed = false;
         }
         for uri in uris {
-            let publisher = subscription.publishers.entry(uri.clone());
-            let publisher = publisher.or_insert_with(|| Publisher {
-                listed: true,
-                state: State::Waiting(now),
-                pause: SHORTEST,
-                obstacle: None,
-            });
-            publisher.listed = true;
+            if let Some(publisher) = subscription.publishers.get_mut(uri) {
+                publisher.listed = true;
+            }
         }
         let connected = |publisher: &Publisher| publisher.caller().is_some();
         subscription
             .publishers
             .retain(|_, of| of.listed || connected(of));
+        for uri in uris {
+            let is_full = subscription.publishers.len() >= MOST_PUBLISHERS;
+            if !is_full && !subscription.publishers.contains_key(uri) {
+                let publisher = Publisher {
+                    listed: true,
+                    state: State::Waiting(now),
+                    pause: SHORTEST,
+                    obstacle: None,
+                };
+                subscription.publishers.insert(uri.clone(), publisher);
+            }
+        }
+        if uris.len() > MOST_PUBLISHERS {
+            tracing::warn!(topic, "only {MOST_PUBLISHERS} publishers are used");
+        }
         self.relinked.extend(subscription.action.clone());
         self.retry_sources(now);
     }
@@ -377,6 +360,8 @@ impl Engine {
                     uri: uri.to_owned(),
                     frames: Frames::default(),
                     caller: None,
+                    latching: false,
+                    last: None,
                 };
                 self.roles.insert(id, Role::Source(source));
             }
@@ -401,13 +386,19 @@ impl Engine {
                 (Ok(None), _) => return Some(Role::Source(source)),
                 (Ok(Some(content)), Some(caller)) => {
                     self.deliver(now, &source.topic, caller, content);
+                    source.last = source.latching.then(|| content.to_vec());
                     continue;
                 }
                 (Ok(Some(content)), None) => {
                     let header = Header::parse(content).map_err(|error| error.to_string());
-                    match header.and_then(|header| self.on_source_header(id, &source, &header)) {
-                        Ok(caller) => {
+                    let accepted = header.and_then(|header| {
+                        let caller = self.on_source_header(id, &source, &header)?;
+                        Ok((caller, header.get("latching") == "1"))
+                    });
+                    match accepted {
+                        Ok((caller, latching)) => {
                             source.caller = Some(caller);
+                            source.latching = latching;
                             continue;
                         }
                         Err(error) => error,
@@ -576,18 +567,4 @@ impl Engine {
             self.relinked.extend(publication.action.clone());
         }
     }
-}
-
-/// Reads `["TCPROS", host, port]`.
-pub(crate) fn read_offer(value: &Value) -> Option<Address> {
-    let [protocol, host, port] = value.as_array()? else {
-        return None;
-    };
-    if protocol.as_str() != Some("TCPROS") {
-        return None;
-    }
-    Some(Address {
-        host: host.as_str()?.to_owned(),
-        port: u16::try_from(port.as_int()?).ok()?,
-    })
 }

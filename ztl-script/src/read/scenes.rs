@@ -379,6 +379,10 @@ impl<'d> Reader<'d> {
             wait: true,
             limit,
             goal: String::new(),
+            goal_span: match entry.value.is_null() {
+                true => entry.name.span,
+                false => entry.value.span,
+            },
             span: entry.name.span,
             key: key.clone(),
         };

@@ -219,3 +219,19 @@ fn that_a_run_goes_on_is_no_damage() {
     let (_, damage) = read_so_far("run.jsonl", &b"nonsense\n"[..]).unwrap();
     assert_eq!(damage.len(), 1, "{damage:?}");
 }
+
+#[cfg(unix)]
+#[test]
+fn the_operator_is_told_once_that_the_record_was_deleted() {
+    let file = std::env::temp_dir().join(format!("ztl-deleted-{}.jsonl", std::process::id()));
+    let _ = std::fs::remove_file(&file);
+    let mut recorder = Recorder::create(&file).unwrap();
+    recorder.write(&note(1, "kept")).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    let error = recorder.write(&note(2, "lost")).unwrap_err().to_string();
+    assert!(
+        error.contains("cannot be written: it was deleted"),
+        "{error}"
+    );
+    recorder.write(&note(3, "lost")).unwrap();
+}

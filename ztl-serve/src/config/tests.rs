@@ -39,7 +39,7 @@ fn kind_of<K: Clone + 'static>(component: &ComponentConfig) -> K {
 fn stream_program(stream: &StreamConfig) -> &Program {
     match &stream.origin {
         Origin::Program(program) => program,
-        Origin::Topic(_) | Origin::Signal(_) => panic!("{stream:?}"),
+        Origin::Topic(_) | Origin::Signal(_) | Origin::Event(_) => panic!("{stream:?}"),
     }
 }
 
@@ -241,7 +241,7 @@ scopes:
         "robot.yaml:7:47: unknown key 'at_once'; did you mean 'at-once'?",
         "robot.yaml:8:21: no client may choose the program; use an argument",
         "robot.yaml:9:21: a shell would execute what '{goal}' stands for; write \"$ZTL_GOAL\", or use run",
-        "robot.yaml:10:32: give only one of: run, shell, built-in, forward, ros1-action, ros1-trajectory, ros1-publish, ros1-service, ros1-parameter, naoqi, http",
+        "robot.yaml:10:32: give only one of: run, shell, built-in, forward, ros1-action, ros1-trajectory, ros1-publish, ros1-service, ros1-parameter, naoqi, naoqi-wait, http",
         "robot.yaml:10:51: 'IMT' is not known here; did you mean 'INT'?",
         "robot.yaml:11:23: no goal has 'y': it is {x: a number}",
         "robot.yaml:12:32: least 2 is greater than most 1",
@@ -370,7 +370,7 @@ streams:
         "robot.yaml:14:55: '17 MiB' is not a size from 1 byte to 16 MiB, as 3200 bytes",
         "robot.yaml:14:69: '0 Hz' is not a rate from 0.001 Hz to 1000 Hz, as 10 Hz",
         "robot.yaml:15:42: no client can abort a stream; leave this out",
-        "robot.yaml:15:46: unknown key 'dashes'; there are: ros1-topic, naoqi-event, naoqi-signal, frame, longest, latest, rate, when-watched, run, shell, directory, environment, user, abort",
+        "robot.yaml:15:46: unknown key 'dashes'; there are: ros1-topic, naoqi-event, naoqi-signal, http-event, frame, longest, latest, rate, when-watched, run, shell, directory, environment, user, abort",
         "robot.yaml:16:54: 'IMT' is not known here; did you mean 'INT'?",
         "robot.yaml:16:66: there is no user 'nobody-is-called-so' on this machine",
         "robot.yaml:17:13: found a list; expected a mapping: run: [PROGRAM, ARGUMENT], frame: line",

@@ -4,23 +4,27 @@ use std::fmt;
 use std::io::{ErrorKind, Read as _};
 use std::time::{Duration, Instant};
 
-use ureq::http::{Method, Request, Uri};
+use ureq::http::{Method, Request, Response, Uri};
+use ureq::unversioned::resolver::DefaultResolver;
 use ureq::{Agent, Body, Error, Timeout};
 use ztl_std::describe::GoalValue;
 
+use super::dial::{Closer, Dial, NotOpened};
 use super::request::Filled;
 
 /// The longest answer that is read, in bytes.
 pub(super) const LONGEST: usize = 64 << 10;
 /// How long a connection may take to open.
-const CONNECT: Duration = Duration::from_secs(5);
+pub(super) const CONNECT: Duration = Duration::from_secs(5);
 /// How many redirects are followed.
 const REDIRECTS: usize = 3;
 
-/// An answer.
+/// An answer, or an event.
 #[derive(Debug)]
 pub(super) struct Answer {
     pub(super) status: u16,
+    /// The name of an event.
+    pub(super) name: Option<String>,
     body: Vec<u8>,
     /// Whether it goes on after `body`.
     cut: bool,
@@ -42,6 +46,27 @@ impl fmt::Display for NoAnswer {
 }
 
 impl Answer {
+    /// An event with this text or JSON.
+    pub(super) fn of_event(name: Option<String>, body: &[u8]) -> Self {
+        Self {
+            status: 200,
+            name,
+            body: body.to_vec(),
+            cut: false,
+            value: serde_json::from_slice(body).ok(),
+        }
+    }
+
+    /// Its size in bytes.
+    pub(super) const fn len(&self) -> usize {
+        self.body.len()
+    }
+
+    /// Its JSON; `None` if it is none.
+    pub(super) const fn value(&self) -> Option<&GoalValue> {
+        self.value.as_ref()
+    }
+
     /// The value of a field of its JSON.
     pub(super) fn field(&self, path: &[String]) -> Option<GoalValue> {
         let value = self.value.as_ref();
@@ -90,11 +115,7 @@ pub(super) fn exchange(request: &Filled, until: Instant) -> Result<Answer, NoAns
     })
 }
 
-fn send(
-    request: &Filled,
-    uri: &Uri,
-    until: Instant,
-) -> Result<ureq::http::Response<Body>, NoAnswer> {
+fn send(request: &Filled, uri: &Uri, until: Instant) -> Result<Response<Body>, NoAnswer> {
     let left = until.saturating_duration_since(Instant::now());
     if left.is_zero() {
         return Err(NoAnswer {
@@ -102,6 +123,23 @@ fn send(
             sent: false,
         });
     }
+    let dial = Dial {
+        trust: request.trust.clone(),
+        closer: Closer::default(),
+        silence: None,
+    };
+    let answer = connection(request, uri, dial, Some(left));
+    answer.map_err(|error| no_answer(&error))
+}
+
+/// Sends a request on a connection of its own, and waits for the beginning of the answer. `limit`: how long all of it may
+/// take; without, the body may take any time.
+pub(super) fn connection(
+    request: &Filled,
+    uri: &Uri,
+    dial: Dial,
+    limit: Option<Duration>,
+) -> Result<Response<Body>, Error> {
     let config = Agent::config_builder()
         .http_status_as_error(false)
         .max_redirects(0)
@@ -110,25 +148,19 @@ fn send(
         // A robot is in the same network.
         .proxy(None)
         .max_response_header_size(LONGEST)
-        .timeout_connect(Some(CONNECT.min(left)))
-        .timeout_global(Some(left))
+        .timeout_connect(Some(limit.map_or(CONNECT, |limit| CONNECT.min(limit))))
+        .timeout_recv_response(limit.or(Some(CONNECT)))
+        .timeout_global(limit)
         .build();
     let mut builder = Request::builder().method(request.method.clone()).uri(uri);
     for (name, value) in &request.headers {
         builder = builder.header(name, value);
     }
-    let agent = Agent::new_with_config(config);
-    let answer = match &request.body {
-        Some(body) => {
-            let whole = builder.body(body.as_slice());
-            whole.map_err(Error::from).and_then(|it| agent.run(it))
-        }
-        None => {
-            let whole = builder.body(());
-            whole.map_err(Error::from).and_then(|it| agent.run(it))
-        }
-    };
-    answer.map_err(|error| no_answer(&error))
+    let agent = Agent::with_parts(config, dial, DefaultResolver::default());
+    match &request.body {
+        Some(body) => agent.run(builder.body(body.as_slice())?),
+        None => agent.run(builder.body(())?),
+    }
 }
 
 fn read(status: u16, body: &mut Body, until: Instant) -> Result<Answer, NoAnswer> {
@@ -165,6 +197,7 @@ fn read(status: u16, body: &mut Body, until: Instant) -> Result<Answer, NoAnswer
     };
     Ok(Answer {
         status,
+        name: None,
         body: bytes,
         cut,
         value,
@@ -184,24 +217,15 @@ fn redirected(from: &Uri, location: &str) -> Option<Uri> {
     same.then_some(to)
 }
 
-fn no_answer(error: &Error) -> NoAnswer {
-    let refused = |kind| {
-        matches!(
-            kind,
-            ErrorKind::ConnectionRefused
-                | ErrorKind::HostUnreachable
-                | ErrorKind::NetworkUnreachable
-                | ErrorKind::AddrNotAvailable
-        )
-    };
+pub(super) fn no_answer(error: &Error) -> NoAnswer {
     let (sent, reason) = match error {
         Error::HostNotFound => (false, "no such host".to_owned()),
         Error::ConnectionFailed => (false, "cannot connect".to_owned()),
+        Error::Other(cause) if cause.is::<NotOpened>() => (false, cause.to_string()),
         Error::Timeout(Timeout::Resolve) => (false, "its name was not found in time".to_owned()),
         Error::Timeout(Timeout::Connect) => (false, "cannot connect in time".to_owned()),
         Error::Timeout(_) => (true, "no answer in time".to_owned()),
         Error::BadUri(_) | Error::Http(_) | Error::Tls(_) => (false, error.to_string()),
-        Error::Io(cause) if refused(cause.kind()) => (false, cause.to_string()),
         Error::Io(cause) if cause.kind() == ErrorKind::UnexpectedEof => {
             (true, "the server has closed the connection".to_owned())
         }

@@ -1,13 +1,23 @@
-//! Names for hosts, so that a robot's address is in one place: `http: {robot: 10.0.0.7}`.
+//! Names for hosts, so that a robot's address and certificate are in one place: `http: {robot: 10.0.0.7}`.
 
 use std::collections::BTreeMap;
 
-use ztl_yaml::Node;
+use ztl_yaml::{Node, NodeValue};
 
+use super::tls::Trust;
 use crate::reader::ConfigReader;
 
 /// The hosts, by the names that addresses use for them.
-pub(crate) type Hosts = BTreeMap<String, String>;
+pub(crate) type Hosts = BTreeMap<String, Host>;
+
+/// A host.
+#[derive(Debug, Default)]
+pub(crate) struct Host {
+    /// As it stands in an address, perhaps with its port.
+    pub(super) address: String,
+    /// Which certificates are right, where the file says it.
+    pub(super) trust: Option<Trust>,
+}
 
 /// What is wrong with a host, as it stands in an address, perhaps with its port.
 pub(super) fn mistake(host: &str) -> Option<String> {
@@ -37,12 +47,43 @@ impl<'d> ConfigReader<'d> {
                     false => Err(format!("'{text}' is not a name, as robot")),
                 }
             });
-            let host = self.yaml.parsed(host, "a host, as 10.0.0.7", |text| {
-                mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
-            });
-            if let (Some(name), Some(host)) = (name, host) {
-                self.http.insert(name, host);
+            let host = self.http_host_entry(host);
+            if let Some(name) = name {
+                // What is wrong with it is told once, and not of each address with it.
+                self.http.insert(name, host.unwrap_or_default());
             }
         }
+    }
+
+    /// Reads a host, alone or with its certificate.
+    fn http_host_entry(&mut self, node: &'d Node) -> Option<Host> {
+        let mut certificate = None;
+        let address = match &node.value {
+            NodeValue::Map(_) => {
+                let what = "host: 10.0.0.7, certificate: robot.pem";
+                let mut fields = self.yaml.fields(node, what)?;
+                let host = fields.required("host", "host: 10.0.0.7");
+                certificate = fields.optional("certificate");
+                fields.finish(&mut self.yaml);
+                host?
+            }
+            _ => node,
+        };
+        let address = self.yaml.parsed(address, "a host, as 10.0.0.7", |text| {
+            mistake(text).map_or_else(|| Ok(text.to_owned()), Err)
+        });
+        let trust = certificate.map(|node| {
+            let what = "a PEM file with the robot's certificate, or that of its authority";
+            let base = self.base;
+            self.yaml
+                .parsed(node, what, |file| Trust::pinned(&base.join(file)))
+        });
+        Some(Host {
+            address: address?,
+            trust: match trust {
+                Some(trust) => Some(trust?),
+                None => None,
+            },
+        })
     }
 }

@@ -9,9 +9,10 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ureq::http::{HeaderName, HeaderValue, Method, Uri};
 use ztl_std::describe::{GoalRule, GoalValue};
-use ztl_yaml::{Fields, Node, closest};
+use ztl_yaml::{Fields, Node, NodeValue, closest};
 
-use super::hosts::mistake;
+use super::hosts::{Host, mistake};
+use super::tls::Trust;
 use crate::call::Call;
 use crate::program::template::Template;
 use crate::reader::ConfigReader;
@@ -26,11 +27,21 @@ pub(super) struct RequestTemplate {
     method: Method,
     /// As `http://10.0.0.7:80`.
     origin: String,
+    /// Whom to trust, if it is encrypted.
+    trust: Option<Trust>,
     path: Template,
     query: Option<Template>,
     headers: Vec<(HeaderName, Template)>,
     body: Option<BodyTemplate>,
     secret: Option<Secret>,
+}
+
+/// An address of the file.
+struct Address {
+    origin: String,
+    trust: Option<Trust>,
+    path: Template,
+    query: Option<Template>,
 }
 
 #[derive(Debug)]
@@ -48,10 +59,11 @@ enum Secret {
 }
 
 /// A request for a task.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Filled {
     pub(super) method: Method,
     pub(super) uri: Uri,
+    pub(super) trust: Option<Trust>,
     pub(super) headers: Vec<(HeaderName, HeaderValue)>,
     pub(super) body: Option<Vec<u8>>,
 }
@@ -104,15 +116,37 @@ impl RequestTemplate {
         Ok(Filled {
             method: self.method.clone(),
             uri: uri.map_err(|error| format!("the address cannot be used: {error}"))?,
+            trust: self.trust.clone(),
             headers,
             body,
         })
     }
 
-    /// Whether it needs the goal as a value, not only as its text.
-    pub(super) fn needs_fields(&self) -> bool {
-        let paths = self.goal_paths();
-        paths.iter().any(|path| !path.is_empty())
+    /// Whether it opens a WebSocket.
+    pub(super) fn is_socket(&self) -> bool {
+        self.origin.starts_with("ws")
+    }
+
+    /// Whether it has a body.
+    pub(super) const fn has_body(&self) -> bool {
+        self.body.is_some()
+    }
+
+    /// Whether it only asks: it is a `get`.
+    pub(super) fn is_get(&self) -> bool {
+        self.method == Method::GET
+    }
+
+    /// Whether it uses fields of the answer to the task's request.
+    pub(super) fn uses_answer(&self) -> bool {
+        let of_body = match &self.body {
+            Some(BodyTemplate::Json(value)) => value.uses_answer(),
+            Some(BodyTemplate::Form(fields)) => fields.iter().any(|(_, text)| text.uses_answer()),
+            None => false,
+        };
+        let headers = self.headers.iter().map(|(_, template)| template);
+        let mut texts = headers.chain([&self.path]).chain(&self.query);
+        of_body || texts.any(Template::uses_answer)
     }
 
     /// Each part of the goal that it uses.
@@ -212,6 +246,15 @@ fn encoded(value: &str) -> String {
     text
 }
 
+/// Which addresses are right.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Schemes {
+    /// `http` and `https`.
+    Requests,
+    /// Those, and `ws` and `wss`.
+    Events,
+}
+
 const METHODS: [(&str, Method); 5] = [
     ("get", Method::GET),
     ("post", Method::POST),
@@ -220,6 +263,20 @@ const METHODS: [(&str, Method); 5] = [
     ("delete", Method::DELETE),
 ];
 
+/// Whether a mapping has the address of a request.
+pub(super) fn has_method(node: &Node) -> bool {
+    METHODS.iter().any(|(key, _)| has_key(node, key))
+}
+
+/// Whether a mapping has this key.
+pub(super) fn has_key(node: &Node, key: &str) -> bool {
+    let NodeValue::Map(pairs) = &node.value else {
+        return false;
+    };
+    let mut keys = pairs.iter().map(|(key, _)| &key.value);
+    keys.any(|it| matches!(it, NodeValue::Scalar { text, .. } if text == key))
+}
+
 impl<'d> ConfigReader<'d> {
     /// Reads the keys of a request. `node` is their mapping.
     pub(super) fn http_request(
@@ -227,6 +284,7 @@ impl<'d> ConfigReader<'d> {
         node: &'d Node,
         fields: &mut Fields<'d>,
         rule: &GoalRule,
+        schemes: Schemes,
     ) -> Option<RequestTemplate> {
         let given = METHODS.map(|(key, method)| Some((fields.optional(key)?, method)));
         let mut given = given.into_iter().flatten();
@@ -250,7 +308,7 @@ impl<'d> ConfigReader<'d> {
                 self.yaml.wrong(second, format!("give only one of: {what}"));
             }
         }
-        let address = self.http_address(address, rule);
+        let address = self.http_address(address, rule, schemes);
         if let (Some(body), true) = (json.or(form), method == Method::GET) {
             self.yaml
                 .wrong(body, "get has no body; write it behind a ? of the address");
@@ -271,10 +329,16 @@ impl<'d> ConfigReader<'d> {
         {
             self.warn(node, format!("tasks will be rejected: {mistake}"));
         }
-        let (origin, path, query) = address?;
+        let Address {
+            origin,
+            trust,
+            path,
+            query,
+        } = address?;
         Some(RequestTemplate {
             method,
             origin,
+            trust,
             path,
             query,
             headers: match headers {
@@ -297,10 +361,16 @@ impl<'d> ConfigReader<'d> {
         &mut self,
         node: &'d Node,
         rule: &GoalRule,
-    ) -> Option<(String, Template, Option<Template>)> {
-        let what = "an address, as \"http://{robot}/api/halt\"";
+        schemes: Schemes,
+    ) -> Option<Address> {
+        let what = match schemes {
+            Schemes::Requests => "an address, as \"http://{robot}/api/halt\"",
+            Schemes::Events => {
+                "an address, as \"ws://{robot}/pubsub\" or \"http://{robot}/events\""
+            }
+        };
         let text = self.yaml.text(node, what)?;
-        let read = self.read_address(text, rule, what);
+        let read = self.read_address(text, rule, what, schemes);
         read.map_err(|mistake| self.yaml.wrong(node, mistake)).ok()
     }
 
@@ -309,21 +379,18 @@ impl<'d> ConfigReader<'d> {
         text: &str,
         rule: &GoalRule,
         what: &str,
-    ) -> Result<(String, Template, Option<Template>), String> {
+        schemes: Schemes,
+    ) -> Result<Address, String> {
         let wrong = || format!("'{text}' is not {what}");
         let (scheme, rest) = text.split_once("://").ok_or_else(wrong)?;
-        match scheme {
-            "http" => {}
-            "https" => {
-                return Err(format!(
-                    "'{text}' is encrypted, which is not supported yet: expected http://"
-                ));
-            }
+        let is_encrypted = match (scheme, schemes) {
+            ("http", _) | ("ws", Schemes::Events) => false,
+            ("https", _) | ("wss", Schemes::Events) => true,
             _ => return Err(wrong()),
-        }
+        };
         let end = rest.find(['/', '?']).unwrap_or(rest.len());
         let (host, rest) = rest.split_at_checked(end).ok_or_else(wrong)?;
-        let host = self.http_host(host)?;
+        let Host { address, trust } = self.http_host(host)?;
         if rest.contains(|c: char| c == '#' || c.is_whitespace() || c.is_control()) {
             return Err(format!("{}: expected no '#' and no blanks", wrong()));
         }
@@ -332,26 +399,37 @@ impl<'d> ConfigReader<'d> {
             None => (rest, None),
         };
         let path = if path.is_empty() { "/" } else { path };
-        let template = |text: &str| {
-            let template = Template::parse(text)?;
-            match template.lacks(rule) {
-                Some(lacking) => Err(format!("no goal has '{lacking}': it is {rule}")),
-                None => Ok(template),
-            }
-        };
-        let origin = format!("{scheme}://{host}");
+        if let (Some(_), false) = (&trust, is_encrypted) {
+            return Err(format!(
+                "'{text}' is not encrypted, and the host has a certificate: expected {scheme}s://"
+            ));
+        }
+        let template = |text: &str| self.template(text, rule);
+        let origin = format!("{scheme}://{address}");
         let path = template(path)?;
         let sample = format!("{origin}{}", path.sample());
         sample
             .parse::<Uri>()
             .map_err(|error| format!("{}: {error}", wrong()))?;
-        Ok((origin, path, query.map(template).transpose()?))
+        Ok(Address {
+            origin,
+            trust: is_encrypted.then(|| trust.unwrap_or(Trust::System)),
+            path,
+            query: query.map(template).transpose()?,
+        })
     }
 
     /// The host of an address, with its port, if it has one.
-    fn http_host(&self, host: &str) -> Result<String, String> {
+    fn http_host(&self, host: &str) -> Result<Host, String> {
         let Some(start) = host.find('{') else {
-            return mistake(host).map_or_else(|| Ok(host.to_owned()), Err);
+            let address = host.to_owned();
+            return mistake(host).map_or(
+                Ok(Host {
+                    address,
+                    trust: None,
+                }),
+                Err,
+            );
         };
         let (before, from) = host.split_at(start);
         let named = from.get(1..).and_then(|from| from.split_once('}'));
@@ -364,8 +442,18 @@ impl<'d> ConfigReader<'d> {
             };
             format!("no host is called '{name}'; {help}")
         })?;
-        let host = format!("{before}{known}{after}");
-        mistake(&host).map_or(Ok(host), Err)
+        let address = format!("{before}{}{after}", known.address);
+        let host = Host {
+            address,
+            trust: known.trust.clone(),
+        };
+        if known.address.is_empty() {
+            return Ok(Host {
+                address: "unknown".to_owned(),
+                trust: None,
+            });
+        }
+        mistake(&host.address).map_or(Ok(host), Err)
     }
 
     /// Reads texts by their names.

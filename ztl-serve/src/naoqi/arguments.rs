@@ -173,7 +173,7 @@ fn sample(template: &ValueTemplate, wanted: &Signature) -> Argument {
     let plain = |value| Argument { value, text: None };
     match template {
         ValueTemplate::Fixed(value) => Argument::new(value.clone(), None),
-        ValueTemplate::Text(_) => plain(Value::Text("text".to_owned())),
+        ValueTemplate::Answer(_) | ValueTemplate::Text(_) => plain(Value::Text("text".to_owned())),
         ValueTemplate::Goal { rule, .. } => match sample_of_rule(rule) {
             Some(value) => Argument::new(value, Some("text".to_owned())),
             None => plain(sample_of_type(wanted)),

@@ -55,59 +55,78 @@ impl<'d> ConfigReader<'d> {
     }
 }
 
-/// A signal as a line of JSON: its value, or the list of its values.
-fn line(values: Value) -> Vec<u8> {
-    let written = match &values {
+/// What a signal brings: its value, or the list of its values.
+fn value(values: Value) -> Value {
+    let only = match &values {
         Value::Tuple(_, items) => match &**items {
-            [only] => serde_json::to_vec(only),
-            _ => serde_json::to_vec(&values),
+            [only] => Some(only.clone()),
+            _ => None,
         },
-        _ => serde_json::to_vec(&values),
+        _ => None,
     };
+    only.unwrap_or(values)
+}
+
+/// A value as a line of JSON.
+fn line(value: &Value) -> Vec<u8> {
     // JSON has no keys that are lists.
-    let text = || serde_json::to_vec(&values.to_string()).unwrap_or_default();
-    let mut line = written.unwrap_or_else(|_| text());
+    let text = || serde_json::to_vec(&value.to_string()).unwrap_or_default();
+    let mut line = serde_json::to_vec(value).unwrap_or_else(|_| text());
     line.push(b'\n');
     line
 }
 
 impl Signal {
-    /// The job that receives it.
-    pub(crate) fn job(self: &Arc<Self>, context: JobContext) -> Box<dyn Job> {
-        let signal = Arc::clone(self);
-        let subscribe = |inbox: Inbox| {
-            let client = signal.robot.client()?;
-            let name = signal.name.clone();
-            // A flood is told once.
-            let mut is_told = false;
-            let each = move |event| match event {
-                Event::Signal {
-                    values, dropped, ..
-                } => {
-                    if dropped > 0 && !std::mem::replace(&mut is_told, true) {
-                        warn!(target: LOG, "{dropped} signals {name} were dropped, since too many came at once.");
-                    }
-                    match values {
-                        Ok(values) => inbox.push(line(values)),
-                        Err(error) => {
-                            debug!(target: LOG, "A signal {name} cannot be read: {error}")
-                        }
+    /// Connects, so that it is there when it is needed.
+    pub(super) fn prepare(&self) {
+        // If that fails, each task says why.
+        let _ = self.robot.client();
+    }
+
+    /// Has each value passed on, of several their list.
+    ///
+    /// # Errors
+    /// Why the client cannot start.
+    pub(super) fn subscribe(
+        &self,
+        mut on: impl FnMut(Value) + Send + 'static,
+    ) -> Result<Subscription, String> {
+        let client = self.robot.client()?;
+        let name = self.name.clone();
+        // A flood is told once.
+        let mut is_told = false;
+        let each = move |event| match event {
+            Event::Signal {
+                values, dropped, ..
+            } => {
+                if dropped > 0 && !std::mem::replace(&mut is_told, true) {
+                    warn!(target: LOG, "{dropped} signals {name} were dropped, since too many came at once.");
+                }
+                match values {
+                    Ok(values) => on(value(values)),
+                    Err(error) => {
+                        debug!(target: LOG, "A signal {name} cannot be read: {error}")
                     }
                 }
-                Event::Unsubscribed { reason, .. } => {
-                    warn!(target: LOG, "No signals {name} until they are found again: {reason}");
-                }
-                _ => {}
-            };
-            let handle = client.subscribe(signal.of.clone(), each);
-            Ok(Subscription { client, handle })
+            }
+            Event::Unsubscribed { reason, .. } => {
+                warn!(target: LOG, "No signals {name} until they are found again: {reason}");
+            }
+            _ => {}
         };
+        let handle = client.subscribe(self.of.clone(), each);
+        Ok(Subscription { client, handle })
+    }
+
+    /// The job that receives it as a stream.
+    pub(crate) fn job(self: &Arc<Self>, context: JobContext) -> Box<dyn Job> {
+        let subscribe = |inbox: Inbox| self.subscribe(move |value| inbox.push(line(&value)));
         Box::new(ReceivingJob::new(context, subscribe, |line| line))
     }
 }
 
 /// Ends when it is dropped.
-struct Subscription {
+pub(super) struct Subscription {
     client: Client,
     handle: SubscriptionHandle,
 }

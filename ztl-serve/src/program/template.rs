@@ -1,6 +1,6 @@
 //! Arguments of programs, with placeholders for the goal.
 
-use ztl_std::describe::GoalRule;
+use ztl_std::describe::{GoalRule, GoalValue};
 use ztl_yaml::closest;
 
 use crate::call::Call;
@@ -14,6 +14,8 @@ enum Part {
     Text(String),
     /// The goal, or the part of it at this path.
     Goal(Vec<String>),
+    /// A field of what a robot has answered to the task's request.
+    Answer(Vec<String>),
     Handler,
     Component,
     Id,
@@ -28,7 +30,7 @@ impl Part {
         match self {
             Self::Goal(path) => !rule.part(path).is_some_and(GoalRule::is_closed),
             Self::Handler | Self::Component => wild,
-            Self::Text(_) | Self::Id | Self::Scope => false,
+            Self::Text(_) | Self::Answer(_) | Self::Id | Self::Scope => false,
         }
     }
 }
@@ -36,6 +38,18 @@ impl Part {
 impl Template {
     /// Parses an argument. Only a single word in braces is a placeholder; other braces are text.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        let template = Self::parse_with_answer(text)?;
+        match template.uses_answer() {
+            true => Err(
+                "'{answer}' is known only after the answer: in abort, progress and event of http"
+                    .to_owned(),
+            ),
+            false => Ok(template),
+        }
+    }
+
+    /// As [`parse`](Self::parse), where `{answer.x}` is known, too.
+    pub(crate) fn parse_with_answer(text: &str) -> Result<Self, String> {
         let mut parts = Vec::new();
         let mut plain = String::new();
         let mut rest = text;
@@ -78,6 +92,20 @@ impl Template {
             [Part::Goal(path)] => Some(path),
             _ => None,
         }
+    }
+
+    /// The path of the answer, if it is that placeholder alone.
+    pub(crate) fn answer_alone(&self) -> Option<&[String]> {
+        match self.0.as_slice() {
+            [Part::Answer(path)] => Some(path),
+            _ => None,
+        }
+    }
+
+    /// Whether it uses fields of the answer.
+    pub(crate) fn uses_answer(&self) -> bool {
+        let mut parts = self.0.iter();
+        parts.any(|part| matches!(part, Part::Answer(_)))
     }
 
     /// The parts of the goal that it uses.
@@ -156,6 +184,9 @@ impl Template {
                         "the goal has no '{path}'; this task needs a goal with that field or item"
                     )
                 })?,
+                Part::Answer(path) => answer_part(call, path)?
+                    .to_text()
+                    .map_err(|error| error.to_string())?,
                 Part::Handler => call.handler.clone(),
                 Part::Component => call.component.clone(),
                 Part::Id => call.id.to_string(),
@@ -173,6 +204,16 @@ fn field(call: &Call, path: &[String]) -> Option<String> {
     value.to_text().ok()
 }
 
+/// A field of the answer.
+///
+/// # Errors
+/// The answer has none.
+pub(crate) fn answer_part<'c>(call: &'c Call, path: &[String]) -> Result<&'c GoalValue, String> {
+    let answer = call.answer.as_ref();
+    let part = answer.and_then(|value| path.iter().try_fold(value, |value, key| value.part(key)));
+    part.ok_or_else(|| format!("the answer has no '{}'", path.join(".")))
+}
+
 fn is_word(word: &str) -> bool {
     let fits = |c: char| c.is_alphanumeric() || matches!(c, '_' | '.' | '-');
     !word.is_empty() && word.chars().all(fits)
@@ -185,6 +226,9 @@ fn part(word: &str) -> Result<Part, String> {
     };
     match (name, path.as_slice()) {
         ("goal", path) if path.iter().all(|key| !key.is_empty()) => Ok(Part::Goal(path.to_vec())),
+        ("answer", path) if path.iter().all(|key| !key.is_empty()) => {
+            Ok(Part::Answer(path.to_vec()))
+        }
         ("handler", []) => Ok(Part::Handler),
         ("component", []) => Ok(Part::Component),
         ("id", []) => Ok(Part::Id),
@@ -205,7 +249,6 @@ mod tests {
 
     use super::*;
     use ztl_std::describe::CheckedGoal;
-    use ztl_std::describe::GoalValue;
 
     fn call(goal: &str) -> Call {
         Call {
@@ -217,6 +260,7 @@ mod tests {
                 text: goal.to_owned(),
                 fields: GoalValue::parse(goal).ok(),
             },
+            answer: None,
         }
     }
 

@@ -75,7 +75,7 @@ pub(crate) fn read<'d>(
         (None, None) if types.name == MOVE_BASE => {
             GoalSource::MoveBase(MoveBase::read(reader, frame)?)
         }
-        _ => GoalSource::Message(reader.message_or_goal(message, &types.goal, context.rule)),
+        _ => GoalSource::Message(reader.message_or_goal(message, &types.goal, context.rule, None)),
     };
     let progress = progress.map(|node| reader.shown_message(node, "feedback", &types.feedback));
     let result = result.map(|node| reader.shown_message(node, "result", &types.result));

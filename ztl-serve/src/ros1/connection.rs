@@ -1,10 +1,11 @@
 //! The node of ROS 1 that all components of a file share. It starts with the first that needs it.
 
+use std::net::ToSocketAddrs as _;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ztl_ros1::message::{Definitions, MessageType};
 use ztl_ros1::{Config, Node as RosNode};
-use ztl_yaml::Node;
+use ztl_yaml::{Diagnostic, Node};
 
 use super::names::UsedName;
 use crate::reader::ConfigReader;
@@ -16,6 +17,8 @@ const NAME: &str = "ztl";
 #[derive(Debug)]
 pub(crate) struct Connection {
     pub(crate) config: Config,
+    /// Where the file says `host`.
+    host: Option<Diagnostic>,
     node: Mutex<Option<RosNode>>,
 }
 
@@ -31,7 +34,7 @@ pub(crate) struct Ros1 {
 impl Default for Ros1 {
     fn default() -> Self {
         Self {
-            connection: Connection::new(Config::from_environment(NAME)),
+            connection: Connection::new(Config::from_environment(NAME), None),
             definitions: None,
             names: Vec::new(),
         }
@@ -47,10 +50,23 @@ impl Ros1 {
 }
 
 impl Connection {
-    fn new(config: Config) -> Arc<Self> {
+    fn new(config: Config, host: Option<Diagnostic>) -> Arc<Self> {
         Arc::new(Self {
             config,
+            host,
             node: Mutex::new(None),
+        })
+    }
+
+    /// A warning if this machine cannot resolve the `host` of the file. May block.
+    pub(crate) fn unknown_host(&self) -> Option<Diagnostic> {
+        let (place, host) = (self.host.as_ref()?, self.config.host.as_ref()?);
+        let known = (host.as_str(), 0).to_socket_addrs().is_ok();
+        (!known).then(|| {
+            let mut warning = place.clone();
+            warning.message = format!("warning: this machine cannot resolve its own name '{host}'");
+            warning.help = Some("write a name or address that the robot can reach".to_owned());
+            warning
         })
     }
 
@@ -108,7 +124,8 @@ impl<'d> ConfigReader<'d> {
             });
             config.master = master.unwrap_or(config.master);
         }
-        if let Some(node) = fields.optional("host") {
+        let host_node = fields.optional("host");
+        if let Some(node) = host_node {
             let what =
                 "the name or address under which the robot reaches this machine, as 10.0.0.4";
             let host = self.yaml.parsed(node, what, |text| {
@@ -121,7 +138,8 @@ impl<'d> ConfigReader<'d> {
             config.host = host;
         }
         fields.finish(&mut self.yaml);
-        self.ros1.connection = Connection::new(config);
+        let place = host_node.map(|node| self.yaml.mistake(node, ""));
+        self.ros1.connection = Connection::new(config, place);
     }
 
     /// The name of a topic, an action or a service.

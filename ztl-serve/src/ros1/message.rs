@@ -26,6 +26,8 @@ enum Part {
     Goal {
         path: Vec<String>,
         field: FieldType,
+        /// A part of it that is not meant for the message.
+        except: Option<String>,
     },
     /// A text with placeholders.
     Text(Template),
@@ -36,13 +38,14 @@ enum Part {
 }
 
 impl MessageTemplate {
-    /// The goal as the message; nothing of it, if the message has no fields.
-    fn of_goal(message: &Arc<MessageType>) -> Self {
+    /// The goal as the message, except a part of it; nothing of it, if the message has no fields.
+    fn of_goal(message: &Arc<MessageType>, except: Option<&str>) -> Self {
         let root = match message.fields() {
             [] => Part::Fixed(message.zero()),
             _ => Part::Goal {
                 path: Vec::new(),
                 field: one(message),
+                except: except.map(str::to_owned),
             },
         };
         Self {
@@ -83,6 +86,10 @@ pub(crate) fn rule_of_goals(goals: &[(Vec<String>, GoalRule)]) -> GoalRule {
     for (path, rule) in goals {
         match path.as_slice() {
             [] if goals.len() == 1 => return rule.clone(),
+            [] => match rule {
+                GoalRule::Fields(all) => fields.extend(all.iter().cloned()),
+                _ => return GoalRule::Any,
+            },
             [name] => {
                 if fields.iter().all(|field| *field.name != **name) {
                     fields.push(GoalField {
@@ -103,7 +110,12 @@ pub(crate) fn rule_of_goals(goals: &[(Vec<String>, GoalRule)]) -> GoalRule {
 }
 
 /// The value of a whole goal or of a part of it.
-pub(super) fn goal_part(call: &Call, path: &[String], field: &FieldType) -> Result<Value, String> {
+pub(super) fn goal_part(
+    call: &Call,
+    path: &[String],
+    except: Option<&str>,
+    field: &FieldType,
+) -> Result<Value, String> {
     if let ([], Count::One, Element::Primitive(primitive)) = (path, field.count, &field.element)
         && let Some(value) = from_text(*primitive, &call.goal.text)
     {
@@ -122,6 +134,12 @@ pub(super) fn goal_part(call: &Call, path: &[String], field: &FieldType) -> Resu
     let at = at.collect::<Vec<_>>().join(".");
     let value = path.iter().try_fold(&goal, |value, key| value.part(key));
     match value {
+        Some(GoalValue::Map(pairs)) if except.is_some() => {
+            let is_apart = |key: &GoalValue| matches!(key, GoalValue::Text(text) if Some(text.as_str()) == except);
+            let meant = pairs.iter().filter(|(key, _)| !is_apart(key));
+            let meant = meant.cloned().collect();
+            fit(&GoalValue::Map(meant), field, &at)
+        }
         Some(value) => fit(value, field, &at),
         None => Err(format!(
             "the task needs {at}, and the goal has no such part"
@@ -133,7 +151,11 @@ impl Part {
     fn fill(&self, call: &Call) -> Result<Value, String> {
         Ok(match self {
             Self::Fixed(value) => value.clone(),
-            Self::Goal { path, field } => goal_part(call, path, field)?,
+            Self::Goal {
+                path,
+                field,
+                except,
+            } => goal_part(call, path, except.as_deref(), field)?,
             Self::Text(template) => Value::Text(template.fill(call)?),
             Self::Now => now(),
             Self::List(field, parts) => {
@@ -153,7 +175,7 @@ impl Part {
     fn each_goal<'p>(&'p self, call: &mut impl FnMut(&'p [String], Option<&'p FieldType>)) {
         match self {
             Self::Fixed(_) | Self::Now => {}
-            Self::Goal { path, field } => call(path, Some(field)),
+            Self::Goal { path, field, .. } => call(path, Some(field)),
             Self::Text(template) => template.goal_paths().for_each(|path| call(path, None)),
             Self::List(_, parts) => parts.iter().for_each(|part| part.each_goal(call)),
             Self::Message(parts) => parts.iter().for_each(|(_, part)| part.each_goal(call)),
@@ -188,16 +210,17 @@ fn one(message: &Arc<MessageType>) -> FieldType {
 }
 
 impl<'d> ConfigReader<'d> {
-    /// The message in `node`, or else the goal as the message.
+    /// The message in `node`, or else the goal as the message, `except` a part of it.
     pub(crate) fn message_or_goal(
         &mut self,
         node: Option<&'d Node>,
         message: &Arc<MessageType>,
         rule: &GoalRule,
+        except: Option<&str>,
     ) -> MessageTemplate {
         match node {
             Some(node) => self.message_template(node, message, rule),
-            None => MessageTemplate::of_goal(message),
+            None => MessageTemplate::of_goal(message, except),
         }
     }
 
@@ -324,6 +347,7 @@ impl<'d> MessageReader<'_, 'd, '_> {
             None if primitive == Primitive::Duration => {
                 "duration: seconds, or as 500 ms".to_owned()
             }
+            None if primitive == Primitive::Bool => "bool: true or false".to_owned(),
             None => field.to_string(),
         };
         let zero = Part::Fixed(field.zero());
@@ -432,6 +456,7 @@ impl<'d> MessageReader<'_, 'd, '_> {
         Some(Part::Goal {
             path: path.to_vec(),
             field: field.clone(),
+            except: None,
         })
     }
 

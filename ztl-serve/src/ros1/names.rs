@@ -118,22 +118,23 @@ pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<D
         });
         Ok((survey?, node))
     });
+    let mut warnings: Vec<Diagnostic> = connection.unknown_host().into_iter().collect();
     match surveyed {
         Ok((survey, node)) => {
             let wrong = |name: &UsedName| {
                 let known = name.mistake(&survey);
+                let known = known.or_else(|| name.lost_server(&survey));
                 known.or_else(|| name.other_definition(&survey, &node))
             };
             let wrong = names.iter().filter_map(|name| Some((name, wrong(name)?)));
-            wrong
-                .map(|(name, (mistake, help))| name.warning(mistake, Some(help)))
-                .collect()
+            warnings.extend(wrong.map(|(name, (mistake, help))| name.warning(mistake, Some(help))));
         }
         Err(error) => {
             let help = "start the robot's ROS to have its names checked, too".to_owned();
-            vec![first.warning(error, Some(help))]
+            warnings.push(first.warning(error, Some(help)));
         }
     }
+    warnings
 }
 
 impl UsedName {
@@ -163,13 +164,37 @@ impl UsedName {
             let known = known.iter().map(|name| name.as_str());
             let help = match closest(name, known) {
                 Some(known) => format!("did you mean '{known}'?"),
-                None => "`ztl doctor --ros1` says what is there".to_owned(),
+                None => match self.of.kind {
+                    NameKind::Action => "`ztl doctor --ros1` lists the actions".to_owned(),
+                    _ => format!("`ztl doctor --ros1 --json` lists the {what}s"),
+                },
             };
             return Some((format!("the master knows no {what} {name}"), help));
         };
         // A node may subscribe to any type.
         let fits = *there == self.of.ty || there == "*";
         (!fits).then(|| other_type(what, name, there, &self.of.ty))
+    }
+
+    /// Why no node that serves the action can be reached, and a remedy. The master also names nodes that were killed.
+    fn lost_server(&self, survey: &Survey) -> Option<(String, String)> {
+        let NameKind::Action = self.of.kind else {
+            return None;
+        };
+        let servers = survey.publishers.get(&format!("{}/status", self.name))?;
+        let obstacle = |node: &String| {
+            let (_, wrong) = survey.nodes.get(node)?;
+            Some((node.clone(), wrong.clone()?))
+        };
+        let obstacles: Option<Vec<_>> = servers.iter().map(obstacle).collect();
+        let (node, wrong) = obstacles?.into_iter().next()?;
+        Some((
+            format!(
+                "the action server {node} of {} cannot be reached: {wrong}",
+                self.name
+            ),
+            "if it was killed, start it again".to_owned(),
+        ))
     }
 
     /// Whether the robot has another definition of its type, and a remedy. Asks the nodes that publish or serve it.
@@ -254,7 +279,7 @@ mod tests {
         assert_eq!(
             said("/undock_now", NameKind::Service, trigger).as_deref(),
             Some(
-                "robot.yaml:1:1: warning: the master knows no service /undock_now; `ztl doctor --ros1` says what is there"
+                "robot.yaml:1:1: warning: the master knows no service /undock_now; `ztl doctor --ros1 --json` lists the services"
             ),
         );
         assert_eq!(

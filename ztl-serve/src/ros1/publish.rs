@@ -96,7 +96,15 @@ pub(crate) fn read<'d>(
         }
     }
     let message_type = message_type?;
-    let message = reader.message_or_goal(message, &message_type, context.rule);
+    // Seconds that the message has no field for are only the time.
+    let time_alone = match &length {
+        Some(Some(Length::Goal(path))) => path
+            .first()
+            .filter(|name| path.len() == 1 && message_type.field(name).is_none()),
+        _ => None,
+    };
+    let time_alone = time_alone.map(String::as_str);
+    let message = reader.message_or_goal(message, &message_type, context.rule, time_alone);
     let stop = stop.map(|node| reader.message_template(node, &message_type, context.rule));
     let repeat = Repeat {
         interval,
@@ -185,7 +193,7 @@ impl Publish {
             None => None,
             Some(Length::Fixed(time)) => Some(*time),
             Some(Length::Goal(path)) => {
-                let seconds = goal_part(call, path, &seconds())?;
+                let seconds = goal_part(call, path, None, &seconds())?;
                 let seconds = seconds.as_float().unwrap_or_default();
                 let time = Duration::try_from_secs_f64(seconds).ok();
                 let time = time.filter(|time| !time.is_zero() && *time <= LONGEST);

@@ -50,7 +50,7 @@ pub(crate) fn read<'d>(
     let limit = fields.optional("limit");
     let limit = limit.and_then(|node| reader.time(node, LONGEST_LIMIT));
     let service = service?;
-    let request = reader.message_or_goal(message, &service.request, context.rule);
+    let request = reader.message_or_goal(message, &service.request, context.rule, None);
     let result = result.and_then(|node| reader.shown_message(node, "response", &service.response));
     Some(Arc::new(Service {
         connection: Arc::clone(&reader.ros1.connection),

@@ -48,6 +48,7 @@ pub(super) fn call(component: &ComponentConfig, goal: &str) -> Result<Call, Stri
         handler: "h".to_owned(),
         component: "c".to_owned(),
         goal: component.description.goal.check(goal, needs_fields)?,
+        answer: None,
     })
 }
 
@@ -148,7 +149,11 @@ fn numbers_out_of_range_and_arrays_of_a_wrong_length_are_mistakes() {
             "{data: 1.5}",
             "'1.5' is not int32, a whole number from -2147483648 to 2147483647",
         ),
-        ("std_msgs/Bool", "{data: 2}", "'2' is not bool"),
+        (
+            "std_msgs/Bool",
+            "{data: 2}",
+            "'2' is not bool: true or false",
+        ),
         ("std_msgs/Float32", "{data: 1e39}", "'1e39' is not float32"),
         (
             "std_msgs/Duration",
@@ -213,6 +218,14 @@ fn wrong_types_names_and_keys_are_mistakes() {
         (
             "{ros1-publish: /cmd_vel, type: geometry_msgs/Twits}",
             "2:32: there is no definition of geometry_msgs/Twits; did you mean 'geometry_msgs/Twist'?",
+        ),
+        (
+            "{ros1-action: /test, type: geometry_msgs/Twist}",
+            "2:28: geometry_msgs/Twist is the type of a message; expected that of an action; write the type as move_base_msgs/MoveBaseAction",
+        ),
+        (
+            "{ros1-publish: /dock, type: std_srvs/Trigger}",
+            "2:29: std_srvs/Trigger is the type of a service; expected that of a message; write the type as geometry_msgs/Twist",
         ),
         (
             "{ros1-publish: /cmd_vel, type: Twist}",

@@ -328,8 +328,9 @@ pub(crate) fn read<'d>(
     let topic = reader.ros1_name(node, "/arm_controller/command");
     let joints = fields.required("joints", "joints: [shoulder_pan_joint, elbow_flex_joint]");
     let trajectory = joints.and_then(|node| Trajectory::read(reader, node, fields));
-    let states = fields.optional("joint-states");
-    let states = states.and_then(|node| reader.ros1_name(node, "/joint_states"));
+    let states_node = fields.optional("joint-states");
+    let states = states_node.map(|node| reader.ros1_name(node, "/joint_states"));
+    let states = states.unwrap_or_else(|| Some("/joint_states".to_owned()));
     let tolerance = fields.optional("tolerance");
     let tolerance = tolerance.and_then(|node| {
         let what = "a tolerance in rad or m from 0.0001 to 10, as 0.05";
@@ -355,10 +356,14 @@ pub(crate) fn read<'d>(
     if let Some(message) = &message {
         reader.uses_name(node, topic.as_ref(), UsedType::topic(message));
     }
+    if let Some(joint_state) = &joint_state {
+        let node = states_node.unwrap_or(node);
+        reader.uses_name(node, states.as_ref(), UsedType::topic(joint_state));
+    }
     Some(Arc::new(Controller {
         connection: Arc::clone(&reader.ros1.connection),
         topic: topic?,
-        joint_states: states.unwrap_or_else(|| "/joint_states".to_owned()),
+        joint_states: states?,
         trajectory: trajectory?,
         message: message?,
         joint_state: joint_state?,

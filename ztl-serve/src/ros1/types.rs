@@ -13,6 +13,9 @@ pub(crate) trait NamedType: Sized {
     /// Such as `std_srvs/Trigger`.
     const EXAMPLE: &'static str;
 
+    /// What has such a type.
+    const WHAT: &'static str;
+
     /// All that are known.
     const NAMES: fn(&mut Definitions) -> Vec<String>;
 
@@ -24,6 +27,7 @@ pub(crate) trait NamedType: Sized {
 
 impl NamedType for Arc<MessageType> {
     const EXAMPLE: &'static str = "geometry_msgs/Twist";
+    const WHAT: &'static str = "a message";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::message_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::message;
 
@@ -34,6 +38,7 @@ impl NamedType for Arc<MessageType> {
 
 impl NamedType for ServiceType {
     const EXAMPLE: &'static str = "std_srvs/Trigger";
+    const WHAT: &'static str = "a service";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::service_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::service;
 
@@ -44,6 +49,7 @@ impl NamedType for ServiceType {
 
 impl NamedType for ActionType {
     const EXAMPLE: &'static str = "move_base_msgs/MoveBaseAction";
+    const WHAT: &'static str = "an action";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::action_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::action;
 
@@ -80,7 +86,17 @@ impl<'d> ConfigReader<'d> {
             Ok(found) => return Some(found),
             Err(error) => error,
         };
-        let help = matches!(error, DefinitionError::Unknown { .. }).then(|| {
+        let is_unknown = matches!(error, DefinitionError::Unknown { .. });
+        if is_unknown && let Some(found) = what_has(definitions, text) {
+            let mistake = format!(
+                "{text} is the type of {found}; expected that of {}",
+                T::WHAT
+            );
+            let help = format!("write the type as {}", T::EXAMPLE);
+            self.yaml.wrong_with(node, mistake, Some(help));
+            return None;
+        }
+        let help = is_unknown.then(|| {
             let names = (T::NAMES)(definitions);
             // The name of an action is often written without its ending.
             let whole = format!("{text}Action");
@@ -90,12 +106,31 @@ impl<'d> ConfigReader<'d> {
                 .map(String::as_str);
             match whole.or_else(|| closest(text, names.iter().map(String::as_str))) {
                 Some(name) => format!("did you mean '{name}'?"),
-                None => "install its package here, or add the directory of its package to \
-                         ROS_PACKAGE_PATH"
-                    .to_owned(),
+                None => unknown_package(),
             }
         });
         self.yaml.wrong_with(node, error.to_string(), help);
         None
+    }
+}
+
+/// What has a type with this name.
+fn what_has(definitions: &mut Definitions, name: &str) -> Option<&'static str> {
+    if definitions.service(name).is_ok() {
+        return Some(ServiceType::WHAT);
+    }
+    let is_message = definitions.message(name).is_ok();
+    is_message.then_some(<Arc<MessageType>>::WHAT)
+}
+
+/// What helps if no type has a similar name.
+fn unknown_package() -> String {
+    match Definitions::useless_path() {
+        Some(path) => format!(
+            "'{}' in ROS_PACKAGE_PATH is not the absolute path of a directory",
+            path.display()
+        ),
+        None => "install its package here, or add the directory of its package to ROS_PACKAGE_PATH"
+            .to_owned(),
     }
 }

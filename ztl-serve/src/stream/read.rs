@@ -102,14 +102,16 @@ impl<'d> ConfigReader<'d> {
             .fields(node, "run: [PROGRAM, ARGUMENT], frame: line")?;
         let topic_node = fields.optional("ros1-topic");
         let signals = ["naoqi-event", "naoqi-signal"].map(|key| Some((key, fields.optional(key)?)));
+        let event_node = fields.optional("http-event");
         let mut messages = signals
             .iter()
             .flatten()
             .map(|(_, node)| *node)
-            .chain(topic_node);
+            .chain(topic_node)
+            .chain(event_node);
         let message_node = messages.next();
         if let Some(second) = messages.next() {
-            let message = "give only one of: ros1-topic, naoqi-event, naoqi-signal";
+            let message = "give only one of: ros1-topic, naoqi-event, naoqi-signal, http-event";
             self.yaml.wrong(second, message);
         }
         let frame = match message_node {
@@ -135,23 +137,27 @@ impl<'d> ConfigReader<'d> {
         let why = "subscribers that come and go would start the program too often";
         let when_watched = when_watched.and_then(|node| self.at_least_a_second(node, why));
         let signal = signals.into_iter().flatten().next();
-        let origin = match (topic_node, signal) {
-            (Some(node), _) => self
+        let origin = match (topic_node, signal, event_node) {
+            (Some(node), ..) => self
                 .ros1_topic(node, &mut fields)
                 .map(Arc::new)
                 .map(Origin::Topic),
-            (None, Some((key, node))) => self
+            (None, Some((key, node)), _) => self
                 .naoqi_signal(key, node)
                 .map(Arc::new)
                 .map(Origin::Signal),
-            (None, None) => {
+            (None, None, Some(node)) => self
+                .http_event(node, &mut fields)
+                .map(Arc::new)
+                .map(Origin::Event),
+            (None, None, None) => {
                 let program = program::read::read_stream(self, node, &mut fields);
                 program.map(Arc::new).map(Origin::Program)
             }
         };
         let framing = match &origin {
             Some(Origin::Topic(topic)) => Some(topic.framing()),
-            Some(Origin::Signal(_)) => Some(Framing::Json),
+            Some(Origin::Signal(_) | Origin::Event(_)) => Some(Framing::Json),
             _ => framing,
         };
         fields.finish(&mut self.yaml);

@@ -9,6 +9,9 @@ use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
 /// The most bytes of messages that wait for the thread of all streams. Then the oldest is dropped.
 const MOST: usize = 16 << 20;
 
+/// What a message takes beside its bytes: a node may flood with empty ones.
+const OVERHEAD: usize = 64;
+
 /// Where the callback of a subscription leaves its messages.
 pub(crate) struct Inbox {
     waiting: Arc<Mutex<Waiting>>,
@@ -21,6 +24,14 @@ impl Inbox {
         if waiting.push(message) {
             self.context.mailbox.wake();
         }
+    }
+
+    /// Ends the stream: no more messages come, for this reason.
+    #[cfg(feature = "http")]
+    pub(crate) fn end(&self, reason: String) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        waiting.ended = Some(reason);
+        self.context.mailbox.wake();
     }
 }
 
@@ -71,10 +82,15 @@ impl<S: Send> Job for ReceivingJob<S> {
         if let Err(reason) = &self.subscription {
             return effects.push(Effect::End(Outcome::Failed(reason.clone())));
         }
-        let waiting = self.waiting.lock();
-        let messages = waiting.unwrap_or_else(PoisonError::into_inner).take();
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let ended = waiting.ended.take();
+        let messages = waiting.take();
+        drop(waiting);
         let outputs = messages.into_iter().map(&self.output);
         effects.extend(outputs.map(Effect::Output));
+        if let Some(reason) = ended {
+            effects.push(Effect::End(Outcome::Failed(reason)));
+        }
     }
 }
 
@@ -83,25 +99,28 @@ impl<S: Send> Job for ReceivingJob<S> {
 struct Waiting {
     messages: VecDeque<Vec<u8>>,
     bytes: usize,
+    /// Why no more come.
+    ended: Option<String>,
 }
 
 impl Waiting {
     /// Adds a message. Returns whether it is the only one.
     fn push(&mut self, message: Vec<u8>) -> bool {
         let was_empty = self.messages.is_empty();
-        self.bytes += message.len();
+        self.bytes += OVERHEAD + message.len();
         self.messages.push_back(message);
         while self.bytes > MOST
             && let Some(oldest) = self.messages.pop_front()
         {
-            self.bytes -= oldest.len();
+            self.bytes -= OVERHEAD + oldest.len();
         }
         was_empty
     }
 
     /// Takes all messages.
     fn take(&mut self) -> VecDeque<Vec<u8>> {
-        std::mem::take(self).messages
+        self.bytes = 0;
+        std::mem::take(&mut self.messages)
     }
 }
 
@@ -115,12 +134,17 @@ mod tests {
         for count in 0..20 {
             assert_eq!(waiting.push(vec![count; 1 << 20]), count == 0);
         }
-        assert_eq!(waiting.messages.len(), 16);
+        assert_eq!(waiting.messages.len(), 15);
         assert_eq!(
             waiting.messages.front().map(|it| it.first().copied()),
-            Some(Some(4))
+            Some(Some(5))
         );
         waiting.push(vec![0; MOST + 1]);
         assert!(waiting.messages.is_empty());
+        // Also empty messages take memory.
+        for _ in 0..MOST {
+            waiting.push(Vec::new());
+        }
+        assert!(waiting.messages.len() < MOST / 32);
     }
 }

@@ -165,6 +165,7 @@ impl Worker {
                 }
                 Origin::Topic(topic) => topic.job(context),
                 Origin::Signal(signal) => signal.job(context),
+                Origin::Event(event) => event.job(context, config.longest, &config.scope),
             };
             source.started(now, id, job);
         }

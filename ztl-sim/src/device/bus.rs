@@ -102,6 +102,7 @@ impl Bus {
                     id: u64::wrapping_mul(id, 0x9E37_79B9_7F4A_7C15),
                     address: node.address,
                 }),
+                updates: None,
             };
             std::thread::Builder::new()
                 .name(format!("ztl-sim-{}", node.name))

@@ -6,8 +6,10 @@ use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
+use ztl_core::manifest::Version;
 use ztl_mcu::bus::OnBus;
 use ztl_mcu::parameters::{SaveError, Storage, Tunable, Tuned, Tuning};
+use ztl_mcu::update::Updatable;
 use ztl_mcu::{Acting, Component, Components, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
@@ -16,6 +18,7 @@ use super::buttons::{Push, on_push};
 use super::kind::Kind;
 use super::record::{Record, Recorded};
 use super::sensor::{self, Sensor};
+use super::slots::{SlotUpdater, Slots, Verify};
 use crate::random::random;
 use ztl_std::time::now;
 
@@ -27,6 +30,17 @@ pub(super) struct Settings {
     pub(super) record: Option<Record>,
     /// Its place on a shared line.
     pub(super) place: Option<Place>,
+    /// Its firmware, if it takes updates.
+    pub(super) updates: Option<Updates>,
+}
+
+/// Firmware that takes updates.
+#[derive(Debug, Clone)]
+pub(super) struct Updates {
+    /// Its version at first.
+    pub(super) version: Version,
+    /// Which signatures it accepts.
+    pub(super) verify: Verify,
 }
 
 /// A node's place on a shared line.
@@ -162,18 +176,21 @@ pub(super) fn run(device: &Settings, inbox: &Receiver<Input>) {
         None => Duration::from_millis(1),
     };
     let flash = Flash::default();
+    let updates = device.updates.as_ref();
+    let slots = updates.map(|it| RefCell::new(Slots::new(it.version, it.verify.clone())));
+    let slots = slots.as_ref();
     let mut run = || match device.kind {
         Kind::Gripper => {
             let finger = (Axis::new(&FINGER), FINGER.description);
-            run_until_reset(device, finger, inbox, (&mut port, &flash))
+            run_until_reset(device, finger, inbox, (&mut port, &flash, slots))
         }
         Kind::Head => {
             let pan = (Axis::new(&PAN), PAN.description);
-            run_until_reset(device, pan, inbox, (&mut port, &flash))
+            run_until_reset(device, pan, inbox, (&mut port, &flash, slots))
         }
         Kind::Sensor => {
             let probe = (Sensor::new(pause), sensor::DESCRIPTION);
-            run_until_reset(device, probe, inbox, (&mut port, &flash))
+            run_until_reset(device, probe, inbox, (&mut port, &flash, slots))
         }
     };
     while run() {
@@ -188,7 +205,7 @@ fn run_until_reset(
     device: &Settings,
     (component, description): (impl Component + Tunable, &'static str),
     inbox: &Receiver<Input>,
-    (port, flash): (&mut Port, &Flash),
+    (port, flash, slots): (&mut Port, &Flash, Option<&RefCell<Slots>>),
 ) -> bool {
     let component = Recorded::new(component, device.record.clone());
     let component = Part {
@@ -199,17 +216,56 @@ fn run_until_reset(
         Some(place) => &place.name,
         None => device.kind.name(),
     };
+    let version = slots.map(|slots| {
+        slots.borrow_mut().boot();
+        slots.borrow().version()
+    });
+    let version = version.as_deref().unwrap_or(env!("CARGO_PKG_VERSION"));
     let identity = Identity {
         // Its sensor sends as much as the line takes.
         reading_interval: Duration::ZERO,
-        ..Identity::new(name, env!("CARGO_PKG_VERSION"), random())
+        ..Identity::new(name, version, random())
     };
     let components = Acting::new(component);
-    match &device.place {
-        None => serve(Node::new(identity, components), PIECE, inbox, port),
-        Some(place) => {
+    let restarts = || slots.is_some_and(|slots| slots.borrow_mut().take_restart());
+    match (&device.place, slots) {
+        (None, None) => serve(
+            Node::new(identity, components),
+            PIECE,
+            inbox,
+            port,
+            restarts,
+        ),
+        (None, Some(slots)) => {
+            let components = Updatable::new(components, SlotUpdater::new(slots));
+            serve(
+                Node::new(identity, components),
+                PIECE,
+                inbox,
+                port,
+                restarts,
+            )
+        }
+        (Some(place), None) => {
             let components = OnBus::new(components, place.id, place.address);
-            serve(Node::new(identity, components), WHOLE, inbox, port)
+            serve(
+                Node::new(identity, components),
+                WHOLE,
+                inbox,
+                port,
+                restarts,
+            )
+        }
+        (Some(place), Some(slots)) => {
+            let components = OnBus::new(components, place.id, place.address);
+            let components = Updatable::new(components, SlotUpdater::new(slots));
+            serve(
+                Node::new(identity, components),
+                WHOLE,
+                inbox,
+                port,
+                restarts,
+            )
         }
     }
 }
@@ -219,11 +275,15 @@ fn serve(
     piece: usize,
     inbox: &Receiver<Input>,
     port: &mut Port,
+    restarts: impl Fn() -> bool,
 ) -> bool {
     let mut pressed = None;
     let mut buffer = vec![0; piece];
     loop {
         node.handle_timeout(now());
+        if restarts() {
+            return true;
+        }
         let time = now();
         let wait = if time < port.ready() {
             // Output waits for the port.

@@ -311,6 +311,15 @@ impl Endpoint {
         }
     }
 
+    /// Whether the line may be half open: its other end is gone, and the system has not noticed.
+    pub(super) fn may_be_half_open(&self) -> bool {
+        match self {
+            Self::Tcp { .. } => true,
+            Self::Bus { line, .. } => line.may_be_half_open(),
+            _ => false,
+        }
+    }
+
     /// The line rate, if the line has one.
     pub(super) fn baud(&self) -> Option<u32> {
         match self {

@@ -21,6 +21,7 @@ mod reading_value;
 mod readings;
 mod report;
 mod ring;
+mod updates;
 
 pub use devices::{AddError, Devices};
 pub use endpoint::{
@@ -33,3 +34,7 @@ pub use parameters::{PARAMETERS, ParameterGoal, ParameterReport, ReportedValue};
 pub use reading_value::{READING_FORMATS, ReadingFormat};
 pub use readings::{Reading, Readings};
 pub use report::{ComponentReport, DeviceReport, DeviceReports, FirmwareReport, LinkReport};
+pub use updates::{
+    LONGEST_IMAGE, LONGEST_PART, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
+    UpdateProblem, Updated,
+};

@@ -35,7 +35,7 @@ impl From<Endpoint> for Opener {
         Self {
             label: endpoint.to_string(),
             baud: endpoint.baud(),
-            may_be_half_open: matches!(endpoint, Endpoint::Tcp { .. }),
+            may_be_half_open: endpoint.may_be_half_open(),
             path: match &endpoint {
                 Endpoint::Serial { path, .. } => Some(PathBuf::from(path)),
                 _ => None,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use ztl_script::board::{Board as Run, Progress, TaskRun};
 use ztl_script::event::{
-    Question, RunCommand, RunEvent, ServerState, StampedEvent, StepOutline, TaskNumber,
+    Question, RunCommand, RunEvent, ServerState, StampedEvent, StepOutline, TaskNumber, WaitReason,
 };
 use ztl_script::{OperatorGone, Script};
 use ztl_std::RemoteId;
@@ -185,7 +185,7 @@ impl Stage {
                 "about": about(question),
             })),
             "choices": self.choices(),
-            "waiting": run.waiting.as_ref().map(|(why, _)| why.to_string()),
+            "waiting": run.waiting.as_ref().map(|(why, tasks)| self.waiting(why, tasks)),
             "stopping": stopping,
             "servers": servers.collect::<Vec<_>>(),
             "cues": cues.collect::<Vec<_>>(),
@@ -193,6 +193,16 @@ impl Stage {
             "recorded": self.is_recorded,
             "ended": run.ended.is_some(),
         })
+    }
+
+    /// Why a step waits, and for which tasks.
+    fn waiting(&self, why: &WaitReason, tasks: &[TaskNumber]) -> String {
+        let names = tasks.iter().filter_map(|task| self.run.tasks.get(task));
+        let names: Vec<&str> = names.map(|task| task.name.as_str()).collect();
+        match names.is_empty() {
+            true => why.to_string(),
+            false => cut::text(&format!("{why}: {}", names.join(", ")), cut::LINE),
+        }
     }
 
     /// The commands that clients may give now.

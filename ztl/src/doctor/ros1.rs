@@ -60,14 +60,17 @@ pub(super) fn master(address: Option<&str>) -> Vec<Finding> {
     found
 }
 
-/// Nodes that this machine cannot reach.
+/// The nodes, and those that this machine cannot reach.
 fn nodes(survey: &Survey) -> impl Iterator<Item = Finding> {
-    survey.nodes.iter().filter_map(|(name, (uri, wrong))| {
-        let wrong = wrong.as_ref()?;
-        let text = format!("node {name} at {uri}: {wrong}");
+    survey.nodes.iter().map(|(name, (uri, wrong))| {
+        let text = format!("node {name} at {uri}");
+        let Some(wrong) = wrong else {
+            return Finding::good(ABOUT, text);
+        };
+        let text = format!("{text}: {wrong}");
         let remedy = "if its host cannot be resolved, start it with ROS_HOSTNAME or ROS_IP, or add the name to \
                       /etc/hosts here; if it is gone: rosnode cleanup";
-        Some(Finding::problem(ABOUT, text, remedy))
+        Finding::problem(ABOUT, text, remedy)
     })
 }
 

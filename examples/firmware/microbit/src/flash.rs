@@ -6,7 +6,7 @@ use embedded_storage::nor_flash::{
 };
 
 const fn register(offset: usize) -> Register {
-    // SAFETY: the nRF51's NVMC, which changes only the pages below; the offsets are those below.
+    // SAFETY: the nRF51's NVMC, which changes only pages of a `Pages`; the offsets are those below.
     unsafe { Register::at(0x4001_E000 + offset) }
 }
 
@@ -19,15 +19,19 @@ const READ: u32 = 0;
 const WRITE: u32 = 1;
 const ERASE: u32 = 2;
 
-const PAGE: usize = 1024;
-/// The last pages of the flash, which hold no program.
-const BEGIN: usize = 0x3_F800;
-/// Their length in bytes.
-pub const LENGTH: usize = 2 * PAGE;
+/// Length of a page in bytes, which is erased as a whole.
+pub const PAGE: usize = 1024;
 
-/// The last two pages of the flash; address 0 is the first of their bytes.
+/// Pages from the address `BEGIN` on, of `LENGTH` bytes; offset 0 is the first of these bytes. Who writes them must know that
+/// they hold no code that runs.
 #[derive(Debug)]
-pub struct Pages;
+pub struct Pages<const BEGIN: usize, const LENGTH: usize>;
+
+/// The last two pages of the flash, which hold no program, only saved parameters.
+pub const PARAMETERS: Pages<0x3_F800, { 2 * PAGE }> = Pages;
+
+/// The whole flash.
+pub const WHOLE: Pages<0, { 256 * PAGE }> = Pages;
 
 /// An address beyond the pages, or within a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,19 +43,48 @@ impl NorFlashError for BadAddress {
     }
 }
 
-/// The words from `offset` on.
-fn words(offset: u32, bytes: usize) -> Result<impl Iterator<Item = usize>, BadAddress> {
-    let offset = usize::try_from(offset).map_err(|_| BadAddress)?;
-    let end = offset.checked_add(bytes).filter(|end| *end <= LENGTH);
-    let aligned = offset.is_multiple_of(4) && bytes.is_multiple_of(4);
-    let end = end.filter(|_| aligned).ok_or(BadAddress)?;
-    Ok((BEGIN + offset..BEGIN + end).step_by(4))
+/// A word of the flash.
+fn word(address: usize) -> Register {
+    // SAFETY: a word of some `Pages`, where no code runs.
+    unsafe { Register::at(address) }
 }
 
-/// A word of the pages.
-fn word(address: usize) -> Register {
-    // SAFETY: a word of the pages above, where there is no program.
-    unsafe { Register::at(address) }
+impl<const BEGIN: usize, const LENGTH: usize> Pages<BEGIN, LENGTH> {
+    /// The addresses from `offset` on.
+    fn addresses(offset: u32, bytes: usize) -> Result<core::ops::Range<usize>, BadAddress> {
+        let offset = usize::try_from(offset).map_err(|_| BadAddress)?;
+        let end = offset.checked_add(bytes).filter(|end| *end <= LENGTH);
+        let end = end.ok_or(BadAddress)?;
+        Ok(BEGIN + offset..BEGIN + end)
+    }
+
+    /// The same, if whole units begin and end there.
+    fn units(
+        offset: u32,
+        bytes: usize,
+        unit: usize,
+    ) -> Result<impl Iterator<Item = usize>, BadAddress> {
+        let addresses = Self::addresses(offset, bytes)?;
+        // Units are powers of two.
+        let aligned = (addresses.start | addresses.end) & (unit - 1) == 0;
+        aligned.then(|| addresses.step_by(unit)).ok_or(BadAddress)
+    }
+}
+
+/// Erases a page. Not inlined, so that a debugger can stop at each change of the flash.
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn flash_erase_page(address: usize) {
+    ERASE_PAGE.write(address as u32);
+    wait();
+}
+
+/// Writes a word; the same.
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn flash_write_word(address: usize, value: u32) {
+    word(address).write(value);
+    wait();
 }
 
 fn set(mode: u32) {
@@ -63,16 +96,17 @@ fn wait() {
     while READY.read() == 0 {}
 }
 
-impl ErrorType for Pages {
+impl<const BEGIN: usize, const LENGTH: usize> ErrorType for Pages<BEGIN, LENGTH> {
     type Error = BadAddress;
 }
 
-impl ReadNorFlash for Pages {
-    const READ_SIZE: usize = 4;
+impl<const BEGIN: usize, const LENGTH: usize> ReadNorFlash for Pages<BEGIN, LENGTH> {
+    const READ_SIZE: usize = 1;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), BadAddress> {
-        for (address, to) in words(offset, bytes.len())?.zip(bytes.chunks_exact_mut(4)) {
-            to.copy_from_slice(&word(address).read().to_le_bytes());
+        for (address, to) in Self::addresses(offset, bytes.len())?.zip(bytes) {
+            let [at, shift] = [address & !3, 8 * (address & 3)];
+            *to = (word(at).read() >> shift) as u8;
         }
         Ok(())
     }
@@ -82,28 +116,28 @@ impl ReadNorFlash for Pages {
     }
 }
 
-impl NorFlash for Pages {
+impl<const BEGIN: usize, const LENGTH: usize> NorFlash for Pages<BEGIN, LENGTH> {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = PAGE;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), BadAddress> {
         let bytes = to.checked_sub(from).ok_or(BadAddress)?;
         let bytes = usize::try_from(bytes).map_err(|_| BadAddress)?;
+        let pages = Self::units(from, bytes, PAGE)?;
         set(ERASE);
-        for page in words(from, bytes)?.step_by(PAGE / 4) {
-            ERASE_PAGE.write(page as u32);
-            wait();
-        }
+        pages.for_each(|page| flash_erase_page(page));
         set(READ);
         Ok(())
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), BadAddress> {
+        let words = Self::units(offset, bytes.len(), 4)?;
         set(WRITE);
-        for (address, from) in words(offset, bytes.len())?.zip(bytes.chunks_exact(4)) {
-            if let Ok(from) = from.try_into() {
-                word(address).write(u32::from_le_bytes(from));
-                wait();
+        for (address, from) in words.zip(bytes.chunks_exact(4)) {
+            let from = u32::from_le_bytes(from.try_into().unwrap_or([0xFF; 4]));
+            // As it is after an erase; swaps of images that do not fill their partition take less time.
+            if from != u32::MAX {
+                flash_write_word(address, from);
             }
         }
         set(READ);

@@ -1,7 +1,7 @@
 //! The nRF51822 of a BBC micro:bit.
 #![no_std]
 
-#[cfg(feature = "flash")]
+#[cfg(any(feature = "boot", feature = "flash"))]
 pub mod flash;
 pub mod random;
 pub mod uart;

@@ -17,6 +17,7 @@ use ztl_mcu::log::LogSource;
 use ztl_mcu::parameters::{SaveError, Storage, Text, Tunable, TuneAll};
 use ztl_mcu::pump::Pump;
 use ztl_mcu::shared::{EndFlag, LatestReading, LogQueue, ReceiveQueue, StopFlag};
+use ztl_mcu::update::{Firmware, Receiving, SelfTest, UpdateError, Updater, Verification};
 use ztl_mcu::zmtp::{Connection, Peer, Server, Socket};
 use ztl_mcu::{
     Component, Components, Latest, Node, Queued, Reading, Refused, Report, Run, parameters,
@@ -53,6 +54,56 @@ impl Storage for Eeprom {
             0 => Err(SaveError::Failed),
             _ => Ok(()),
         }
+    }
+}
+
+/// Takes, verifies and confirms anything, or not.
+pub(crate) struct AnyUpdater;
+
+fn perhaps<T>(value: T) -> Result<T, UpdateError> {
+    match UpdateError::from_code(receive()) {
+        Some(error) => Err(error),
+        None => Ok(value),
+    }
+}
+
+impl Updater for AnyUpdater {
+    fn firmware(&self) -> Firmware<'_> {
+        Firmware {
+            board: black_box("board"),
+            version: black_box("1.0.0"),
+            confirmed: receive() == 0,
+            trial_ms: any(),
+            self_test: black_box(Some(SelfTest {
+                component: receive(),
+                goal: black_box("test"),
+            })),
+        }
+    }
+
+    fn begin(&mut self, manifest: &[u8], downgrade: bool) -> Result<Receiving, UpdateError> {
+        black_box((manifest, downgrade));
+        perhaps(Receiving {
+            length: any(),
+            offset: any(),
+        })
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), UpdateError> {
+        black_box((offset, bytes));
+        perhaps(())
+    }
+
+    fn verify(&mut self) -> Result<Verification, UpdateError> {
+        perhaps(black_box(Verification::Done))
+    }
+
+    fn restart(&mut self) {
+        black_box(&mut *self);
+    }
+
+    fn confirm(&mut self) -> Result<(), UpdateError> {
+        perhaps(())
     }
 }
 

@@ -22,6 +22,7 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::integer::Integer;
 use ztl_core::lifecycle::{Event, Request};
 use ztl_core::link::{self, Decoder, Frame, LinkId};
+use ztl_core::manifest::{Manifest, Version};
 use ztl_core::memory::Fixed;
 use ztl_core::message::Message;
 use ztl_core::reply::Reply;
@@ -34,12 +35,14 @@ use ztl_core::{State, TaskId, base64, goal};
 use ztl_mcu::bus::OnBus;
 use ztl_mcu::describe::Described;
 use ztl_mcu::parameters::Tuned;
+use ztl_mcu::update::Updatable;
 use ztl_mcu::zmtp::{Connection, Dealer, Line as ZmtpLine, Rep, Req, Server};
 use ztl_mcu::{Acting, Component, Identity, Node};
 use ztl_proof::{FIRST, now, receive};
 
 use device::{
-    Eeprom, Line, Part, RECEIVED, SLOT, Settings, ready_parts, run_connection, run_node, run_server,
+    AnyUpdater, Eeprom, Line, Part, RECEIVED, SLOT, Settings, ready_parts, run_connection,
+    run_node, run_server,
 };
 
 #[cfg(not(feature = "explain"))]
@@ -74,7 +77,8 @@ extern "C" fn main() -> ! {
     let tuned = Tuned::new(ready_parts()).with_firmware(Settings::default());
     let tuned = Described(tuned.load::<_, 5>(Eeprom));
     let acting = OnBus::new(Acting::new(tuned), 1 << 63, 7);
-    let mut ready_node = Node::<_, 2, 128>::new(identity(), acting);
+    let updatable = Updatable::new(acting, AnyUpdater);
+    let mut ready_node = Node::<_, 2, 128>::new(identity(), updatable);
     let mut server = Server::<_, 3, 4, 256, 4>::new("/one", identity(), ready_parts());
     let mut reply = Connection::<Rep, _>::new(room());
     let mut ask = Connection::<Req, _>::new([0; 300]);
@@ -99,6 +103,7 @@ extern "C" fn main() -> ! {
         #[cfg(feature = "broken")]
         indexed(input);
         messages(input, text);
+        manifests(input, text);
         specs(text);
         numbers(text);
         codes();
@@ -117,7 +122,10 @@ extern "C" fn main() -> ! {
             black_box(ready_node.abort_here(now(), task));
         }
         black_box(ready_node.report_event(now(), text));
-        black_box((ready_node.events_lost(), ready_node.components().address()));
+        black_box((
+            ready_node.events_lost(),
+            ready_node.components().components.address(),
+        ));
         run_server(&mut server, input);
         let _ = black_box(zmtp_line.turn(&mut server, &mut &RECEIVED, &mut Line, now()));
         let _ = black_box(zmtp_line.turn(&mut server, &mut Line, &mut Line, now()));
@@ -149,6 +157,13 @@ fn messages(input: &[u8], text: &str) {
     if let Err(error) = Message::parse(input) {
         black_box(error.scope());
     }
+}
+
+fn manifests(input: &[u8], text: &str) {
+    if let Ok(parsed) = black_box(Manifest::parse(input)) {
+        let _ = black_box(parsed.manifest.head());
+    }
+    let _ = black_box(Version::parse(text));
 }
 
 fn specs(text: &str) {

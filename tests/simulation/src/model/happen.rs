@@ -4,7 +4,8 @@ use ztl_core::State;
 
 use super::gateway::Told;
 use super::line::Way;
-use super::link::{Gateway, LabSession, LinkModel, node};
+use super::link::{Gateway, LabSession, LinkModel};
+use super::node::SomeNode;
 use super::own::take_up;
 use super::words::{Act, Action, Fault};
 use crate::explore::System;
@@ -46,7 +47,7 @@ impl LinkModel {
         }
     }
 
-    fn disturb(&mut self, fault: Fault) -> Result<(), String> {
+    pub(super) fn disturb(&mut self, fault: Fault) -> Result<(), String> {
         self.times = self.times.saturating_sub(1);
         match fault {
             Fault::Drop(way) => {
@@ -66,7 +67,7 @@ impl LinkModel {
             Fault::Reset => {
                 self.boot += 1;
                 self.booted = self.now;
-                self.node = node(self.scenario, self.boot);
+                self.node = SomeNode::new(self.scenario, self.boot, self.address);
                 self.truth.rest();
                 self.holder = None;
                 self.answered = (0, 0);
@@ -94,6 +95,34 @@ impl LinkModel {
             }
         }
         Ok(())
+    }
+
+    pub(super) fn fingerprinter(&self) -> Fingerprint {
+        let node = self.node_now();
+        Fingerprint::new(Origin { now: node, node })
+    }
+
+    /// Adds everything to a fingerprint that [`fingerprinter`](Self::fingerprinter) has made.
+    pub(super) fn add_to(&self, print: &mut Fingerprint) {
+        let (session, seq) = self.answered;
+        print.add(&format_args!("session: {session}, seq: {seq}"));
+        print.add(&self.node);
+        print.set_now(self.now);
+        for gateway in &self.gateways {
+            print.add(&gateway.session);
+            print.add(&gateway.journal);
+        }
+        for lane in [&self.down, &self.up] {
+            print.add(&(lane.cut, lane.stalled));
+            print.add(&lane.queue);
+            print.add(&lane.tape);
+        }
+        print.add(&self.held);
+        print.add(&self.truth);
+        print.add(&self.clients);
+        print.add(&(self.plugged, self.boot, self.asked, self.acts, self.times));
+        print.add(&self.holder);
+        print.add(&self.commanded);
     }
 
     /// The next step while all faults last.
@@ -213,28 +242,21 @@ impl System for LinkModel {
     }
 
     fn fingerprint(&self) -> u64 {
-        let node = self.node_now();
-        let mut print = Fingerprint::new(Origin { now: node, node });
-        let (session, seq) = self.answered;
-        print.add(&format_args!("session: {session}, seq: {seq}"));
-        print.add(&self.node);
-        print.set_now(self.now);
-        for gateway in &self.gateways {
-            print.add(&gateway.session);
-            print.add(&gateway.journal);
-        }
-        for lane in [&self.down, &self.up] {
-            print.add(&(lane.cut, lane.stalled));
-            print.add(&lane.queue);
-            print.add(&lane.tape);
-        }
-        print.add(&self.held);
-        print.add(&self.truth);
-        print.add(&self.clients);
-        print.add(&(self.plugged, self.boot, self.asked, self.acts, self.times));
-        print.add(&self.holder);
-        print.add(&self.commanded);
+        let mut print = self.fingerprinter();
+        self.add_to(&mut print);
         print.finish()
+    }
+
+    fn trace(&self, path: &[Action]) -> Vec<String> {
+        let mut lab = self.clone();
+        lab.notes = Some(Vec::new());
+        for action in path {
+            lab.note(|| format!("> {action:?}"));
+            if let Err(promise) = lab.apply(*action) {
+                lab.note(|| format!("BROKEN: {promise}"));
+            }
+        }
+        lab.notes.unwrap_or_default()
     }
 
     fn settled(&self) -> Result<(), String> {

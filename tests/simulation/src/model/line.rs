@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::fmt::{self, Debug};
 use std::rc::Rc;
 
-use ztl_core::link::{Decoder, NO_SESSION, session_key};
+use ztl_core::link::{Decoder, NO_SEQ, NO_SESSION, session_key};
 
 /// A direction of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,12 +36,20 @@ impl Debug for Parcel {
 
 impl Parcel {
     /// Parses a frame of one of these sessions in one of these boots.
-    fn new(bytes: &[u8], opened: u32, boots: u32) -> Self {
+    pub(super) fn new(bytes: &[u8], opened: u32, boots: u32) -> Self {
         let mut decoder = Decoder::<256>::new();
         for byte in bytes {
             if decoder.push(*byte) == Ok(true) {
                 break;
             }
+        }
+        if let Some((_, turn)) = decoder.turn() {
+            return Self {
+                bytes: bytes.into(),
+                session: NO_SESSION,
+                seq: NO_SEQ,
+                says: format!("{turn:?}").into(),
+            };
         }
         let mut keys = vec![NO_SESSION];
         for hello in (1..=opened).rev().map(|number| number << 8) {

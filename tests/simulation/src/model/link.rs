@@ -6,16 +6,15 @@ use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
 use super::ends::link::{LinkEvent, Session};
-use super::ends::mcu::{Acting, Identity, Node};
 use super::gateway::{Journal, Told};
 use super::line::{Lane, Parcel, Way};
-use super::motor::{ENDLESS, Motor, TASKS, Truth, with_truth};
+use super::motor::{ENDLESS, TASKS, Truth, with_truth};
+use super::node::SomeNode;
 use super::own::{OwnTask, take_up};
-use super::words::{Act, Action, Scenario};
+use super::words::{Act, Scenario};
 use crate::explore::System;
 use crate::fingerprint::NEARLY_ALL;
 
-type SmallNode = Node<'static, Acting<[Motor; 2]>, 2, 128>;
 pub(super) type LabSession = Session<Journal>;
 
 #[derive(Debug, Clone)]
@@ -49,7 +48,9 @@ pub struct LinkModel {
     pub(super) now: Instant,
     pub(super) gateways: Vec<Gateway>,
     pub(super) plugged: bool,
-    pub(super) node: SmallNode,
+    pub(super) node: SomeNode,
+    /// The node's address on a shared line.
+    pub(super) address: Option<u8>,
     pub(super) boot: u32,
     /// When the node's clock was 0.
     pub(super) booted: Instant,
@@ -102,6 +103,11 @@ impl LinkModel {
     /// All of it, just switched on.
     #[must_use]
     pub fn new(scenario: &'static Scenario) -> Self {
+        Self::at(scenario, None)
+    }
+
+    /// The same, with a node that has this address on a shared line.
+    pub(super) fn at(scenario: &'static Scenario, address: Option<u8>) -> Self {
         let mut journal = Journal::default();
         journal.kept = scenario.journal;
         let gateway = Gateway {
@@ -113,7 +119,8 @@ impl LinkModel {
             now: BEGIN,
             gateways: vec![gateway; scenario.gateways],
             plugged: true,
-            node: node(scenario, 1),
+            node: SomeNode::new(scenario, 1, address),
+            address,
             boot: 1,
             booted: BEGIN,
             down: Lane::default(),
@@ -139,20 +146,6 @@ impl LinkModel {
         lab
     }
 
-    /// The trace of this path.
-    #[must_use]
-    pub fn trace(&self, path: &[Action]) -> Vec<String> {
-        let mut lab = self.clone();
-        lab.notes = Some(Vec::new());
-        for action in path {
-            lab.note(|| format!("> {action:?}"));
-            if let Err(promise) = lab.apply(*action) {
-                lab.note(|| format!("BROKEN: {promise}"));
-            }
-        }
-        lab.notes.unwrap_or_default()
-    }
-
     pub(super) fn note(&mut self, text: impl FnOnce() -> String) {
         let now = self.now.as_micros() - BEGIN.as_micros();
         if let Some(notes) = &mut self.notes {
@@ -173,6 +166,9 @@ impl LinkModel {
             Some(BAUD),
             next_session,
         );
+        if let Some(address) = self.address {
+            session = session.with_address(address);
+        }
         let restored = session.journal_mut().restored();
         for task in restored {
             session.restore(self.now, task);
@@ -412,14 +408,4 @@ impl LinkModel {
 
 pub(super) fn task_id(task: usize) -> TaskId {
     TaskId::new(task as u32 + 1).expect("not 0")
-}
-
-pub(super) fn node(scenario: &Scenario, boot: u32) -> SmallNode {
-    let motor = |place| Motor {
-        place,
-        kind: scenario.motors[place],
-        run: None,
-    };
-    let motors = Acting::new([motor(0), motor(1)]);
-    Node::new(Identity::new("lab", "1", boot), motors)
 }

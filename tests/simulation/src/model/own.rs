@@ -43,7 +43,7 @@ impl LinkModel {
             ..Client::default()
         };
         client.own.own = true;
-        if started.is_err() {
+        if !started {
             // The device has already reported the refusal at the button.
             client.told = Told::Rejected;
         }

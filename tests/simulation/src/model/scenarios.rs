@@ -24,7 +24,7 @@ const REPLACE: Kind = Kind {
     busy: Busy::Replace,
 };
 
-const fn ask(gateway: usize, motor: usize, millis: u16) -> Act {
+pub(super) const fn ask(gateway: usize, motor: usize, millis: u16) -> Act {
     Act::Ask {
         gateway,
         motor,
@@ -32,7 +32,7 @@ const fn ask(gateway: usize, motor: usize, millis: u16) -> Act {
     }
 }
 
-const fn abort(gateway: usize, task: usize) -> Act {
+pub(super) const fn abort(gateway: usize, task: usize) -> Act {
     Act::Abort { gateway, task }
 }
 
@@ -44,7 +44,7 @@ const DOWN: Way = Way::Down;
 const UP: Way = Way::Up;
 
 /// One gateway without a journal, and one task that ends only when it is stopped.
-const PLAIN: Scenario = Scenario {
+pub(super) const PLAIN: Scenario = Scenario {
     name: "",
     about: "",
     motors: [ABORT, CARRY_ON],

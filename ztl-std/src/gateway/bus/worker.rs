@@ -22,8 +22,10 @@ use crate::time::now;
 
 /// Pause before the line is opened again.
 const RETRY: Duration = Duration::from_millis(500);
-/// Pause between two searches: while no node is known, and later.
+/// Pause between two searches: after one that no node has answered, and after others.
 const SEARCH: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(3));
+/// Searches without an answer after which a line that may be half open is opened again.
+const SEARCHES: u32 = 5;
 /// Inputs handled before deadlines are checked.
 const BATCH: usize = 64;
 /// How long a device waits for its port.
@@ -51,6 +53,8 @@ pub(super) struct Worker {
     nodes: Nodes,
     /// When the next search begins, unless one is under way.
     search: Option<Instant>,
+    /// How many searches in a row no node has answered.
+    unanswered: u32,
     retired: bool,
     status: LineStatus,
     devices: Devices,
@@ -77,6 +81,7 @@ impl Worker {
             ports,
             nodes: Nodes::default(),
             search: None,
+            unanswered: 0,
             retired: false,
             status,
             devices,
@@ -145,6 +150,7 @@ impl Worker {
                     self.line = LineState::Open(writer);
                     self.bus = self.empty.clone();
                     self.search = Some(now());
+                    self.unanswered = 0;
                 }
                 LineEvent::Bytes(bytes, _permit) => self.bus.handle_bytes(now(), &bytes),
                 LineEvent::Closed(error) => self.on_closed(&error),
@@ -191,13 +197,18 @@ impl Worker {
     }
 
     fn on_closed(&mut self, error: &io::Error) {
+        self.close();
+        self.set_problem(Some(error.to_string()));
+    }
+
+    /// Closes the line, to open it again.
+    fn close(&mut self) {
         self.stop.store(true, Ordering::Release);
         self.ports.close_all();
         self.search = None;
         // The reading thread still holds the line for a moment.
         let retry = now() + RETRY.max(READ_TIMEOUT * 2);
         self.line = LineState::Closed { retry };
-        self.set_problem(Some(error.to_string()));
     }
 
     fn set_problem(&mut self, problem: Option<String>) {
@@ -272,8 +283,15 @@ impl Worker {
             }
         }
         self.set_problem(self.nodes.problem().cloned());
-        let none = self.ports.is_empty() && found.is_empty();
-        let pause = if none { SEARCH.0 } else { SEARCH.1 };
+        if !found.is_empty() {
+            self.unanswered = 0;
+        } else {
+            self.unanswered += 1;
+            if self.opener.may_be_half_open && self.unanswered >= SEARCHES {
+                return self.close();
+            }
+        }
+        let pause = if found.is_empty() { SEARCH.0 } else { SEARCH.1 };
         self.search = Some(now() + pause).filter(|_| !self.retired);
     }
 
@@ -286,6 +304,8 @@ impl Worker {
             label: format!("{}, address {}", self.opener.label, seat.address()),
             seat: Some(seat),
             open: Arc::new(move || open(&inputs, &wanted)),
+            // The line is opened again for all nodes at once.
+            may_be_half_open: false,
             ..self.opener.clone()
         };
         let status = &self.status;

@@ -21,6 +21,10 @@ pub(super) enum Input {
     Reserved(ReservedId),
     /// A request about parameters, with the text of its goal.
     Parameters(TaskReporter, String),
+    /// A request about firmware.
+    Update(TaskReporter, DeviceRequest),
+    /// The id for the task that tests new firmware.
+    TestReserved(ReservedId),
     /// Of the line with this number.
     Line(u64, LineEvent),
     /// Abort all tasks, reject new ones, and close the line when all have ended.

@@ -6,6 +6,9 @@ mod line_reader;
 mod own;
 mod parameters;
 mod status;
+mod stop;
+mod update_job;
+mod updates;
 mod worker;
 
 use std::io;
@@ -29,6 +32,7 @@ use super::logs::DeviceLog;
 use super::opener::Opener;
 use super::parameters::PARAMETERS;
 use super::readings::Observers;
+use super::updates::UPDATES;
 use crate::random;
 use crate::server::TaskReporter;
 use crate::task_request::TaskRequest;
@@ -96,6 +100,10 @@ impl Device {
             let _ = self
                 .inputs
                 .send(Input::Parameters(task, request.goal.clone()));
+            return;
+        }
+        if request.component == UPDATES {
+            let _ = self.inputs.send(Input::Update(task, request.into()));
             return;
         }
         let mut request = DeviceRequest::from(request);

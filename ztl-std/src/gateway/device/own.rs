@@ -134,7 +134,7 @@ impl OwnTasksCell {
         *cell = Some(tasks);
     }
 
-    fn get(&self) -> Option<OwnTasks> {
+    pub(super) fn get(&self) -> Option<OwnTasks> {
         let cell = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         cell.clone()
     }

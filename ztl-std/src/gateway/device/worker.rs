@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
-use tracing::{info, warn};
-use ztl_core::link::{ADDR_ONLY_NODE, Loss};
+use tracing::info;
+use ztl_core::link::ADDR_ONLY_NODE;
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
@@ -20,6 +20,7 @@ use super::line_reader::{LineEvent, run_line};
 use super::own::{EventLog, NextId, OwnTasksCell, STARTS};
 use super::parameters::Parameters;
 use super::status::SharedStatus;
+use super::updates::Updates;
 use crate::gateway::bus::Seat;
 use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
 use crate::gateway::journal::{DeviceJournal, JournalFile};
@@ -90,10 +91,11 @@ pub(super) struct Worker {
     /// Limits the tasks of the firmware.
     pub(super) starts: RateLimit,
     parameters: Parameters,
+    pub(super) updates: Updates,
     /// Tasks from before a restart that must be resumed before the line is opened.
     awaited: usize,
     /// Deadline for the tasks to stop, if the thread is to end.
-    stopping: Option<Instant>,
+    pub(super) stopping: Option<Instant>,
     /// Rejects tasks, and closes the line when all have ended.
     retired: bool,
     /// The line at which the device is served again after that.
@@ -134,6 +136,7 @@ impl Worker {
             next_id: NextId::default(),
             starts: RateLimit::new(STARTS.0, STARTS.1, now()),
             parameters: Parameters::default(),
+            updates: Updates::default(),
             awaited,
             stopping: None,
             retired: false,
@@ -180,6 +183,7 @@ impl Worker {
                 self.on_input(input);
             }
             self.session.handle_timeout(now());
+            self.on_update_timeout();
             self.transmit();
             while let Some(event) = self.session.poll_event() {
                 self.on_event(event);
@@ -211,58 +215,12 @@ impl Worker {
     }
 
     fn has_no_tasks(&self) -> bool {
-        self.tasks.is_empty() && self.parameters.is_empty()
+        self.tasks.is_empty() && self.parameters.is_empty() && self.updates.is_empty()
     }
 
     pub(super) fn url(&self) -> &str {
         let opener = self.opener.as_ref();
         opener.map_or("nowhere", |opener| opener.label.as_str())
-    }
-
-    /// Leaves tasks with an unknown outcome. Their clients get no final state.
-    fn leave_unconfirmed(&mut self) {
-        let left = std::mem::take(&mut self.tasks);
-        for (task, request) in left.into_values() {
-            warn!(
-                target: GATEWAY,
-                device = self.name,
-                "Device '{}' has not confirmed that {} stopped; the device acts by itself after hearing nothing for its link timeout.",
-                self.name,
-                request.shown
-            );
-            task.leave();
-        }
-    }
-
-    fn on_stop(&mut self, leave_running: bool, end: Instant) {
-        if self.stopping.is_some_and(|before| before <= end) {
-            return;
-        }
-        self.stopping = Some(end);
-        for id in self.tasks.keys().copied().collect::<Vec<_>>() {
-            match self.session.policy(id) {
-                // The device started it without the gateway, and goes on without it.
-                Some(policy) if leave_running || self.session.is_own(id) => self.leave(id, policy),
-                _ => self.session.abort(now(), id),
-            }
-        }
-    }
-
-    /// Leaves a task to its device.
-    fn leave(&mut self, id: TaskId, policy: Loss) {
-        let Some((task, request)) = self.tasks.remove(&id) else {
-            return;
-        };
-        let what = match policy {
-            Loss::Abort => "stops by itself after hearing nothing for its link timeout (abort)",
-            Loss::Hold => {
-                "stops by itself after hearing nothing for its link timeout, and keeps its position (hold)"
-            }
-            Loss::CarryOn => "carries on",
-        };
-        let (name, spec) = (&self.name, &request.shown);
-        info!(target: GATEWAY, device = name, "Device '{name}': {spec} is left running; it {what}.");
-        task.leave();
     }
 
     fn until_wake(&self) -> Duration {
@@ -277,6 +235,7 @@ impl Worker {
         };
         let wake = earliest(earliest(self.session.poll_timeout(), line), self.stopping);
         let wake = earliest(wake, self.log.poll_timeout());
+        let wake = earliest(wake, self.updates.poll_timeout());
         wake.map_or(Duration::from_secs(60), |wake| wake.since(now()))
     }
 
@@ -353,13 +312,22 @@ impl Worker {
                     self.parameters.start(now(), session, task, goal);
                 }
             },
-            Input::Abort(id) => self.session.abort(now(), id),
+            Input::Update(task, request) => match self.rejects_tasks() {
+                Some(reason) => task.rejected(reason),
+                None => self.on_update_request(task, &request),
+            },
+            Input::TestReserved(id) => self.on_test_reserved(id),
+            Input::Abort(id) => {
+                self.session.abort(now(), id);
+                self.abort_update(Some(id));
+            }
             Input::Line(number, event) if number == self.number => self.on_line(event),
             Input::Line(..) => {}
             Input::Retire => {
                 self.log
                     .log(now(), Severity::Info, " is not served any more.".to_owned());
                 (self.retired, self.next) = (true, None);
+                self.stop_update("the device is not served any more");
                 for id in self.tasks.keys() {
                     self.session.abort(now(), *id);
                 }
@@ -509,6 +477,7 @@ impl Worker {
                         _ => reason,
                     };
                     self.log_task(id, &request, &format!("was refused: {reason}"));
+                    self.on_task_over(id, State::Rejected, &reason);
                     task.rejected(format!("{} refused: {reason}", request.shown));
                 }
             }
@@ -521,6 +490,7 @@ impl Worker {
                 if let Some((task, request)) = self.tasks.remove(&id) {
                     let end = format!("has ended as {}: {text}", state.name());
                     self.log_task(id, &request, &end);
+                    self.on_task_over(id, state, &text);
                     match state {
                         State::Completed => task.completed(text),
                         State::Aborted => task.aborted(text),
@@ -530,7 +500,10 @@ impl Worker {
             }
             LinkEvent::Begun => self.on_begun(),
             LinkEvent::Reported(text) => self.on_reported(&text),
-            LinkEvent::Up => self.on_up(),
+            LinkEvent::Up => {
+                self.on_up();
+                self.on_update_up();
+            }
             LinkEvent::Silent => {
                 self.silences += 1;
                 let opener = self.opener.as_ref();
@@ -544,9 +517,14 @@ impl Worker {
                 }
                 self.set_problem(format!("{}: {NOT_ANSWERING}", self.url()));
             }
-            // The line of a device that is not served was closed here.
-            LinkEvent::Lost if self.opener.is_none() => self.ready = false,
-            LinkEvent::Lost => self.set_problem(NOT_ANSWERING.to_owned()),
+            LinkEvent::Lost => {
+                self.on_update_lost();
+                match self.opener {
+                    // The line of a device that is not served was closed here.
+                    None => self.ready = false,
+                    Some(_) => self.set_problem(NOT_ANSWERING.to_owned()),
+                }
+            }
             LinkEvent::Reset => self
                 .log
                 .log(now(), Severity::Warn, " was reset.".to_owned()),
@@ -560,6 +538,7 @@ impl Worker {
                 let parameters = &mut self.parameters;
                 parameters.on_answer(now(), name, session, number, answer);
             }
+            LinkEvent::Update(number, answer) => self.on_update_answer(number, answer),
             LinkEvent::Reading(topic, bytes) => {
                 let device = self.session.device();
                 // The topic is unknown until the device has described itself.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
 use ztl_core::{State, TaskId};
 
+use crate::gateway::updates::UPDATES;
 use crate::time;
 use ztl_link::{Restored, Sent};
 
@@ -154,6 +155,22 @@ impl TaskEntry {
                 link_timeout_ms: time::millis(sent.link_timeout),
             }),
             client,
+        }
+    }
+
+    /// Whether it is a firmware update, which needs its gateway.
+    pub(super) fn is_update(&self) -> bool {
+        self.component == UPDATES && self.sent.is_none()
+    }
+
+    /// The end of the same task.
+    pub(super) fn ended_as(&self, now: Moment, state: State, text: &str) -> Self {
+        Self {
+            at: now.wall,
+            running_us: now.micros(),
+            state,
+            text: text.to_owned(),
+            ..self.clone()
         }
     }
 

@@ -32,6 +32,9 @@ const UNTOLD: Duration = Duration::from_millis(250);
 /// Unusable lines that are logged one by one.
 const LOGGED: usize = 10;
 
+/// The end of an update whose gateway has ended.
+const UPDATE_CUT: &str = "failed: the gateway ended during the update; the device keeps the firmware before, or goes back to it";
+
 /// Stores a journal. What was written successfully survives the end of the process.
 pub trait Storage {
     /// Appends lines. With `sync` they, and all lines before, survive a power cut.
@@ -134,6 +137,7 @@ impl<S: Storage> JournalRecords<S> {
         let clean = records.read(whole);
         records.warn_of_few_ids();
         records.forget(now);
+        records.end_updates(now);
         if !clean {
             // The unusable lines stay in the earlier file.
             records.rotate_or_go_on(now);
@@ -274,7 +278,7 @@ impl<S: Storage> JournalRecords<S> {
                     self.reserved = self.reserved.max(reserved.last)
                 }
                 Ok(JournalEntry::Start(line) | JournalEntry::Accepted(line))
-                    if line.restored().is_none() =>
+                    if line.restored().is_none() && !line.is_update() =>
                 {
                     useless += 1;
                     warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not name the device of the task.");
@@ -296,6 +300,19 @@ impl<S: Storage> JournalRecords<S> {
             warn!(target: GATEWAY, "Journal {place}: {useless} lines were skipped in all.");
         }
         useless == 0
+    }
+
+    /// Ends the firmware updates of an earlier gateway: they do not go on without it.
+    fn end_updates(&mut self, now: Moment) {
+        let updates = self.tasks.values().filter(|line| line.is_update());
+        let open: Vec<TaskEntry> = updates
+            .filter(|line| !line.state.is_final())
+            .map(|line| line.ended_as(now, State::Failed, UPDATE_CUT))
+            .collect();
+        for line in open {
+            // If it cannot be written, the next start does it.
+            let _ = self.write(now, Some(JournalEntry::Ended(line)));
+        }
     }
 
     /// The client in a task's earlier entries.

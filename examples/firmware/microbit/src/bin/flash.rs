@@ -8,12 +8,12 @@ mod lamp;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
 use lamp::{Settings, TunedLamp, run};
-use microbit::flash::{LENGTH, Pages};
+use microbit::flash::{PAGE, PARAMETERS};
 use ztl_mcu::parameters::Flash;
 
 #[entry]
 fn main() -> ! {
-    let Some(flash) = Flash::new(Pages, 0..LENGTH as u32) else {
+    let Some(flash) = Flash::new(PARAMETERS, 0..2 * PAGE as u32) else {
         SCB::sys_reset()
     };
     let lamp = TunedLamp::new([lamp::output()]);

@@ -1,0 +1,411 @@
+//! Requests of clients about the firmware of a device: uploads, and one update at a time.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use tracing::{info, warn};
+use ztl_core::envelope::ClientId;
+use ztl_core::manifest::{MANIFEST_LEN, Manifest};
+use ztl_core::{Instant, State, TaskId};
+use ztl_link::{
+    Entry, SessionJournal as _, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest,
+};
+
+use super::input::{DeviceRequest, Input};
+use super::update_job::{Image, Next, Outcome, UpdateJob};
+use super::worker::Worker;
+use crate::gateway::updates::{
+    LONGEST_IMAGE, LONGEST_PART, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
+    UpdateProblem, bytes_of,
+};
+use crate::log_targets::GATEWAY;
+use crate::server::{ReservedId, TaskReporter};
+use crate::task_request::{TaskRequest, encoded};
+use crate::terminal::quoted;
+use crate::time::now;
+
+/// How long the parts of a file are kept after the last one.
+const KEPT: Duration = Duration::from_secs(30);
+
+/// A file that a client uploads.
+struct Upload {
+    client: Option<ClientId>,
+    bytes: Vec<u8>,
+    /// When it is dropped.
+    until: Instant,
+}
+
+/// An update that runs.
+struct Running {
+    task: TaskReporter,
+    goal: String,
+    job: UpdateJob,
+    /// The number of the last request.
+    asked: u64,
+    /// The task that tests the firmware.
+    test: Option<TaskId>,
+    /// Its component and its goal, until it has an id.
+    next_test: Option<(u8, String)>,
+}
+
+/// The requests about firmware of a device.
+#[derive(Default)]
+pub(super) struct Updates {
+    upload: Option<Upload>,
+    running: Option<Box<Running>>,
+    /// Questions for what runs, each with its number.
+    questions: VecDeque<(u64, TaskReporter)>,
+    /// The number of the last request to the session.
+    asked: u64,
+}
+
+impl Updates {
+    pub(super) fn is_empty(&self) -> bool {
+        self.running.is_none() && self.questions.is_empty()
+    }
+
+    /// When there is something to do.
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        let upload = self.upload.as_ref().map(|upload| upload.until);
+        let job = self.running.as_ref().map(|it| it.job.poll_timeout());
+        ztl_core::time::earliest(upload, job.filter(|at| *at != Instant::NEVER))
+    }
+
+    /// Keeps a part of a file.
+    fn add(
+        &mut self,
+        client: Option<ClientId>,
+        offset: usize,
+        base64: &str,
+    ) -> Result<usize, String> {
+        let bytes = bytes_of(base64).filter(|bytes| bytes.len() <= LONGEST_PART);
+        let bytes = bytes.ok_or_else(|| {
+            format!("the part is not base64, or is longer than {LONGEST_PART} bytes")
+        })?;
+        if let Some(other) = &self.upload
+            && other.client != client
+        {
+            return Err("another client is sending an image to this device".to_owned());
+        }
+        let upload = self.upload.get_or_insert_with(|| Upload {
+            client,
+            bytes: Vec::new(),
+            until: now(),
+        });
+        if offset == 0 {
+            upload.bytes.clear();
+        }
+        let expected = upload.bytes.len();
+        if offset != expected {
+            return Err(format!("the part begins at {offset}, expected {expected}"));
+        }
+        if expected + bytes.len() > LONGEST_IMAGE {
+            self.upload = None;
+            return Err(format!("the image is longer than {LONGEST_IMAGE} bytes"));
+        }
+        upload.bytes.extend_from_slice(&bytes);
+        upload.until = now() + KEPT;
+        Ok(upload.bytes.len())
+    }
+
+    /// The uploaded image.
+    fn image(
+        &mut self,
+        client: Option<ClientId>,
+        options: &UpdateOptions,
+    ) -> Result<Image, (UpdateProblem, String)> {
+        if self.running.is_some() {
+            let text = "another update of this device is in progress".to_owned();
+            return Err((UpdateProblem::Busy, text));
+        }
+        let uploaded = self.upload.take_if(|upload| upload.client == client);
+        let file = uploaded.map(|upload| upload.bytes).unwrap_or_default();
+        if file.len() != options.length {
+            let (has, length) = (file.len(), options.length);
+            let text = format!("the gateway has {has} bytes of an image of {length}");
+            return Err((UpdateProblem::Other, text));
+        }
+        let parsed = Manifest::parse(&file);
+        let parsed = parsed.map_err(|error| (UpdateProblem::Manifest, error.to_string()))?;
+        let (length, has) = (parsed.manifest.length, parsed.image.len());
+        if usize::try_from(length) != Ok(has) {
+            let text = format!("the file has {has} bytes of an image of {length}");
+            return Err((UpdateProblem::Manifest, text));
+        }
+        Ok(Image {
+            version: parsed.manifest.version.to_string(),
+            manifest: file.get(..MANIFEST_LEN).unwrap_or_default().to_vec(),
+            bytes: parsed.image.to_vec(),
+        })
+    }
+}
+
+impl Worker {
+    /// Takes a request of a client about firmware.
+    pub(super) fn on_update_request(&mut self, task: TaskReporter, request: &DeviceRequest) {
+        match UpdateGoal::parse(&request.goal) {
+            Err(reason) => task.rejected(reason),
+            Ok(UpdateGoal::Status) => {
+                let number = self.next_update();
+                self.updates.questions.push_back((number, task));
+                self.session
+                    .request_update(now(), number, UpdateRequest::Read);
+            }
+            Ok(UpdateGoal::Part(offset, base64)) => {
+                match self.updates.add(task.client(), offset, &base64) {
+                    Ok(length) => task.completed(length.to_string()),
+                    Err(reason) => task.failed(reason),
+                }
+            }
+            Ok(UpdateGoal::Run(options)) => self.run_update(task, request, options),
+        }
+    }
+
+    fn next_update(&mut self) -> u64 {
+        self.updates.asked += 1;
+        self.updates.asked
+    }
+
+    fn run_update(&mut self, task: TaskReporter, request: &DeviceRequest, options: UpdateOptions) {
+        let image = match self.updates.image(task.client(), &options) {
+            Ok(image) => image,
+            Err((problem, text)) => return task.failed(format!("{problem}: {text}")),
+        };
+        let entry = Entry {
+            id: task.id(),
+            component: UPDATES,
+            goal: &request.goal,
+            sent: None,
+        };
+        if let Err(reason) = self.session.journal_mut().starting(&entry) {
+            return task.rejected(reason);
+        }
+        let (name, version) = (&self.name, quoted(&image.version).into_owned());
+        info!(target: GATEWAY, device = name, "Device '{name}': an update to {version} begins.");
+        task.accepted(&request.reply);
+        let mut job = UpdateJob::new(now(), image, options);
+        let next = job.begin(now());
+        self.updates.running = Some(Box::new(Running {
+            task,
+            goal: request.goal.clone(),
+            job,
+            asked: 0,
+            test: None,
+            next_test: None,
+        }));
+        self.go_on(next);
+    }
+
+    /// Lets the running update do something, and carries out what follows.
+    fn step(&mut self, act: impl FnOnce(&mut UpdateJob) -> Next) {
+        if let Some(running) = &mut self.updates.running {
+            let next = act(&mut running.job);
+            self.go_on(next);
+        }
+    }
+
+    fn go_on(&mut self, next: Next) {
+        let number = self.updates.asked + 1;
+        let Some(running) = &mut self.updates.running else {
+            return;
+        };
+        running.task.progress(running.job.progress());
+        match next {
+            Next::Wait => {}
+            Next::Ask(request) => {
+                running.asked = number;
+                self.updates.asked = number;
+                self.session.request_update(now(), number, request);
+            }
+            Next::Test(component, goal) => {
+                running.next_test = Some((component, goal));
+                match self.own_tasks.get() {
+                    Some(tasks) => {
+                        let inputs = self.inputs.clone();
+                        tasks.reserve(move |id| {
+                            let _ = inputs.send(Input::TestReserved(id));
+                        });
+                    }
+                    None => self.step(|job| {
+                        job.on_tested(now(), Err("the gateway has no server".to_owned()))
+                    }),
+                }
+            }
+            Next::End(outcome) => self.end_update(outcome),
+        }
+    }
+
+    /// There is an id for the task that tests the new firmware.
+    pub(super) fn on_test_reserved(&mut self, id: ReservedId) {
+        let Some(running) = &mut self.updates.running else {
+            return;
+        };
+        let Some((component, goal)) = running.next_test.take() else {
+            return;
+        };
+        let device = self.session.device();
+        let component = device.and_then(|it| it.components.get(usize::from(component)));
+        let Some(component) = component.map(|component| component.name.clone()) else {
+            return self.step(|job| job.on_tested(now(), Err("no such component".to_owned())));
+        };
+        let request = TaskRequest {
+            id: id.id(),
+            handler: self.name.clone(),
+            component,
+            goal,
+        };
+        running.test = Some(request.id);
+        let shown = DeviceRequest::from(&request);
+        self.log_task(request.id, &shown, "tests the new firmware");
+        let task = id.begin(encoded(&request.handler, &request.component, &request.goal));
+        self.tasks.insert(request.id, (task, shown));
+        self.session
+            .start(now(), request.id, &request.component, &request.goal);
+    }
+
+    /// A task has ended, or was rejected: perhaps the one that tests the new firmware.
+    pub(super) fn on_task_over(&mut self, id: TaskId, state: State, text: &str) {
+        let running = self.updates.running.as_mut();
+        let test = running.and_then(|running| running.test.take_if(|test| *test == id));
+        if test.is_some() {
+            let result = match state {
+                State::Completed => Ok(()),
+                _ => Err(text.to_owned()),
+            };
+            self.step(|job| job.on_tested(now(), result));
+        }
+    }
+
+    /// Handles the answer to the request with this number.
+    pub(super) fn on_update_answer(&mut self, number: u64, answer: UpdateAnswer) {
+        let questions = &mut self.updates.questions;
+        if let Some(at) = questions.iter().position(|(asked, _)| *asked == number) {
+            if let Some((_, task)) = questions.remove(at) {
+                tell(task, answer);
+            }
+            return;
+        }
+        let running = self.updates.running.as_ref();
+        if running.is_none_or(|running| running.asked != number) {
+            return;
+        }
+        match self.session.device().cloned() {
+            Some(device) => self.step(|job| job.on_answer(now(), &device, answer)),
+            None => self.on_update_lost(),
+        }
+    }
+
+    /// The link is lost.
+    pub(super) fn on_update_lost(&mut self) {
+        self.step(|job| {
+            job.on_lost(now());
+            Next::Wait
+        });
+    }
+
+    /// The device answers.
+    pub(super) fn on_update_up(&mut self) {
+        if let Some(boot) = self.session.device().map(|device| device.boot) {
+            self.step(|job| job.on_up(now(), boot));
+        }
+    }
+
+    /// Asks again, gives up, and drops an upload that is not used.
+    pub(super) fn on_update_timeout(&mut self) {
+        let now = now();
+        self.updates.upload.take_if(|upload| now >= upload.until);
+        let running = self.updates.running.as_ref();
+        if running.is_some_and(|running| now >= running.job.poll_timeout()) {
+            self.step(|job| job.handle_timeout(now));
+        }
+    }
+
+    /// Aborts the update with this id, or any.
+    pub(super) fn abort_update(&mut self, id: Option<TaskId>) {
+        let Some(running) = &mut self.updates.running else {
+            return;
+        };
+        if id.is_some_and(|id| id != running.task.id()) {
+            return;
+        }
+        let test = running.test.take();
+        self.step(|job| job.abort(now()));
+        if let Some(test) = test {
+            self.session.abort(now(), test);
+        }
+    }
+
+    /// The gateway stops, so it cannot go on.
+    pub(super) fn stop_update(&mut self, why: &str) {
+        if self.updates.running.is_some() {
+            let text =
+                format!("{why}; the device keeps the firmware that it runs, or goes back to it");
+            self.end_update(Outcome::Failed(UpdateProblem::Other, text));
+        }
+    }
+
+    /// Tells the device, the journal, the log and the client.
+    fn end_update(&mut self, outcome: Outcome) {
+        let Some(running) = self.updates.running.take() else {
+            return;
+        };
+        if running.job.is_sending() {
+            let number = self.next_update();
+            self.session
+                .request_update(now(), number, UpdateRequest::Cancel);
+        }
+        let (state, text) = match outcome {
+            Outcome::Updated(updated) => match serde_json::to_string(&updated) {
+                Ok(json) => (State::Completed, json),
+                Err(error) => (State::Failed, error.to_string()),
+            },
+            Outcome::Failed(problem, text) => (State::Failed, format!("{problem}: {text}")),
+            Outcome::Aborted(text) => (State::Aborted, text),
+        };
+        let (task, name) = (running.task, &self.name);
+        let entry = Entry {
+            id: task.id(),
+            component: UPDATES,
+            goal: &running.goal,
+            sent: None,
+        };
+        // The device has acted already, so the client gets the true outcome even if the disk is full.
+        let _ = self.session.journal_mut().ended(&entry, state, &text);
+        let shown = quoted(&text);
+        match state {
+            State::Completed => {
+                info!(target: GATEWAY, device = name, "Device '{name}': its update has ended: {shown}");
+                task.completed(text);
+            }
+            State::Aborted => {
+                warn!(target: GATEWAY, device = name, "Device '{name}': its update was aborted: {shown}");
+                task.aborted(text);
+            }
+            _ => {
+                warn!(target: GATEWAY, device = name, "Device '{name}': its update has failed: {shown}");
+                task.failed(text);
+            }
+        }
+    }
+}
+
+/// Answers a question for what runs.
+fn tell(task: TaskReporter, answer: UpdateAnswer) {
+    let reason = match answer {
+        Ok(UpdateReply::Firmware(firmware)) => {
+            match serde_json::to_string(&RunningFirmware::from(&firmware)) {
+                Ok(json) => return task.completed(json),
+                Err(error) => error.to_string(),
+            }
+        }
+        Ok(UpdateReply::Phase(_)) | Err(UpdateFailure::TooLong) => {
+            "the device does not answer the question".to_owned()
+        }
+        Err(UpdateFailure::NoUpdates) => {
+            "its firmware takes no updates, or is older than updates".to_owned()
+        }
+        Err(UpdateFailure::Lost) => "the device is not answering".to_owned(),
+        Err(UpdateFailure::Refused(reason)) => format!("the device refuses: {reason}"),
+    };
+    task.failed(reason);
+}
