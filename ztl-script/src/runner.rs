@@ -14,6 +14,9 @@ use crate::player::{PlayOptions, Player, Request};
 use crate::script::Script;
 use crate::server::{Connected, Connection, ServerAnswer};
 
+/// A [`RunnerHandle::stop_all`] so soon after another, while nothing runs, is the same.
+const SAME_PRESS: Duration = Duration::from_millis(200);
+
 /// Opens a connection to the server with this name: one for each request that is under way at the same time.
 pub type Connect = Box<dyn FnMut(&str) -> Connected + Send>;
 
@@ -26,6 +29,8 @@ pub struct Runner {
     handle: RunnerHandle,
     /// The [`RunnerHandle::stop_all`]s that the player has carried out.
     obeyed: Seen,
+    /// When the player carried out the last of them.
+    stopped_at: Option<Instant>,
     connect: Connect,
     /// Workers without a request, by server.
     idle: BTreeMap<String, Vec<Worker>>,
@@ -93,6 +98,7 @@ impl Runner {
                 stops: Arc::default(),
             },
             obeyed: Seen(0),
+            stopped_at: None,
             connect,
             idle: BTreeMap::new(),
             events: VecDeque::new(),
@@ -175,8 +181,13 @@ impl Runner {
                     self.player.handle_answer(now(), request, answer);
                 }
                 Ok(Input::StopAll) => {
-                    let by = DecidedBy::Operator;
-                    self.player.handle_command(now(), RunCommand::StopAll, by);
+                    let (now, by) = (now(), DecidedBy::Operator);
+                    let again = self.stopped_at.is_some_and(|at| now.since(at) < SAME_PRESS);
+                    // A flood of presses must not fill the record.
+                    if !(again && self.player.is_idle()) {
+                        self.player.handle_command(now, RunCommand::StopAll, by);
+                        self.stopped_at = Some(now);
+                    }
                     self.obeyed.0 = self.obeyed.0.wrapping_add(1);
                 }
                 Ok(Input::Wake) => return self.events.pop_front(),
@@ -382,6 +393,23 @@ mod tests {
         assert!(runner.decide(RunCommand::Start, scene));
         open.send(()).unwrap();
         assert_eq!(arrived.recv_timeout(wait).as_deref(), Ok("x"));
+    }
+
+    #[test]
+    fn a_flood_of_stops_is_one_stop_and_all_of_them_are_obeyed() {
+        let (mut runner, ..) = gated(b"one: {a: {r: {x: 1}}}");
+        until_asked(&mut runner);
+        let handle = runner.handle();
+        let mut decisions = 0;
+        for _ in 0..200 {
+            handle.stop_all();
+            while !runner.has_obeyed(handle.seen()) || runner.player.question().is_none() {
+                let event = runner.next(Duration::from_millis(1));
+                let event = event.map(|event| event.event);
+                decisions += usize::from(matches!(event, Some(RunEvent::Decided { .. })));
+            }
+        }
+        assert!((1..100).contains(&decisions), "{decisions}");
     }
 
     #[test]

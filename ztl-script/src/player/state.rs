@@ -329,6 +329,11 @@ impl Player {
         }
     }
 
+    /// Whether nothing plays, and no task that it started may run.
+    pub(crate) fn is_idle(&self) -> bool {
+        matches!(self.phase, Phase::Idle) && self.live.is_empty()
+    }
+
     pub(super) fn emit(&mut self, event: RunEvent) {
         self.events.push_back(event);
     }
