@@ -42,6 +42,9 @@ impl LinkModel {
             _ => return Ok(()),
         };
         let task = id.get() as usize - 1;
+        if self.is_told_again(task, told, &text) {
+            return Ok(());
+        }
         let client = self.clients[task];
         let again = client.told == told && told == Told::Accepted && self.scenario.journal;
         let first = match told {

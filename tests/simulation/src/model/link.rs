@@ -203,7 +203,13 @@ impl LinkModel {
         let (open, ends) = (journal.restored(), journal.ends.clone());
         for task in 0..self.asked {
             let client = &self.clients[task];
-            if client.gateway != gateway || client.told.is_final() {
+            if client.gateway != gateway {
+                continue;
+            }
+            if client.told.is_final() {
+                if !kept {
+                    self.forget_end(task);
+                }
                 continue;
             }
             if self.is_untaken_after_kill(task, kept) {

@@ -13,6 +13,8 @@ pub(super) struct OwnTask {
     pub(super) own: bool,
     /// Whether its gateway has taken it up.
     pub(super) taken: bool,
+    /// Whether a gateway that has no journal has taken it up although its end was told before: it tells the end again.
+    pub(super) again: bool,
 }
 
 /// Takes up the task that the device has begun. Returns the task, if it could be taken up.
@@ -61,8 +63,26 @@ impl LinkModel {
             ));
         }
         client.own.taken = true;
-        client.told = Told::Accepted;
+        if client.told.is_final() {
+            client.own.again = true;
+        } else {
+            client.told = Told::Accepted;
+        }
         Ok(())
+    }
+
+    /// The gateway is killed after it has told the end. Without its journal, it takes the task up again if the device has not
+    /// heard that the end arrived.
+    pub(super) fn forget_end(&mut self, task: usize) {
+        let own = &mut self.clients[task].own;
+        (own.taken, own.again) = (false, false);
+    }
+
+    /// Whether the end of this task is told as it was told to an earlier gateway, or that gateway's `Ack` has arrived meanwhile.
+    pub(super) fn is_told_again(&mut self, task: usize, told: Told, text: &str) -> bool {
+        let client = &mut self.clients[task];
+        std::mem::take(&mut client.own.again)
+            && (told == client.told || text == "the device no longer holds the task")
     }
 
     /// The gateway is killed. Returns whether that decides nothing for this task.
@@ -76,7 +96,10 @@ impl LinkModel {
         if !is_kept {
             // The restarted gateway takes it up again.
             client.told = Told::Nothing;
-            client.own.taken = false;
+            client.own = OwnTask {
+                own: true,
+                ..OwnTask::default()
+            };
         }
         !client.own.taken
     }
