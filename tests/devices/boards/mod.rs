@@ -3,6 +3,7 @@
 //!
 //! The board's pins show the real motion.
 
+mod button;
 mod described;
 mod ends;
 mod faults;
