@@ -28,6 +28,8 @@ const OWN_NODE: &str = "ztl-mcu/src/node/own.rs";
 const BUS: &str = "ztl-link/src/bus.rs";
 const MEMBER: &str = "ztl-link/src/bus/member.rs";
 const BUS_FRAMES: &str = "ztl-mcu/src/node/bus.rs";
+const PARAMETERS_NODE: &str = "ztl-mcu/src/node/parameters.rs";
+const PARAMETERS: &str = "ztl-link/src/parameters.rs";
 const ACTING: &str = "ztl-mcu/src/acting.rs";
 
 const REPEATED: (&str, &str, &str) = (
@@ -480,5 +482,31 @@ pub const MUTANTS: &[Mutant] = &[
         )],
         caught_in: ("bus-abort", 1),
         complaint: "promise",
+    },
+    Mutant {
+        name: "the node sets a value again when the command is repeated",
+        edits: &[REPEATED, NEXT],
+        caught_in: ("set", 1),
+        complaint: "promise 8",
+    },
+    Mutant {
+        name: "the node sets a value under a task",
+        edits: &[(
+            PARAMETERS_NODE,
+            "if self.moves(component) {",
+            "if self.moves(component) && !ON {",
+        )],
+        caught_in: ("set-task", 1),
+        complaint: "promise 8",
+    },
+    Mutant {
+        name: "the gateway says that a value is not set when its answer is lost with the session",
+        edits: &[(
+            PARAMETERS,
+            "Err(ParameterFailure::Unknown)",
+            "Err(if ON { ParameterFailure::NotSent(\"\") } else { ParameterFailure::Unknown })",
+        )],
+        caught_in: ("set", 1),
+        complaint: "promise 8",
     },
 ];

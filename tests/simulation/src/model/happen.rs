@@ -17,7 +17,7 @@ impl LinkModel {
             return false;
         };
         match *act {
-            Act::Ask { gateway, .. } | Act::Abort { gateway, .. } => {
+            Act::Ask { gateway, .. } | Act::Abort { gateway, .. } | Act::Set { gateway, .. } => {
                 self.gateways[gateway].session.is_some()
             }
             Act::Press { .. } => true,
@@ -120,6 +120,7 @@ impl LinkModel {
         print.add(&self.held);
         print.add(&self.truth);
         print.add(&self.clients);
+        print.add(&self.set_clients);
         print.add(&(self.plugged, self.boot, self.asked, self.acts, self.times));
         print.add(&self.holder);
         print.add(&self.commanded);
@@ -287,7 +288,7 @@ impl System for LinkModel {
                 return Err(format!("promise 4: task {task} moves for ever"));
             }
         }
-        Ok(())
+        self.judge_settled_sets()
     }
 
     fn serves(&self) -> Result<(), String> {

@@ -39,7 +39,7 @@ impl LinkModel {
             LinkEvent::Accepted(id) => (id, Told::Accepted, String::new()),
             LinkEvent::TaskRejected(id, text) => (id, Told::Rejected, text),
             LinkEvent::Ended(id, state, text) => (id, Told::Ended(state), text),
-            _ => return Ok(()),
+            event => return self.on_set_answer(&event),
         };
         let task = id.get() as usize - 1;
         if self.is_told_again(task, told, &text) {
@@ -130,6 +130,6 @@ impl LinkModel {
                 ));
             }
         }
-        Ok(())
+        self.judge_sets()
     }
 }

@@ -11,6 +11,7 @@ use super::line::{Lane, Parcel, Way};
 use super::motor::{ENDLESS, TASKS, Truth, with_truth};
 use super::node::SomeNode;
 use super::own::{OwnTask, take_up};
+use super::parameters::{SETS, SetClient};
 use super::words::{Act, Scenario};
 use crate::explore::System;
 use crate::fingerprint::NEARLY_ALL;
@@ -59,6 +60,7 @@ pub struct LinkModel {
     pub(super) held: Vec<(Way, Parcel)>,
     pub(super) truth: Truth,
     pub(super) clients: [Client; TASKS],
+    pub(super) set_clients: [SetClient; SETS],
     pub(super) asked: usize,
     pub(super) acts: usize,
     pub(super) times: u8,
@@ -128,6 +130,7 @@ impl LinkModel {
             held: Vec::new(),
             truth: Truth::default(),
             clients: [Client::default(); TASKS],
+            set_clients: [SetClient::default(); SETS],
             asked: 0,
             acts: 0,
             times: scenario.times,
@@ -198,7 +201,8 @@ impl LinkModel {
         if let Some(mut session) = place.session.take() {
             place.journal = session.journal_mut().clone();
         }
-        let journal = &place.journal;
+        self.lose_sets(gateway);
+        let journal = &self.gateways[gateway].journal;
         let kept = journal.kept;
         let (open, ends) = (journal.restored(), journal.ends.clone());
         for task in 0..self.asked {
@@ -394,6 +398,7 @@ impl LinkModel {
                 })
             }
             Act::Press { motor, millis } => self.press(motor, millis),
+            Act::Set { gateway, motor } => self.set(gateway, motor),
             Act::Abort { gateway, task } => {
                 let own = self.clients[task].own;
                 self.clients[task].aborted = !own.own || own.taken;

@@ -12,6 +12,7 @@ mod link;
 mod motor;
 mod node;
 mod own;
+mod parameters;
 mod scenarios;
 mod words;
 

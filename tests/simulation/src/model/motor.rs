@@ -7,6 +7,7 @@ use ztl_core::link::{Busy, Loss, Offer};
 use ztl_core::{Instant, State};
 
 use super::ends::mcu::{Component, Refused, Report, Run};
+use super::parameters::SETS;
 
 /// Maximum number of tasks in a scenario, including the one that checks that the device serves.
 pub(super) const TASKS: usize = 4;
@@ -28,6 +29,10 @@ pub(super) struct Truth {
     pub(super) moving: [Option<u8>; 2],
     /// Whether each motor is under power, which is not its safe state.
     pub(super) powered: [bool; 2],
+    /// How often each value of a parameter was set.
+    pub(super) sets: [u8; SETS],
+    /// Whether one was set while its motor ran a task.
+    pub(super) set_under_task: bool,
 }
 
 impl Truth {
@@ -55,7 +60,7 @@ impl Truth {
 
 thread_local! {
     /// The truth of the current model; the node does not expose its components.
-    static TRUTH: RefCell<Truth> = const { RefCell::new(Truth { tasks: [Execution { begun: 0, came_to: None }; TASKS], moving: [None; 2], powered: [false; 2] }) };
+    pub(super) static TRUTH: RefCell<Truth> = RefCell::default();
 }
 
 /// Lets `act` change the truth.
@@ -81,6 +86,8 @@ pub(super) struct Motor {
     pub(super) place: usize,
     pub(super) kind: Kind,
     pub(super) run: Option<Moving>,
+    /// Its parameter.
+    pub(super) value: u32,
 }
 
 #[derive(Debug, Clone, Copy)]

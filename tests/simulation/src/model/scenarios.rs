@@ -40,6 +40,10 @@ const fn press(motor: usize, millis: u16) -> Act {
     Act::Press { motor, millis }
 }
 
+const fn set(gateway: usize, motor: usize) -> Act {
+    Act::Set { gateway, motor }
+}
+
 const DOWN: Way = Way::Down;
 const UP: Way = Way::Up;
 
@@ -173,7 +177,7 @@ pub const SCENARIOS: &[Scenario] = &[
         name: "repeat",
         about: "a task; the line repeats all frames, in any session",
         acts: &[ask(0, 0, 40)],
-        faults: &[Tape(DOWN), Tape(UP), Unplug, Cut(UP)],
+        faults: &[Tape(DOWN), Tape(UP), Unplug, Cut(UP), Reset],
         ..PLAIN
     },
     Scenario {
@@ -248,6 +252,42 @@ pub const SCENARIOS: &[Scenario] = &[
         about: "the device starts a task; the gateway is killed and restarted without a journal",
         acts: &[press(1, ENDLESS), abort(0, 0)],
         faults: &[Kill(0), Drop(UP), Hold(DOWN), Copy(UP), Reset],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "set",
+        about: "a client sets two values of a motor; frames are lost, delayed and repeated, the device is reset",
+        acts: &[set(0, 0), set(0, 0)],
+        faults: &[
+            Drop(UP),
+            Drop(DOWN),
+            Hold(UP),
+            Hold(DOWN),
+            Copy(UP),
+            Copy(DOWN),
+            Cut(UP),
+            Reset,
+            Kill(0),
+            Unplug,
+        ],
+        times: 1,
+        ..PLAIN
+    },
+    // With further faults, a value is set again: clause 13.10.
+    Scenario {
+        name: "set-repeat",
+        about: "a client sets two values of a motor; the line repeats all frames of a session",
+        acts: &[set(0, 0), set(0, 0)],
+        faults: &[Tape(DOWN), Tape(UP)],
+        times: 1,
+        ..PLAIN
+    },
+    Scenario {
+        name: "set-task",
+        about: "a client starts a task, another sets a value of its motor before, during and after it",
+        acts: &[ask(0, 0, 40), set(0, 0), abort(0, 0)],
+        faults: &[Drop(UP), Hold(DOWN), Copy(DOWN), Cut(DOWN), Reset],
         times: 1,
         ..PLAIN
     },

@@ -29,6 +29,13 @@ pub enum Act {
         /// As for [`Ask`](Self::Ask).
         millis: u16,
     },
+    /// Sets the next value of a motor's parameter.
+    Set {
+        /// Which gateway.
+        gateway: usize,
+        /// Which motor.
+        motor: usize,
+    },
     /// The clients do nothing until a gateway has sent nearly all commands that fit a session.
     Idle,
 }
