@@ -34,6 +34,15 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Reads a text file, as [`read`] does.
+///
+/// # Errors
+/// As for [`read`], or that it is not UTF-8.
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    String::from_utf8(read(path, most)?)
+        .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
+}
+
 /// Reads a YAML file of at most [`MAX_FILE`](ztl_yaml::MAX_FILE) bytes.
 ///
 /// # Errors

@@ -4,8 +4,12 @@ use std::fs;
 use std::io::{self, Write as _};
 use std::path::Path;
 
+use ztl_std::files;
+
 /// The length of a token: 128 bits in hexadecimal.
 const LENGTH: usize = 32;
+/// Most bytes of their file.
+const LONGEST: u64 = 4096;
 
 /// The secrets of a console.
 #[derive(Clone, PartialEq, Eq)]
@@ -38,7 +42,7 @@ impl Tokens {
     /// # Errors
     /// If it cannot be read or made, or contains something else.
     pub fn kept(path: &Path) -> io::Result<Self> {
-        match fs::read_to_string(path) {
+        match files::read_text(path, LONGEST) {
             Ok(text) => Self::parse(&text).ok_or_else(|| {
                 let why = "expected the lines `operator TOKEN` and `watcher TOKEN`, of 32 hexadecimal digits each";
                 io::Error::new(io::ErrorKind::InvalidData, why)

@@ -2,13 +2,13 @@
 //! the file has not made for it.
 
 use std::fmt::Write as _;
-use std::fs;
 use std::path::PathBuf;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ureq::http::{HeaderName, HeaderValue, Method, Uri};
 use ztl_std::describe::{GoalRule, GoalValue};
+use ztl_std::files;
 use ztl_yaml::{Fields, Node, NodeValue, closest};
 
 use super::hosts::{Host, mistake};
@@ -210,10 +210,7 @@ impl Secret {
 
     fn header(&self) -> Result<HeaderValue, String> {
         let file = self.file();
-        let text = fs::metadata(file).and_then(|about| match about.len() {
-            0..=LONGEST_SECRET => fs::read_to_string(file),
-            _ => Err(std::io::Error::other("this is too long for a secret")),
-        });
+        let text = files::read_text(file, LONGEST_SECRET);
         let text = text.map_err(|error| format!("{}: {error}", file.display()))?;
         let text = text.trim();
         let value = match self {

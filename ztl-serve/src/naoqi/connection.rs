@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tracing::{info, warn};
 use ztl_naoqi::{Client, Credentials, Endpoint, Event, Limits, Options};
+use ztl_std::files;
 use ztl_yaml::{Node, NodeValue};
 
 use super::names::Used;
@@ -99,10 +100,7 @@ impl Robot {
 
 /// Reads a token.
 fn token(file: &Path) -> Result<String, String> {
-    let text = fs::metadata(file).and_then(|about| match about.len() {
-        0..=LONGEST_TOKEN => fs::read_to_string(file),
-        _ => Err(std::io::Error::other("this is too long for a token")),
-    });
+    let text = files::read_text(file, LONGEST_TOKEN);
     let text = text.map_err(|error| format!("{}: {error}", file.display()))?;
     match text.trim() {
         "" => Err(format!(
@@ -196,6 +194,8 @@ mod tests {
         let scratch = ztl_tests::lab::Scratch::new();
         let file = scratch.path("token.txt");
         assert!(token(&file).is_err_and(|it| it.contains("token.txt: No such file")));
+        // It never ends.
+        assert!(token(Path::new("/dev/zero")).is_err_and(|it| it.contains("not a regular file")));
         keep(&file, "first").expect("to write");
         keep(&file, "second").expect("to write");
         assert_eq!(token(&file).as_deref(), Ok("second"));

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use ed25519_dalek::{Digest, Sha512, Signature, Signer, SigningKey, VerifyingKey};
 use ztl_core::manifest::{HEAD_LEN, IMAGE_UNIT, Manifest, Parsed, Version};
+use ztl_std::files;
 
 use crate::exit::{Done, Misuse};
 use crate::terminal::line;
@@ -190,11 +191,8 @@ fn digest(image: &[u8], head: &[u8; HEAD_LEN]) -> [u8; 64] {
 }
 
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, Box<dyn Error>> {
-    let failed = |error: io::Error| format!("{}: {error}", path.display());
-    if fs::metadata(path).map_err(failed)?.len() > MAX_FILE {
-        return Err(format!("{}: longer than {MAX_FILE} bytes", path.display()).into());
-    }
-    Ok(fs::read(path).map_err(failed)?)
+    let read = files::read(path, MAX_FILE);
+    Ok(read.map_err(|error| format!("{}: {error}", path.display()))?)
 }
 
 /// Creates a file, and never overwrites one.
