@@ -10,7 +10,7 @@ use ztl_core::link::{Body, FrameWriter, NO_SEQ};
 use super::link_state::{Answer, Counters, LinkState, count};
 use super::refusal::Refusal;
 use super::runner::TaskRunner;
-use crate::component::Components;
+use crate::component::{Components, Report};
 use crate::update::{UpdateState, Verification};
 
 /// An update without a command for so long is over; the node then takes tasks again.
@@ -82,7 +82,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                         && *end <= state.length
                 };
                 let Some(end) = end.filter(fits) else {
-                    return Answer::Refused(Refusal::BadPiece);
+                    return self.refuse("the piece does not fit the image");
                 };
                 state.phase = match updater.write(offset, bytes) {
                     Ok(()) => UpdatePhase::Receiving { offset: end },
@@ -113,6 +113,11 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         Answer::Update
     }
 
+    fn refuse(&mut self, reason: &str) -> Answer {
+        Report::new(&mut self.reason).text(reason);
+        Answer::Refused(Refusal::ByComponent)
+    }
+
     fn begin_update(
         &mut self,
         now: Instant,
@@ -122,7 +127,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     ) -> Answer {
         let runs = self.tasks.0.iter().any(|task| task.is_open());
         if runs && !at_once {
-            return Answer::Refused(Refusal::UpdateWaits);
+            return self.refuse("a task runs, and the update would end it");
         }
         let Some((state, updater)) = self.components.update_mut() else {
             return Answer::Update;
