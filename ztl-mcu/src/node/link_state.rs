@@ -54,6 +54,13 @@ pub(super) enum Answer {
     Pong,
     /// To a command about the parameter with this number.
     Parameter(u8),
+    Other(Other),
+}
+
+/// Answers that only nodes with parameters or updates give.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Other {
+    /// All parameters are saved.
     Saved,
     /// To a question for what runs.
     Firmware,

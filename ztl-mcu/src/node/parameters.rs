@@ -4,9 +4,9 @@ use ztl_core::Instant;
 use ztl_core::link::parameter::{
     NO_COMPONENT, Parameter, ParameterCommand, ParameterMessage, Unfit, Value,
 };
-use ztl_core::link::{Body, FrameWriter, NO_SEQ};
+use ztl_core::link::{FrameWriter, NO_SEQ};
 
-use super::link_state::{Answer, Counters, LinkState, count};
+use super::link_state::{Answer, Counters, LinkState, Other, count};
 use super::refusal::Refusal;
 use super::runner::{TaskRunner, goes_to_safety};
 use crate::component::{Components, Report};
@@ -40,7 +40,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             ParameterCommand::Set { index, value } => {
                 (Answer::Parameter(index), self.set_parameter(index, value))
             }
-            ParameterCommand::Save => (Answer::Saved, self.save_parameters()),
+            ParameterCommand::Save => (Answer::Other(Other::Saved), self.save_parameters()),
         };
         match done {
             Ok(()) => answer,
@@ -106,7 +106,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Encodes the answer to a command about this parameter.
     pub(super) fn put_parameter(&self, index: u8, frame: &mut FrameWriter<'_>) {
         if let Ok(parameter) = self.parameter(index) {
-            Body::Parameter(ParameterMessage::Is(parameter)).put(frame);
+            ParameterMessage::Is(parameter).put(frame);
         }
     }
 }

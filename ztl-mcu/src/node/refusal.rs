@@ -8,7 +8,7 @@ pub type Reason = heapless::String<99>;
 /// Why a node refuses a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Refusal {
-    /// The component refused the goal and wrote the reason into [`TaskRunner::reason`](super::runner::TaskRunner).
+    /// The component refused the goal, or the firmware what only some nodes have, and wrote the reason into [`TaskRunner::reason`](super::runner::TaskRunner).
     ByComponent,
     /// The gateway speaks another version of the link.
     OtherVersion,
@@ -31,12 +31,6 @@ pub(crate) enum Refusal {
     TableFullOfEnded,
     /// The component's description does not fit a frame.
     DescriptionTooLong,
-    /// The node receives a firmware update.
-    Updating,
-    /// A task runs that an update would end.
-    UpdateWaits,
-    /// A piece of an image is longer than the image, or shorter than the flash can write.
-    BadPiece,
 }
 
 impl Refusal {
@@ -68,9 +62,6 @@ impl Refusal {
             Self::TableFull => NoRoom.as_str(),
             Self::TableFullOfEnded => "ends not yet acknowledged",
             Self::DescriptionTooLong => "its description is longer than a frame",
-            Self::Updating => UPDATING,
-            Self::UpdateWaits => "a task runs, and the update would end it",
-            Self::BadPiece => "the piece does not fit the image",
         }
     }
 }

@@ -200,7 +200,9 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             return Err(Refusal::EmergencyStop);
         }
         if is_updating(&self.components) {
-            return Err(Refusal::Updating);
+            // Not with a reason of its own, which all nodes would contain.
+            Report::new(&mut self.reason).text(UPDATING);
+            return Err(Refusal::ByComponent);
         }
         // Constant if no component has long results.
         let has_result = !self.components.result(component.into()).is_empty();

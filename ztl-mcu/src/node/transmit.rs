@@ -8,7 +8,7 @@ use ztl_core::sink::Sink as _;
 use ztl_core::{Instant, State};
 
 use super::frame_out::longest;
-use super::link_state::{Answer, LinkState};
+use super::link_state::{Answer, LinkState, Other};
 use super::own::is_listed;
 use super::refusal::Refusal;
 use super::runner::kept_result;
@@ -293,13 +293,13 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Parameter(index) if C::PARAMETER_COUNT > 0 => {
                     self.runner.put_parameter(index, frame);
                 }
-                Answer::Saved if C::PARAMETER_COUNT > 0 => {
-                    Body::Parameter(ParameterMessage::Saved).put(frame);
+                Answer::Other(other) if C::UPDATES && other != Other::Saved => {
+                    self.runner.put_update(other, frame);
                 }
-                Answer::Firmware | Answer::Update if C::UPDATES => {
-                    self.runner.put_update(answer, frame);
+                Answer::Other(_) if C::PARAMETER_COUNT > 0 => {
+                    ParameterMessage::Saved.put(frame);
                 }
-                Answer::Parameter(_) | Answer::Saved | Answer::Firmware | Answer::Update => {}
+                Answer::Parameter(_) | Answer::Other(_) => {}
             });
         if !fits {
             let reason = Refusal::DescriptionTooLong.as_str(C::UPDATES);

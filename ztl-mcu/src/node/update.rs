@@ -5,16 +5,18 @@ use core::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::parameter::NO_COMPONENT;
 use ztl_core::link::update::{PIECE_UNIT, UpdateCommand, UpdateError, UpdateMessage, UpdatePhase};
-use ztl_core::link::{Body, FrameWriter, NO_SEQ};
+use ztl_core::link::{FrameWriter, NO_SEQ};
 
-use super::link_state::{Answer, Counters, LinkState, count};
+use super::link_state::{Answer, Counters, LinkState, Other, count};
 use super::refusal::Refusal;
 use super::runner::TaskRunner;
-use crate::component::Components;
+use crate::component::{Components, Report};
 use crate::update::{UpdateState, Verification};
 
 /// An update without a command for so long is over; the node then takes tasks again.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// The answer to all commands but the question for what runs.
+const UPDATE: Answer = Answer::Other(Other::Update);
 /// How long a verified image waits for the command to run it.
 const READY: Duration = Duration::from_secs(30);
 /// Pause before a restart, in which the answer to `Restart` is sent.
@@ -57,7 +59,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
 impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     fn execute_update(&mut self, now: Instant, command: UpdateCommand<'_>) -> Answer {
         if command == UpdateCommand::Read {
-            return Answer::Firmware;
+            return Answer::Other(Other::Firmware);
         }
         if let UpdateCommand::Begin {
             now: at_once,
@@ -68,7 +70,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             return self.begin_update(now, at_once, downgrade, manifest);
         }
         let Some((state, updater)) = self.components.update_mut() else {
-            return Answer::Update;
+            return UPDATE;
         };
         state.until = now + PATIENCE;
         match (command, state.phase) {
@@ -82,7 +84,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                         && *end <= state.length
                 };
                 let Some(end) = end.filter(fits) else {
-                    return Answer::Refused(Refusal::BadPiece);
+                    return self.refuse("the piece does not fit the image");
                 };
                 state.phase = match updater.write(offset, bytes) {
                     Ok(()) => UpdatePhase::Receiving { offset: end },
@@ -110,7 +112,12 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             // A command that is repeated, or belongs to another phase, changes nothing.
             _ => {}
         }
-        Answer::Update
+        UPDATE
+    }
+
+    fn refuse(&mut self, reason: &str) -> Answer {
+        Report::new(&mut self.reason).text(reason);
+        Answer::Refused(Refusal::ByComponent)
     }
 
     fn begin_update(
@@ -122,25 +129,25 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     ) -> Answer {
         let runs = self.tasks.0.iter().any(|task| task.is_open());
         if runs && !at_once {
-            return Answer::Refused(Refusal::UpdateWaits);
+            return self.refuse("a task runs, and the update would end it");
         }
         let Some((state, updater)) = self.components.update_mut() else {
-            return Answer::Update;
+            return UPDATE;
         };
         if state.phase == UpdatePhase::Restarting {
-            return Answer::Update;
+            return UPDATE;
         }
         state.until = now + PATIENCE;
         if !updater.firmware().confirmed {
             state.phase = UpdatePhase::Failed(UpdateError::OnTrial);
-            return Answer::Update;
+            return UPDATE;
         }
         if !state.is_active() {
             state.phase = UpdatePhase::Stopping;
             self.make_safe(now, true);
         }
         if self.moves(NO_COMPONENT) {
-            return Answer::Update;
+            return UPDATE;
         }
         if let Some((state, updater)) = self.components.update_mut() {
             state.phase = match updater.begin(manifest, downgrade) {
@@ -152,7 +159,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 Err(error) => UpdatePhase::Failed(error),
             };
         }
-        Answer::Update
+        UPDATE
     }
 
     /// Restarts soon, when all components are safe.
@@ -213,13 +220,13 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     }
 
     /// Encodes the answer to a command about updates.
-    pub(super) fn put_update(&self, answer: Answer, frame: &mut FrameWriter<'_>) {
+    pub(super) fn put_update(&self, answer: Other, frame: &mut FrameWriter<'_>) {
         if let Some((state, updater)) = self.components.update() {
             let message = match answer {
-                Answer::Firmware => UpdateMessage::Firmware(updater.firmware()),
+                Other::Firmware => UpdateMessage::Firmware(updater.firmware()),
                 _ => UpdateMessage::Phase(state.phase),
             };
-            Body::Update(message).put(frame);
+            message.put(frame);
         }
     }
 }
