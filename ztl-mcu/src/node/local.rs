@@ -22,7 +22,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         match self.start(now, LinkId(id.get()), component, goal) {
             Ok(()) => Ok(()),
             Err(Refusal::ByComponent) => Err(&self.reason),
-            Err(refusal) => Err(refusal.text()),
+            Err(refusal) => Err(refusal.as_str()),
         }
     }
 

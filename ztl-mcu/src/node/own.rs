@@ -50,7 +50,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         let runner = &mut self.runner;
         let own = runner.components.own_work();
         let Some(id) = own.and_then(|own| own.next_id(|id| runner.tasks.holds(id))) else {
-            return Err(reason(self.no_room().as_str(C::UPDATES)));
+            return Err(reason(self.no_room().as_str()));
         };
         // The answer to the gateway's last command may be needed again.
         let answered = core::mem::take(&mut runner.reason);
@@ -59,8 +59,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             let why = core::mem::replace(&mut runner.reason, answered);
             return Err(match refusal {
                 Refusal::ByComponent => why,
-                Refusal::TableFull => reason(self.no_room().as_str(C::UPDATES)),
-                refusal => reason(refusal.as_str(C::UPDATES)),
+                Refusal::TableFull => reason(self.no_room().as_str()),
+                refusal => reason(refusal.as_str()),
             });
         }
         runner.reason = answered;

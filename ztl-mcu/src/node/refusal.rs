@@ -34,18 +34,9 @@ pub(crate) enum Refusal {
 }
 
 impl Refusal {
-    /// The text that the gateway shows; for [`ByComponent`](Self::ByComponent) it is empty. Only a node that takes `updates`
-    /// carries their texts (104 bytes).
-    #[inline(always)]
-    pub(crate) fn as_str(self, updates: bool) -> &'static str {
-        if updates {
-            return self.text();
-        }
-        TEXTS.get(self as usize).copied().unwrap_or_default()
-    }
-
-    /// The text, where the compiler knows which reasons are possible, so that it leaves out the others.
-    pub(crate) const fn text(self) -> &'static str {
+    /// The text that the gateway shows; for [`ByComponent`](Self::ByComponent) it is empty. Where the compiler knows which
+    /// reasons are possible, it leaves out the others.
+    pub(crate) const fn as_str(self) -> &'static str {
         match self {
             Self::ByComponent => "",
             Self::OtherVersion => "this node speaks version 1 of the link",
@@ -65,25 +56,6 @@ impl Refusal {
         }
     }
 }
-
-/// The texts of the variants before [`Updating`](Refusal::Updating), in their order.
-const TEXTS: [&str; Refusal::Updating as usize] = [
-    Refusal::ByComponent.text(),
-    Refusal::OtherVersion.text(),
-    Refusal::OtherGateway.text(),
-    Refusal::NoSuchComponent.text(),
-    Refusal::TooLate.text(),
-    Refusal::StaleTask.text(),
-    Refusal::NoSuchTask.text(),
-    Refusal::EmergencyStop.text(),
-    Refusal::Busy.text(),
-    Refusal::GoingToSafeState.text(),
-    Refusal::QueueFull.text(),
-    Refusal::GoalTooLongToWait.text(),
-    Refusal::TableFull.text(),
-    Refusal::TableFullOfEnded.text(),
-    Refusal::DescriptionTooLong.text(),
-];
 
 /// Also ends the tasks that run when it begins.
 pub(super) const EMERGENCY_STOP: &str = "emergency stop";

@@ -284,7 +284,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Refused(refusal) => {
                     let reason = match refusal {
                         Refusal::ByComponent => self.runner.reason.as_str(),
-                        refusal => refusal.as_str(C::UPDATES),
+                        refusal => refusal.as_str(),
                     };
                     Body::Refused { reason }.put(frame);
                 }
@@ -302,7 +302,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 Answer::Parameter(_) | Answer::Other(_) => {}
             });
         if !fits {
-            let reason = Refusal::DescriptionTooLong.as_str(C::UPDATES);
+            let reason = Refusal::DescriptionTooLong.as_str();
             self.frame_out.encode(address, session, seq, |frame| {
                 Body::Refused { reason }.put(frame)
             });
