@@ -122,6 +122,8 @@ impl<'a> Reader<'a> {
         self.rest = &[];
     }
 
+    // Not inlined in firmware: that saves 260 bytes in `microbit-parameters`, 68 in `microbit`.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(super) fn u8(&mut self) -> u8 {
         match self.rest.split_first() {
             Some((first, rest)) => {
