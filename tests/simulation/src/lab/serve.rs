@@ -98,7 +98,7 @@ impl Lab {
         most: [Duration; 2],
         what: &str,
     ) -> Result<[Duration; 2], String> {
-        for line in &mut self.line {
+        if let Some(line) = &mut self.line {
             line.watch(self.now);
         }
         self.pass_until(self.now + MEASURED)?;

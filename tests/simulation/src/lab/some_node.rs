@@ -63,8 +63,8 @@ impl SomeNode {
     }
 }
 
-/// The unique id of a node. Some differ in their last bits only.
+/// The unique id of a node. Those of the first two differ in the last bits only.
 pub(super) const fn id(address: u8) -> u64 {
-    let half = (address / 2) as u64;
-    (half + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) & !3 | (address % 2) as u64
+    let differs = if address == 1 { 2 } else { address };
+    (differs as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ address as u64
 }
