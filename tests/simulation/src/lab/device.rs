@@ -43,6 +43,8 @@ pub(super) struct Device {
     /// What is wrong with it, and when the node does that next.
     trouble: Option<(Trouble, Instant)>,
     dice: Dice,
+    /// When it has something to do, at the latest; only on a shared line.
+    due: Instant,
     boots: u32,
     /// Time of the last reset, when its clock was 0.
     booted: Instant,
@@ -83,6 +85,7 @@ impl Device {
             down: line(1),
             up: line(UP),
             dice,
+            due: now,
             cuts: [now..now, now..now],
             unplugged: 0,
             truth,
@@ -96,6 +99,7 @@ impl Device {
     /// Gives the node a trouble, or ends it.
     pub(super) fn set_trouble(&mut self, trouble: Option<(Trouble, Instant)>) {
         self.trouble = trouble;
+        self.due = Instant::ZERO;
         let mut truth = self.truth.borrow_mut();
         match self.trouble {
             Some((Trouble::Floods, _)) => truth.floods = Some(self.number),
@@ -142,6 +146,14 @@ impl Device {
                 self.up.handle_bytes(now, &buffer[..count]);
             }
         }
+        if self.shared {
+            self.due = self.next(now);
+        }
+    }
+
+    /// Whether it has something to do, which the devices of a shared line mostly have not.
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        !self.shared || self.due <= now
     }
 
     /// A button starts a task, and an event is reported, for which there may be no room.
@@ -152,6 +164,7 @@ impl Device {
         task: usize,
         millis: u64,
     ) -> Result<(), Reason> {
+        self.due = now;
         let clock = self.clock(now);
         self.node.report_event(clock, &format!("event {task}"));
         let goal = format!("{task} {millis}");
@@ -179,10 +192,15 @@ impl Device {
     pub(super) fn send(&mut self, now: Instant, bytes: &[u8]) {
         if self.is_plugged() {
             self.down.handle_bytes(now, bytes);
+            self.due = now;
         }
     }
 
-    pub(super) fn wake(&self, now: Instant) -> Option<Instant> {
+    pub(super) fn wake(&self, now: Instant) -> Instant {
+        if self.shared { self.due } else { self.next(now) }
+    }
+
+    fn next(&self, now: Instant) -> Instant {
         let clock = self.clock(now);
         let node = now + self.node.poll_timeout(clock).since(clock);
         // A shared line has made pieces already.
@@ -192,12 +210,14 @@ impl Device {
             Some((Trouble::Babbles | Trouble::Resets, next)) => Some(next),
             _ => None,
         };
-        lines.into_iter().chain([trouble]).fold(Some(node), earliest)
+        let other = lines.into_iter().chain([trouble]).fold(None, earliest);
+        other.map_or(node, |other| other.min(node))
     }
 
     pub(super) fn reset(&mut self, now: Instant) {
         self.boots += 1;
         self.booted = now;
+        self.due = now;
         for motor in 0..self.motors.len() {
             self.truth.borrow_mut().rest((self.number, motor), None);
         }

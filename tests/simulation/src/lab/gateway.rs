@@ -186,7 +186,10 @@ impl Gateway {
     /// Handles timeouts and the events of the sessions.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         for device in 0..self.sessions.len() {
-            self.sessions[device].handle_timeout(now);
+            let session = &mut self.sessions[device];
+            if session.poll_timeout().is_some_and(|at| at <= now) {
+                session.handle_timeout(now);
+            }
             while let Some(event) = self.sessions[device].poll_event() {
                 if event == LinkEvent::Begun {
                     self.take_up(now, device);

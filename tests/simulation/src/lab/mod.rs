@@ -215,7 +215,7 @@ impl Lab {
     }
 
     fn wake(&self) -> Option<Instant> {
-        let devices = self.devices.iter().map(|device| device.wake(self.now));
+        let devices = self.devices.iter().map(|device| Some(device.wake(self.now)));
         let people = self.people.iter().map(Person::poll_timeout);
         let letters = [&self.to_gateway, &self.to_people];
         let letters = letters.into_iter().map(|l| l.front().map(|(at, _)| *at));
@@ -231,11 +231,11 @@ impl Lab {
         gateway::set_clocks(self.now);
         self.revert();
         for device in &mut self.devices {
-            if self.line.is_none() || device.wake(self.now).is_some_and(|at| at <= self.now) {
+            if device.is_due(self.now) {
                 device.turn(self.now);
             }
         }
-        self.exchange()?;
+        self.exchange();
         self.carry_requests();
         if let Some(gateway) = &mut self.gateway {
             gateway.handle_timeout(self.now);
@@ -249,7 +249,10 @@ impl Lab {
                 self.books.on_event(&event, &self.truth.borrow())?;
             }
         }
-        self.exchange()?;
+        match &mut self.line {
+            Some(line) => line.transmit(self.now, self.gateway.as_mut())?,
+            None => self.exchange(),
+        }
         self.carry_answers()?;
         let truth = self.truth.borrow();
         for (number, device) in self.devices.iter().enumerate() {
@@ -262,14 +265,13 @@ impl Lab {
     }
 
     /// Exchanges bytes between sessions and lines.
-    fn exchange(&mut self) -> Result<(), String> {
+    fn exchange(&mut self) {
         if let Some(line) = &mut self.line {
-            return line.exchange(self.now, &mut self.devices, self.gateway.as_mut());
+            return line.receive(self.now, &mut self.devices, self.gateway.as_mut());
         }
         for device in 0..self.devices.len() {
             self.exchange_with(device);
         }
-        Ok(())
     }
 
     fn exchange_with(&mut self, device: usize) {

@@ -3,11 +3,13 @@
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{ADDR_ALL, ADDR_NONE, NO_SEQ};
+use ztl_core::link::{ADDR_ALL, ADDR_NONE, NO_SEQ, Turn};
 use ztl_core::time::earliest;
+use ztl_link::BusNeeds;
+use ztl_link::bus::TURNAROUND;
 
 use super::device::Device;
-use super::gateway::{Gateway, address};
+use super::gateway::{BAUD, Gateway, address};
 use super::master::Master;
 use super::some_node::id;
 use super::wire::Wire;
@@ -30,11 +32,11 @@ struct Waiting {
 struct Turns {
     /// When it was polled last, or since when that counts.
     polled: Instant,
-    busy: bool,
+    needs: BusNeeds,
     waiting: Option<Waiting>,
     /// The command of the last question.
     sent: Vec<u8>,
-    /// Questions without an answer since the last one.
+    /// Questions since its last undamaged answer.
     unanswered: u32,
     /// Longest time between two polls while it was busy.
     longest: Duration,
@@ -47,8 +49,12 @@ pub(super) struct SharedLine {
     /// When the next search begins.
     search: Option<Instant>,
     nodes: Vec<Turns>,
-    /// Whom the last question was for.
+    /// Whom the last question was for, and what the gateway has heard since.
     asked: Option<usize>,
+    heard: Vec<u8>,
+    /// Until when an answer may begin, and whether it has.
+    until: Instant,
+    in_turn: bool,
     /// What the last search found, by id and address.
     pub(super) found: Vec<(u64, u8)>,
     /// The longest time until a `Start` or an `Abort` was sent.
@@ -59,7 +65,7 @@ impl SharedLine {
     pub(super) fn new(now: Instant, nodes: usize, seed: u64) -> Self {
         let turns = || Turns {
             polled: now,
-            busy: false,
+            needs: BusNeeds::default(),
             waiting: None,
             sent: Vec::new(),
             unanswered: 0,
@@ -71,6 +77,9 @@ impl SharedLine {
             search: None,
             nodes: std::iter::repeat_with(turns).take(nodes).collect(),
             asked: None,
+            heard: Vec::new(),
+            until: now,
+            in_turn: false,
             found: Vec::new(),
             urgent: Duration::ZERO,
         }
@@ -83,6 +92,7 @@ impl SharedLine {
         for node in &mut self.nodes {
             (node.waiting, node.unanswered, node.polled) = (None, 0, now);
             node.sent.clear();
+            node.needs = BusNeeds::default();
         }
     }
 
@@ -116,25 +126,24 @@ impl SharedLine {
     pub(super) fn longest(&mut self, now: Instant, of: impl Fn(usize) -> bool) -> [Duration; 2] {
         let nodes = self.nodes.iter().enumerate().filter(|(node, _)| of(*node));
         let pauses = nodes.map(|(_, node)| {
-            let open = if node.busy { now.since(node.polled) } else { Duration::ZERO };
+            let open = if node.needs.busy { now.since(node.polled) } else { Duration::ZERO };
             node.longest.max(open)
         });
         [pauses.max().unwrap_or_default(), self.urgent]
     }
 
-    /// Carries bytes between the nodes, the wire and the bus, and the frames of the bus to and from the sessions.
-    ///
-    /// # Errors
-    /// A question that must not be asked yet.
-    pub(super) fn exchange(
+    /// Carries bytes from the nodes to the wire, from there to the nodes and the bus, and its frames to the sessions.
+    pub(super) fn receive(
         &mut self,
         now: Instant,
         devices: &mut [Device],
         gateway: Option<&mut Gateway>,
-    ) -> Result<(), String> {
+    ) {
         for (number, device) in devices.iter_mut().enumerate() {
-            let sent = device.arrived(now);
-            self.wire.send(now, Some(number), &sent);
+            if device.is_due(now) {
+                let sent = device.arrived(now);
+                self.wire.send(now, Some(number), &sent);
+            }
         }
         for piece in self.wire.poll(now) {
             for (number, device) in devices.iter_mut().enumerate() {
@@ -144,18 +153,38 @@ impl SharedLine {
             }
             if let (Some(master), false) = (&mut self.master, piece.senders.contains(&None)) {
                 master.handle_bytes(now, &piece.bytes);
-                self.on_answer();
+                self.on_heard(now, &piece.bytes);
             }
         }
         let (Some(master), Some(gateway)) = (&mut self.master, gateway) else {
-            return Ok(());
+            return;
         };
         master.handle_timeout(now);
         while let Some((from, frame)) = master.poll_frame() {
-            if let Some(session) = gateway.sessions.get_mut(usize::from(from) - 1) {
-                session.handle_bytes(now, &frame);
+            let from = usize::from(from).wrapping_sub(1);
+            // Noise may be from any address.
+            let Some(session) = gateway.sessions.get_mut(from) else {
+                continue;
+            };
+            session.handle_bytes(now, &frame);
+            if self.in_turn && self.asked == Some(from) {
+                self.nodes[from].unanswered = 0;
             }
         }
+    }
+
+    /// Carries what the sessions transmit to the bus, and its questions to the wire.
+    ///
+    /// # Errors
+    /// A question that must not be asked yet.
+    pub(super) fn transmit(
+        &mut self,
+        now: Instant,
+        gateway: Option<&mut Gateway>,
+    ) -> Result<(), String> {
+        let (Some(master), Some(gateway)) = (&mut self.master, gateway) else {
+            return Ok(());
+        };
         if let Some(found) = master.poll_found() {
             self.search = Some(now + SEARCH);
             let wrong = |(known, at): &&(u64, u8)| *at != ADDR_NONE && *known != id(*at);
@@ -167,9 +196,12 @@ impl SharedLine {
         for (number, session) in gateway.sessions.iter_mut().enumerate() {
             let bytes = session.poll_transmit();
             let needs = session.bus_needs();
-            master.queue(now, address(number), &bytes);
-            master.set_needs(address(number), needs);
-            self.nodes[number].queue(now, &bytes, needs.busy, needs.urgent);
+            let node = &mut self.nodes[number];
+            if !bytes.is_empty() || node.needs != needs {
+                master.queue(now, address(number), &bytes);
+                master.set_needs(address(number), needs);
+                node.queue(now, &bytes, needs);
+            }
         }
         if self.search.is_some_and(|at| now >= at) {
             self.search = None;
@@ -184,11 +216,17 @@ impl SharedLine {
         }
     }
 
-    /// A node sends: it is not silent, and a command that waits for a second time is dropped.
-    fn on_answer(&mut self) {
-        if let Some(node) = self.asked.and_then(|node| self.nodes.get_mut(node)) {
+    /// The gateway hears something.
+    fn on_heard(&mut self, now: Instant, bytes: &[u8]) {
+        self.in_turn |= self.heard.is_empty() && now <= self.until;
+        self.heard.extend(bytes);
+        let Some(number) = self.asked else {
+            return;
+        };
+        let node = &mut self.nodes[number];
+        let idle = Turn::Idle.encode(address(number));
+        if self.in_turn && self.heard.windows(idle.len()).any(|heard| heard == idle) {
             node.unanswered = 0;
-            node.waiting.take_if(|waiting| waiting.bytes == node.sent);
         }
     }
 
@@ -197,8 +235,17 @@ impl SharedLine {
         let Some(last) = frames.last() else {
             return Ok(());
         };
+        if let Some(before) = self.asked.filter(|_| !self.heard.is_empty()) {
+            // The bus drops a repetition of what was answered, even if that is damaged.
+            let node = &mut self.nodes[before];
+            node.waiting.take_if(|waiting| waiting.bytes == node.sent);
+        }
         let head = unstuffed(last);
         let to = head.first().copied().unwrap_or(ADDR_ALL);
+        self.heard.clear();
+        self.in_turn = false;
+        let bits = 10 * bytes.len() as u32;
+        self.until = now + Duration::from_secs(1) * bits / BAUD + TURNAROUND;
         self.asked = (to != ADDR_ALL).then(|| usize::from(to) - 1);
         let polls = head.len() == 2;
         let asked = self.asked.and_then(|node| self.nodes.get_mut(node));
@@ -206,7 +253,7 @@ impl SharedLine {
             node.unanswered += 1;
             if polls {
                 node.sent.clear();
-                if node.busy {
+                if node.needs.busy {
                     node.longest = node.longest.max(now.since(node.polled));
                 }
                 node.polled = now;
@@ -235,11 +282,11 @@ impl SharedLine {
 
 impl Turns {
     /// What the node's session transmits.
-    fn queue(&mut self, now: Instant, bytes: &[u8], busy: bool, urgent: bool) {
-        if busy && !self.busy {
+    fn queue(&mut self, now: Instant, bytes: &[u8], needs: BusNeeds) {
+        if needs.busy && !self.needs.busy {
             self.polled = now;
         }
-        self.busy = busy;
+        self.needs = needs;
         for frame in bytes.split_inclusive(|byte| *byte == 0) {
             let head = unstuffed(frame);
             let [_, seq, tag, ..] = head[..] else {
@@ -256,7 +303,7 @@ impl Turns {
             });
         }
         if let Some(waiting) = &mut self.waiting {
-            waiting.urgent |= urgent;
+            waiting.urgent |= needs.urgent;
         }
     }
 }

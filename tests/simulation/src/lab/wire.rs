@@ -80,8 +80,11 @@ impl Wire {
 
     /// What was heard until now, in order.
     pub(super) fn poll(&mut self, now: Instant) -> Vec<Piece> {
-        let now = now.as_micros() * 1000;
         let mut pieces: Vec<Piece> = Vec::new();
+        if self.poll_timeout().is_none_or(|at| now < at) {
+            return pieces;
+        }
+        let now = now.as_micros() * 1000;
         loop {
             let due = self.talks.iter_mut().filter(|talk| {
                 talk.heard < talk.bytes.len() && talk.at(talk.heard + 1) <= now
