@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use ztl_core::State;
+
 use super::motor::NAMES;
 use super::{Lab, Summary};
 use crate::plan::{Dice, Trouble};
@@ -12,14 +14,15 @@ const BELT: usize = 1;
 const BUSY: u64 = 3500;
 /// Until all tasks run and descriptions are read.
 const BEGIN: Duration = Duration::from_millis(1000);
-const MEASURED: Duration = Duration::from_millis(1500);
+/// How long turns are measured; in the middle, each client aborts a task.
+const MEASURED: Duration = Duration::from_millis(1600);
 /// Until all clients know the outcomes.
 const TOLD: Duration = Duration::from_secs(6);
-/// Longest time without a turn of a node with a task.
-const TURN: Duration = Duration::from_millis(50);
-/// Longest time until a `Start` or an `Abort` is sent: a question that is under way, and its answer.
-const URGENT: Duration = Duration::from_millis(20);
-/// The same two while another node has this trouble.
+/// Longest time without a turn of a node with a task, and until a `Start` or an `Abort` is sent: that of one question that
+/// is under way, and its answer.
+const HEALTHY: [Duration; 2] = [Duration::from_millis(50), Duration::from_millis(20)];
+
+/// The same while another node has this trouble.
 const fn bounds(trouble: Trouble) -> [Duration; 2] {
     let [turn, urgent] = match trouble {
         // Rubbish takes up to 35 ms, and what it damages is asked again.
@@ -43,15 +46,12 @@ impl Lab {
     fn serve_one(&mut self, device: usize, motor: usize) -> Result<(), String> {
         let task = self.ask(0, device, motor, 20, true);
         self.pass_until(self.now + Duration::from_millis(1500))?;
-        self.books.completed(task)
+        self.books.came_to(task, State::Completed)
     }
 
     /// Runs a task on each node of a shared line at once: without faults, and while one node has a trouble.
     pub(super) fn serve_shared(&mut self, seed: u64, summary: &mut Summary) -> Result<(), String> {
-        let all = self.busy(ARM, |_| true)?;
-        summary.healthy = self.measure(|_| true, [TURN, URGENT], "all nodes are well")?;
-        self.pass_until(self.now + TOLD)?;
-        all.into_iter().try_for_each(|task| self.books.completed(task))?;
+        summary.healthy = self.serve_all(ARM, None, HEALTHY, "all nodes are well")?;
         let found = self.line.iter().flat_map(|line| &line.found).count();
         if found != self.devices.len() {
             return Err(format!("a search finds {found} nodes"));
@@ -61,54 +61,53 @@ impl Lab {
         let ill = dice.below(self.devices.len() as u64) as usize;
         let number = dice.below(Trouble::ALL.len() as u64) as usize;
         let trouble = Trouble::ALL[number];
-        let others = |device: usize| device != ill;
-        let lasts = BEGIN + MEASURED + TOLD;
-        self.trouble(ill, trouble, lasts);
-        self.note(|| format!("device {ill} has a trouble: {trouble:?}"));
-        let tasks = self.busy(BELT, others)?;
         let what = format!("device {ill} {trouble:?}");
-        summary.troubled[number] = self.measure(others, bounds(trouble), &what)?;
-        self.pass_until(self.now + TOLD)?;
-        tasks.into_iter().try_for_each(|task| self.books.completed(task))?;
+        self.note(|| format!("from now on {what}"));
+        self.trouble(ill, trouble, BEGIN + MEASURED + TOLD);
+        summary.troubled[number] = self.serve_all(BELT, Some(ill), bounds(trouble), &what)?;
         self.pass_until(self.now + Duration::from_secs(4))?;
         self.serve_one(ill, BELT)?;
         summary.collided = self.line.iter().map(|line| line.wire.collided).sum();
         Ok(())
     }
 
-    /// Starts a task on this motor of these devices, and waits until they run.
-    fn busy(
+    /// Runs a task on this motor of all nodes but one. Returns the longest time without a turn, and until a `Start` or an
+    /// `Abort` was sent.
+    fn serve_all(
         &mut self,
         motor: usize,
-        of: impl Fn(usize) -> bool,
-    ) -> Result<Vec<usize>, String> {
-        let clients = self.people.len();
-        let devices = (0..self.devices.len()).filter(|device| of(*device));
-        let tasks = devices
-            .map(|device| self.ask(device % clients, device, motor, BUSY, false))
-            .collect();
-        self.pass_until(self.now + BEGIN)?;
-        Ok(tasks)
-    }
-
-    /// Measures the longest time without a turn of these nodes, and until a `Start` or an `Abort` is sent.
-    fn measure(
-        &mut self,
-        of: impl Fn(usize) -> bool,
+        ill: Option<usize>,
         most: [Duration; 2],
         what: &str,
     ) -> Result<[Duration; 2], String> {
+        let clients = self.people.len();
+        let well = |device: &usize| Some(*device) != ill;
+        let tasks: Vec<usize> = (0..self.devices.len())
+            .filter(well)
+            .map(|device| self.ask(device % clients, device, motor, BUSY, false))
+            .collect();
+        self.pass_until(self.now + BEGIN)?;
         if let Some(line) = &mut self.line {
             line.watch(self.now);
         }
-        self.pass_until(self.now + MEASURED)?;
+        self.pass_until(self.now + MEASURED / 2)?;
+        let aborted = &tasks[..clients];
+        for task in aborted {
+            let id = self.books.id(*task);
+            let id = id.ok_or_else(|| format!("promise 3: a new task, {task}, is not begun"))?;
+            self.people[task % clients].abort(*task, id);
+        }
+        self.pass_until(self.now + MEASURED / 2)?;
         let now = self.now;
-        let Some(line) = &mut self.line else {
-            return Ok([Duration::ZERO; 2]);
-        };
-        let longest = line.longest(now, of);
-        if longest > most || longest[1] > most[1] {
+        let longest = self.line.as_mut().map(|line| line.longest(now, |device| well(&device)));
+        let longest = longest.unwrap_or_default();
+        if longest[0] > most[0] || longest[1] > most[1] {
             return Err(format!("turn: {longest:?}, longer than {most:?}, while {what}"));
+        }
+        self.pass_until(self.now + TOLD)?;
+        for task in &tasks {
+            let state = if aborted.contains(task) { State::Aborted } else { State::Completed };
+            self.books.came_to(*task, state)?;
         }
         Ok(longest)
     }

@@ -268,10 +268,7 @@ impl SharedLine {
                 return Ok(());
             }
         }
-        let urgent = |node: &Turns| {
-            node.unanswered < SILENCE && node.waiting.as_ref().is_some_and(|it| it.urgent)
-        };
-        match self.nodes.iter().position(urgent) {
+        match self.nodes.iter().position(Turns::is_urgent) {
             Some(node) => Err(format!(
                 "turn: a Start or an Abort for device {node} waits, and another question is asked"
             )),
@@ -302,9 +299,12 @@ impl Turns {
                 since: since.map_or(now, |waiting| waiting.since),
             });
         }
-        if let Some(waiting) = &mut self.waiting {
-            waiting.urgent |= needs.urgent;
-        }
+    }
+
+    /// Whether a command waits that goes before all polls.
+    fn is_urgent(&self) -> bool {
+        let urgent = |waiting: &Waiting| waiting.urgent || self.needs.urgent;
+        self.unanswered < SILENCE && self.waiting.as_ref().is_some_and(urgent)
     }
 }
 
