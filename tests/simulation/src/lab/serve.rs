@@ -5,6 +5,8 @@ use std::time::Duration;
 use ztl_core::State;
 
 use super::motor::NAMES;
+use super::shared::SharedLine;
+use super::summary::Turns;
 use super::{Lab, Summary};
 use crate::plan::{Dice, Trouble};
 
@@ -14,22 +16,20 @@ const BELT: usize = 1;
 const BUSY: u64 = 3500;
 /// Until all tasks run and descriptions are read.
 const BEGIN: Duration = Duration::from_millis(1000);
-/// How long turns are measured; in the middle, each client aborts a task.
-const MEASURED: Duration = Duration::from_millis(1600);
+/// How long turns are measured: without a `Start` or an `Abort`, and while each client aborts a task.
+const MEASURED: [Duration; 2] = [Duration::from_millis(1000), Duration::from_millis(600)];
 /// Until all clients know the outcomes.
 const TOLD: Duration = Duration::from_secs(6);
-/// Longest time without a turn of a node with a task, and until a `Start` or an `Abort` is sent: that of one question that
-/// is under way, and its answer.
-const HEALTHY: [Duration; 2] = [Duration::from_millis(50), Duration::from_millis(20)];
+/// Longest times. An `Abort` waits for one question that is under way, and its answer; three of them delay the polls.
+const HEALTHY: Turns = Turns::bounds(50, 70, 20);
 
 /// The same while another node has this trouble.
-const fn bounds(trouble: Trouble) -> [Duration; 2] {
-    let [turn, urgent] = match trouble {
+const fn bounds(trouble: Trouble) -> Turns {
+    match trouble {
         // Rubbish takes up to 35 ms, and what it damages is asked again.
-        Trouble::Babbles => [200, 100],
-        _ => [60, 30],
-    };
-    [Duration::from_millis(turn), Duration::from_millis(urgent)]
+        Trouble::Babbles => Turns::bounds(200, 200, 100),
+        _ => Turns::bounds(60, 80, 30),
+    }
 }
 
 impl Lab {
@@ -63,7 +63,7 @@ impl Lab {
         let trouble = Trouble::ALL[number];
         let what = format!("device {ill} {trouble:?}");
         self.note(|| format!("from now on {what}"));
-        self.trouble(ill, trouble, BEGIN + MEASURED + TOLD);
+        self.trouble(ill, trouble, BEGIN + MEASURED[0] + MEASURED[1] + TOLD);
         summary.troubled[number] = self.serve_all(BELT, Some(ill), bounds(trouble), &what)?;
         self.pass_until(self.now + Duration::from_secs(4))?;
         self.serve_one(ill, BELT)?;
@@ -71,15 +71,14 @@ impl Lab {
         Ok(())
     }
 
-    /// Runs a task on this motor of all nodes but one. Returns the longest time without a turn, and until a `Start` or an
-    /// `Abort` was sent.
+    /// Runs a task on this motor of all nodes but one, and measures their turns.
     fn serve_all(
         &mut self,
         motor: usize,
         ill: Option<usize>,
-        most: [Duration; 2],
+        most: Turns,
         what: &str,
-    ) -> Result<[Duration; 2], String> {
+    ) -> Result<Turns, String> {
         let clients = self.people.len();
         let well = |device: &usize| Some(*device) != ill;
         let tasks: Vec<usize> = (0..self.devices.len())
@@ -87,22 +86,22 @@ impl Lab {
             .map(|device| self.ask(device % clients, device, motor, BUSY, false))
             .collect();
         self.pass_until(self.now + BEGIN)?;
-        if let Some(line) = &mut self.line {
-            line.watch(self.now);
-        }
-        self.pass_until(self.now + MEASURED / 2)?;
+        self.measure(MEASURED[0])?;
+        let turn = self.longest(well);
         let aborted = &tasks[..clients];
         for task in aborted {
             let id = self.books.id(*task);
             let id = id.ok_or_else(|| format!("promise 3: a new task, {task}, is not begun"))?;
             self.people[task % clients].abort(*task, id);
         }
-        self.pass_until(self.now + MEASURED / 2)?;
-        let now = self.now;
-        let longest = self.line.as_mut().map(|line| line.longest(now, |device| well(&device)));
-        let longest = longest.unwrap_or_default();
-        if longest[0] > most[0] || longest[1] > most[1] {
-            return Err(format!("turn: {longest:?}, longer than {most:?}, while {what}"));
+        self.measure(MEASURED[1])?;
+        let longest = Turns {
+            turn,
+            aborting: self.longest(well),
+            urgent: self.line.as_ref().map_or(Duration::ZERO, SharedLine::urgent),
+        };
+        if !longest.keeps(most) {
+            return Err(format!("turn: {longest}, not {most}, while {what}"));
         }
         self.pass_until(self.now + TOLD)?;
         for task in &tasks {
@@ -110,5 +109,17 @@ impl Lab {
             self.books.came_to(*task, state)?;
         }
         Ok(longest)
+    }
+
+    fn measure(&mut self, time: Duration) -> Result<(), String> {
+        if let Some(line) = &mut self.line {
+            line.watch(self.now);
+        }
+        self.pass_until(self.now + time)
+    }
+
+    fn longest(&self, of: impl Fn(&usize) -> bool) -> Duration {
+        let line = self.line.as_ref();
+        line.map_or(Duration::ZERO, |line| line.longest(self.now, of))
     }
 }

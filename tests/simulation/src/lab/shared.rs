@@ -122,14 +122,19 @@ impl SharedLine {
         }
     }
 
-    /// The longest time without a turn of these nodes while they were busy, and until a `Start` or `Abort` was sent.
-    pub(super) fn longest(&mut self, now: Instant, of: impl Fn(usize) -> bool) -> [Duration; 2] {
-        let nodes = self.nodes.iter().enumerate().filter(|(node, _)| of(*node));
+    /// The longest time until a `Start` or an `Abort` was sent.
+    pub(super) const fn urgent(&self) -> Duration {
+        self.urgent
+    }
+
+    /// The longest time without a turn of these nodes while they were busy.
+    pub(super) fn longest(&self, now: Instant, of: impl Fn(&usize) -> bool) -> Duration {
+        let nodes = self.nodes.iter().enumerate().filter(|(node, _)| of(node));
         let pauses = nodes.map(|(_, node)| {
             let open = if node.needs.busy { now.since(node.polled) } else { Duration::ZERO };
             node.longest.max(open)
         });
-        [pauses.max().unwrap_or_default(), self.urgent]
+        pauses.max().unwrap_or_default()
     }
 
     /// Carries bytes from the nodes to the wire, from there to the nodes and the bus, and its frames to the sessions.

@@ -17,11 +17,10 @@ pub struct Summary {
     pub refused: u32,
     /// Tasks with an unknown outcome.
     pub unknown: u32,
-    /// On a shared line: the longest time between two turns of a node with a task, and until a `Start` or an `Abort` was
-    /// sent, without faults.
-    pub healthy: [Duration; 2],
-    /// The same while one node has each [`Trouble`](crate::plan::Trouble), for the other nodes.
-    pub troubled: [[Duration; 2]; 5],
+    /// The turns on a shared line without faults.
+    pub healthy: Turns,
+    /// The same while one node has each [`Trouble`], for the other nodes.
+    pub troubled: [Turns; 5],
     /// Bytes that were damaged since several ends sent at once.
     pub collided: u64,
 }
@@ -35,8 +34,10 @@ impl std::ops::AddAssign for Summary {
         self.unknown += other.unknown;
         let mine = self.troubled.iter_mut().chain([&mut self.healthy]);
         let others = other.troubled.iter().chain([&other.healthy]);
-        for (mine, other) in mine.flatten().zip(others.flatten()) {
-            *mine = (*mine).max(*other);
+        for (mine, other) in mine.zip(others) {
+            mine.turn = mine.turn.max(other.turn);
+            mine.aborting = mine.aborting.max(other.aborting);
+            mine.urgent = mine.urgent.max(other.urgent);
         }
         self.collided += other.collided;
     }
@@ -60,16 +61,51 @@ impl std::fmt::Display for Summary {
              another way, {refused} refused, and could not know of {unknown}"
         )?;
         if *collided > 0 {
-            let [turn, urgent] = healthy;
-            write!(
-                f,
-                "; {collided} bytes collided; longest time without a turn {turn:?}, until a Start or an Abort {urgent:?}"
-            )?;
-            for (trouble, [turn, urgent]) in Trouble::ALL.iter().zip(troubled) {
-                write!(f, "; {trouble:?}: {turn:?}, {urgent:?}")?;
+            write!(f, "; {collided} bytes collided\nall nodes are well: {healthy}")?;
+            for (trouble, turns) in Trouble::ALL.iter().zip(troubled) {
+                write!(f, "\na node {}: {turns}", format!("{trouble:?}").to_lowercase())?;
             }
         }
         Ok(())
+    }
+}
+
+/// The longest times on a shared line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Turns {
+    /// Between two turns of a node with a task.
+    pub turn: Duration,
+    /// The same while some tasks are aborted.
+    pub aborting: Duration,
+    /// Until a `Start` or an `Abort` is sent.
+    pub urgent: Duration,
+}
+
+impl Turns {
+    pub(super) const fn bounds(turn: u64, aborting: u64, urgent: u64) -> Self {
+        Self {
+            turn: Duration::from_millis(turn),
+            aborting: Duration::from_millis(aborting),
+            urgent: Duration::from_millis(urgent),
+        }
+    }
+
+    pub(super) fn keeps(self, most: Self) -> bool {
+        self.turn <= most.turn && self.aborting <= most.aborting && self.urgent <= most.urgent
+    }
+}
+
+impl std::fmt::Display for Turns {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self {
+            turn,
+            aborting,
+            urgent,
+        } = self;
+        write!(
+            f,
+            "a turn at least every {turn:.1?} ({aborting:.1?} while tasks are aborted), an Abort after {urgent:.1?}"
+        )
     }
 }
 
