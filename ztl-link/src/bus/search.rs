@@ -71,7 +71,11 @@ impl Search {
 
     /// When the next question may be asked.
     pub(super) fn ready(&self) -> Instant {
-        if self.waiting { self.asked + WAIT } else { self.asked }
+        if self.waiting {
+            self.asked + WAIT
+        } else {
+            self.asked
+        }
     }
 
     pub(super) fn has_ended(&self) -> bool {

@@ -197,7 +197,11 @@ impl Device {
     }
 
     pub(super) fn wake(&self, now: Instant) -> Instant {
-        if self.shared { self.due } else { self.next(now) }
+        if self.shared {
+            self.due
+        } else {
+            self.next(now)
+        }
     }
 
     fn next(&self, now: Instant) -> Instant {

@@ -215,14 +215,21 @@ impl Lab {
     }
 
     fn wake(&self) -> Option<Instant> {
-        let devices = self.devices.iter().map(|device| Some(device.wake(self.now)));
+        let devices = self
+            .devices
+            .iter()
+            .map(|device| Some(device.wake(self.now)));
         let people = self.people.iter().map(Person::poll_timeout);
         let letters = [&self.to_gateway, &self.to_people];
         let letters = letters.into_iter().map(|l| l.front().map(|(at, _)| *at));
         let reverts = self.reverts.iter().map(|(at, _)| Some(*at));
         let gateway = self.gateway.as_ref().and_then(Gateway::poll_timeout);
         let line = self.line.iter().map(SharedLine::poll_timeout);
-        let all = devices.chain(people).chain(letters).chain(reverts).chain(line);
+        let all = devices
+            .chain(people)
+            .chain(letters)
+            .chain(reverts)
+            .chain(line);
         all.fold(gateway, earliest)
     }
 

@@ -98,14 +98,21 @@ impl Lab {
         let longest = Turns {
             turn,
             aborting: self.longest(well),
-            urgent: self.line.as_ref().map_or(Duration::ZERO, SharedLine::urgent),
+            urgent: self
+                .line
+                .as_ref()
+                .map_or(Duration::ZERO, SharedLine::urgent),
         };
         if !longest.keeps(most) {
             return Err(format!("turn: {longest}, not {most}, while {what}"));
         }
         self.pass_until(self.now + TOLD)?;
         for task in &tasks {
-            let state = if aborted.contains(task) { State::Aborted } else { State::Completed };
+            let state = if aborted.contains(task) {
+                State::Aborted
+            } else {
+                State::Completed
+            };
             self.books.came_to(*task, state)?;
         }
         Ok(longest)

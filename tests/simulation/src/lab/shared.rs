@@ -111,7 +111,9 @@ impl SharedLine {
 
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
         let master = self.master.as_ref().and_then(Master::poll_timeout);
-        [self.wire.poll_timeout(), self.search].into_iter().fold(master, earliest)
+        [self.wire.poll_timeout(), self.search]
+            .into_iter()
+            .fold(master, earliest)
     }
 
     /// From now on, turns are measured.
@@ -131,7 +133,11 @@ impl SharedLine {
     pub(super) fn longest(&self, now: Instant, of: impl Fn(&usize) -> bool) -> Duration {
         let nodes = self.nodes.iter().enumerate().filter(|(node, _)| of(node));
         let pauses = nodes.map(|(_, node)| {
-            let open = if node.needs.busy { now.since(node.polled) } else { Duration::ZERO };
+            let open = if node.needs.busy {
+                now.since(node.polled)
+            } else {
+                Duration::ZERO
+            };
             node.longest.max(open)
         });
         pauses.max().unwrap_or_default()
@@ -236,7 +242,9 @@ impl SharedLine {
     }
 
     fn on_question(&mut self, now: Instant, bytes: &[u8]) -> Result<(), String> {
-        let frames = bytes.split(|byte| *byte == 0).filter(|frame| !frame.is_empty());
+        let frames = bytes
+            .split(|byte| *byte == 0)
+            .filter(|frame| !frame.is_empty());
         let Some(last) = frames.last() else {
             return Ok(());
         };

@@ -32,9 +32,10 @@ impl SomeNode {
         let identity = Identity::new("lab", "1", boot);
         match address {
             None => Self::Alone(Node::new(identity, motors)),
-            Some(address) => {
-                Self::Shared(Node::new(identity, OnBus::new(motors, id(address), address)))
-            }
+            Some(address) => Self::Shared(Node::new(
+                identity,
+                OnBus::new(motors, id(address), address),
+            )),
         }
     }
 

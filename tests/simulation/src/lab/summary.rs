@@ -61,9 +61,16 @@ impl std::fmt::Display for Summary {
              another way, {refused} refused, and could not know of {unknown}"
         )?;
         if *collided > 0 {
-            write!(f, "; {collided} bytes collided\nall nodes are well: {healthy}")?;
+            write!(
+                f,
+                "; {collided} bytes collided\nall nodes are well: {healthy}"
+            )?;
             for (trouble, turns) in Trouble::ALL.iter().zip(troubled) {
-                write!(f, "\na node {}: {turns}", format!("{trouble:?}").to_lowercase())?;
+                write!(
+                    f,
+                    "\na node {}: {turns}",
+                    format!("{trouble:?}").to_lowercase()
+                )?;
             }
         }
         Ok(())

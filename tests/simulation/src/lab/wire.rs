@@ -86,9 +86,10 @@ impl Wire {
         }
         let now = now.as_micros() * 1000;
         loop {
-            let due = self.talks.iter_mut().filter(|talk| {
-                talk.heard < talk.bytes.len() && talk.at(talk.heard + 1) <= now
-            });
+            let due = self
+                .talks
+                .iter_mut()
+                .filter(|talk| talk.heard < talk.bytes.len() && talk.at(talk.heard + 1) <= now);
             let Some(talk) = due.min_by_key(|talk| talk.at(talk.heard)) else {
                 break;
             };
@@ -117,7 +118,10 @@ impl Wire {
     }
 
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let open = self.talks.iter().filter(|talk| talk.heard < talk.bytes.len());
+        let open = self
+            .talks
+            .iter()
+            .filter(|talk| talk.heard < talk.bytes.len());
         let wake = open
             .map(|talk| talk.until().min(talk.at(talk.heard) + BURST))
             .min();
