@@ -13,7 +13,6 @@ mod serve;
 mod shared;
 mod some_node;
 mod summary;
-mod wire;
 
 use std::cell::RefCell;
 use std::collections::VecDeque;

@@ -67,7 +67,7 @@ impl Lab {
         summary.troubled[number] = self.serve_all(BELT, Some(ill), bounds(trouble), &what)?;
         self.pass_until(self.now + Duration::from_secs(4))?;
         self.serve_one(ill, BELT)?;
-        summary.collided = self.line.iter().map(|line| line.wire.collided).sum();
+        summary.collided = self.line.iter().map(|line| line.wire.collided()).sum();
         Ok(())
     }
 

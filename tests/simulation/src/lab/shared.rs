@@ -7,17 +7,21 @@ use ztl_core::link::{ADDR_ALL, ADDR_NONE, NO_SEQ, Turn};
 use ztl_core::time::earliest;
 use ztl_link::BusNeeds;
 use ztl_link::bus::TURNAROUND;
+use ztl_sim::line::HalfDuplex;
 
 use super::device::Device;
 use super::gateway::{BAUD, Gateway, address};
 use super::master::Master;
 use super::some_node::id;
-use super::wire::Wire;
 
 /// Pause between two searches, as the gateway's.
 const SEARCH: Duration = Duration::from_secs(3);
 /// A node that does not answer this often in a row is asked less often, also for an `Abort`.
 const SILENCE: u32 = 3;
+/// Bytes are heard in pieces of about this duration.
+const BURST: Duration = Duration::from_millis(1);
+/// The gateway's end of the wire; the nodes have the next ones.
+const GATEWAY: usize = 0;
 /// The tags of `Start` and `Abort`.
 const URGENT: [u8; 2] = [2, 3];
 
@@ -43,7 +47,7 @@ struct Turns {
 }
 
 pub(super) struct SharedLine {
-    pub(super) wire: Wire,
+    pub(super) wire: HalfDuplex,
     /// `None` while the line is closed or the gateway is killed.
     master: Option<Master>,
     /// When the next search begins.
@@ -72,7 +76,7 @@ impl SharedLine {
             longest: Duration::ZERO,
         };
         Self {
-            wire: Wire::new(seed),
+            wire: HalfDuplex::new(BAUD, seed),
             master: None,
             search: None,
             nodes: std::iter::repeat_with(turns).take(nodes).collect(),
@@ -111,7 +115,7 @@ impl SharedLine {
 
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
         let master = self.master.as_ref().and_then(Master::poll_timeout);
-        [self.wire.poll_timeout(), self.search]
+        [self.wire.poll_timeout(BURST), self.search]
             .into_iter()
             .fold(master, earliest)
     }
@@ -153,16 +157,17 @@ impl SharedLine {
         for (number, device) in devices.iter_mut().enumerate() {
             if device.is_due(now) {
                 let sent = device.arrived(now);
-                self.wire.send(now, Some(number), &sent);
+                self.wire.send(now, number + 1, &sent);
             }
         }
-        for piece in self.wire.poll(now) {
+        let due = self.wire.poll_timeout(BURST).is_some_and(|at| at <= now);
+        for piece in due.then(|| self.wire.poll(now)).into_iter().flatten() {
             for (number, device) in devices.iter_mut().enumerate() {
-                if !piece.senders.contains(&Some(number)) {
+                if !piece.senders.contains(&(number + 1)) {
                     device.send(now, &piece.bytes);
                 }
             }
-            if let (Some(master), false) = (&mut self.master, piece.senders.contains(&None)) {
+            if let (Some(master), false) = (&mut self.master, piece.senders.contains(&GATEWAY)) {
                 master.handle_bytes(now, &piece.bytes);
                 self.on_heard(now, &piece.bytes);
             }
@@ -220,7 +225,7 @@ impl SharedLine {
         }
         match master.poll_transmit(now) {
             Some(bytes) => {
-                self.wire.send(now, None, &bytes);
+                self.wire.send(now, GATEWAY, &bytes);
                 self.on_question(now, &bytes)
             }
             None => Ok(()),
