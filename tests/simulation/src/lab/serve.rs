@@ -113,7 +113,12 @@ impl Lab {
             } else {
                 State::Completed
             };
-            self.books.came_to(*task, state)?;
+            let came = self.books.came_to(*task, state);
+            // In so much noise a node rarely misses all new commands of a link timeout.
+            if most != bounds(Trouble::Babbles) || self.books.came_to(*task, State::Failed).is_err()
+            {
+                came?;
+            }
         }
         Ok(longest)
     }
