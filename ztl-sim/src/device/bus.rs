@@ -138,8 +138,7 @@ impl Bus {
 /// if they have different names.
 fn unique(name: &str, number: u64) -> u64 {
     let fold = |id: u64, byte: u8| (id ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3);
-    let name = name.bytes().fold(number, fold);
-    name.wrapping_mul(0x9E37_79B9_7F4A_7C15)
+    name.bytes().fold(0xCBF2_9CE4_8422_2325, fold) ^ number.wrapping_mul(0x9E37_79B9_7F4A_7C15)
 }
 
 /// A node's end of the line.
