@@ -5,6 +5,7 @@ use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use ztl_std::gateway::{Endpoint, Line};
 use ztl_tests::lab::{PATIENCE, Process, Scratch, in_time, until, ztl};
 
 /// `ztl line`, ready.
@@ -167,4 +168,66 @@ fn a_usage_error_is_one_line_with_the_expected_form() {
     }
     let ended = Process::run(ztl().args(["line", "pty", "pty", "--for", "100ms"]));
     assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
+/// Reads until nothing has arrived for a while.
+fn heard(line: &mut Line) -> Vec<u8> {
+    let mut all = Vec::new();
+    let mut last = Instant::now();
+    while last.elapsed() < Duration::from_millis(500) {
+        let mut piece = [0xA5; 4096];
+        // Times out after some milliseconds.
+        if let Ok(count) = line.reader.read(&mut piece) {
+            all.extend_from_slice(&piece[..count]);
+            last = Instant::now();
+        }
+    }
+    all
+}
+
+#[test]
+fn ends_of_a_half_duplex_line_that_send_at_once_damage_each_other() {
+    let scratch = Scratch::new();
+    let links = ["a", "b", "c"].map(|name| scratch.path(name).display().to_string());
+    let ends = links.each_ref().map(|link| format!("pty:{link}"));
+    let process = line(&format!("--half-duplex --baud 9600 {}", ends.join(" ")));
+    let mut ports = links.map(|link| {
+        let end: Endpoint = format!("serial:{link}").parse().unwrap();
+        end.open().unwrap()
+    });
+    let bytes = pattern(200);
+    ports[0].writer.write_all(&bytes).unwrap();
+    assert_eq!(heard(&mut ports[1]), bytes);
+    assert_eq!(heard(&mut ports[2]), bytes);
+    assert_eq!(heard(&mut ports[0]), b"", "an end hears itself");
+    // Each takes 0.4 s, so that they overlap.
+    let bytes = pattern(400);
+    ports[1].writer.write_all(&bytes).unwrap();
+    ports[2].writer.write_all(&bytes).unwrap();
+    let noise = heard(&mut ports[0]);
+    let intact = noise
+        .iter()
+        .zip(&bytes)
+        .filter(|(heard, sent)| heard == sent);
+    assert!((1..600).contains(&noise.len()), "{} bytes", noise.len());
+    assert!(intact.count() < 200, "{noise:?}");
+    process.signal("TERM");
+    let ended = process.end(PATIENCE);
+    let collided = ended
+        .stdout
+        .lines()
+        .find_map(|line| line.strip_suffix(" bytes collided"));
+    let collided: u32 = collided
+        .and_then(|count| count.parse().ok())
+        .unwrap_or_default();
+    assert!(collided > 400, "{ended:?}");
+    assert!(ended.stdout.contains("\nto C: "), "{ended:?}");
+}
+
+#[test]
+fn a_third_end_needs_a_half_duplex_line() {
+    let run = ztl().args(["line", "pty", "pty", "pty"]).output().unwrap();
+    let text = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert_eq!(run.status.code(), Some(2), "{text}");
+    assert!(text.contains("--half-duplex"), "{text}");
 }

@@ -234,3 +234,33 @@ fn mistakes_of_a_shared_line_say_what_is_right() {
     let device = |device| run(&["device", "--on", "tcp:0", device]);
     assert!(device("sim:head@33").contains("'33' is not an address from 1 to 32"));
 }
+
+#[test]
+fn boards_on_a_half_duplex_line_are_found_and_served() {
+    let left = Line::of(&["left=sim:gripper@1"]);
+    let right = Line::of(&["right=sim:gripper@2"]);
+    let pair = left.scratch.path("pair").display().to_string();
+    let ends =
+        [&left, &right].map(|line| format!("serial:{}", line.scratch.path("line").display()));
+    let mut command = ztl();
+    command
+        .args(["line", "--half-duplex", &format!("pty:{pair}")])
+        .args(ends);
+    let wires = Process::start(&mut command);
+    wires.wait_for("Seed ");
+    let gateway = Server::gateway(&[&format!("arm=rs485:{pair}?wait=100")]);
+    let mut remote = connect(&gateway.endpoint());
+    for name in ["arm.left", "arm.right"] {
+        gateway.wait_ready(name);
+    }
+    let tasks = ["arm.left", "arm.right"].map(|name| start(&mut remote, name, "finger", "40"));
+    for task in tasks {
+        assert_eq!(ended(&mut remote, task), State::Completed);
+    }
+    assert_eq!(left.count(" left.finger begins "), 1);
+    assert_eq!(right.count(" right.finger begins "), 1);
+    // Both answer the first question of a search.
+    wires.signal("TERM");
+    let ended = wires.end(PATIENCE);
+    assert!(!ended.stdout.contains("\n0 bytes collided"), "{ended:?}");
+}

@@ -40,7 +40,7 @@ const BOOT: &str = "boot";
 const UPDATABLE: [&str; 2] = ["update", "updated"];
 
 /// Boards with further images, which log nothing: the robot, the same with descriptions, the smallest useful node, the same
-/// by another project, with an async driver, with a button, with parameters, with parameters that are saved, a
+/// on a shared line and by another project, with an async driver, with a button, with parameters, with parameters that are saved, a
 /// bootloader and two versions of a lamp for it, a bare serial port, and
 /// servers for ZeroMQ clients without a gateway; an I2C servo driver, and the robot as an RTIC app.
 const MORE: &[(&str, &[&str])] = &[
@@ -50,6 +50,7 @@ const MORE: &[(&str, &[&str])] = &[
             "quiet",
             "described",
             "smallest",
+            "bus",
             POSTCARD,
             ASYNC,
             "button",

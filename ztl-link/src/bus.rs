@@ -23,8 +23,13 @@ pub use search::Found;
 pub const TURNAROUND: Duration = Duration::from_millis(8);
 /// Pause before the next question, so that the last speaker has switched its transceiver off.
 const GAP: Duration = Duration::from_micros(300);
-/// A search waits at most this long for other questions.
+/// A search waits at most this long for other questions, if they leave time for it.
 const SEARCH_WITHIN: Duration = Duration::from_millis(100);
+/// Most bytes of a question of a search, and of a poll with its answer: a progress of four characters.
+const SEARCH_BYTES: usize = 22;
+const POLL_BYTES: usize = 20;
+/// How long a node takes to answer, nearly always.
+const ANSWER: Duration = Duration::from_micros(500);
 
 /// What has happened on a bus.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -260,6 +265,10 @@ impl Bus {
         if self.question.is_some() || now < self.quiet_at {
             return None;
         }
+        let fits = self.search_fits(now);
+        if let Some(search) = &mut self.search {
+            search.set_waiting(!fits);
+        }
         let (address, sent) = match self.choose(now)? {
             Choice::Member { address, poll } => {
                 let member = self.members.get_mut(&address)?;
@@ -284,6 +293,24 @@ impl Bus {
         self.byte_time * u32::try_from(bytes).unwrap_or(u32::MAX)
     }
 
+    /// Whether no command waits, and all nodes with tasks have their turn in time after a question of a search without an
+    /// answer, even if all of them have something to say.
+    fn search_fits(&self, now: Instant) -> bool {
+        if self.members.values().any(|member| member.has_command(now)) {
+            return false;
+        }
+        let mut turns: Vec<Instant> = self.members.values().flat_map(Member::latest).collect();
+        turns.sort_unstable();
+        let poll = self.time_of(POLL_BYTES) + ANSWER + GAP;
+        let search = self.time_of(SEARCH_BYTES) + self.turnaround + GAP;
+        let mut begins = now + search;
+        turns.into_iter().all(|latest| {
+            let fits = begins <= latest;
+            begins = begins + poll;
+            fits
+        })
+    }
+
     /// The most urgent question that may be asked now.
     fn choose(&self, now: Instant) -> Option<Choice> {
         let members = self.members.iter().flat_map(|(&address, member)| {
@@ -293,7 +320,8 @@ impl Bus {
                 (!next.urgent, next.due, Choice::Member { address, poll })
             })
         });
-        let search = self.search.as_ref().map(|search| {
+        let search = self.search.as_ref();
+        let search = search.filter(|search| search.ready() <= now).map(|search| {
             let due = search.asked() + SEARCH_WITHIN;
             (true, due, Choice::Search)
         });
@@ -318,7 +346,7 @@ impl Bus {
         if let Some(question) = &self.question {
             return Some(question.deadline);
         }
-        let mut wake = self.search.as_ref().map(Search::asked);
+        let mut wake = self.search.as_ref().map(Search::ready);
         for next in self.members.values().flat_map(Member::next) {
             wake = earliest(wake, Some(next.ready));
         }

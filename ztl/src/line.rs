@@ -1,11 +1,12 @@
-//! `ztl line`: a bad cable between two ends.
+//! `ztl line`: a bad cable between two ends, or a shared line between several.
 
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use ztl_sim::line::{Cable, Counts, End, Faults, FaultyLine};
+use ztl_sim::line::{Cable, CableError, End, Faults, FaultyLine, SharedCable};
+use ztl_std::gateway::BAUD;
 
 use crate::exit::Done;
 use crate::option_values::duration;
@@ -14,6 +15,11 @@ use crate::terminal::{is_live, line, rewrite};
 
 /// How often the counts are shown on a terminal.
 const SHOW: Duration = Duration::from_secs(1);
+/// Names of the ends.
+const NAMES: [&str; 32] = [
+    "A", "B", "C", "D", "E", "F", "G", "H", "I", "J", "K", "L", "M", "N", "O", "P", "Q", "R", "S",
+    "T", "U", "V", "W", "X", "Y", "Z", "27", "28", "29", "30", "31", "32",
+];
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
@@ -26,7 +32,16 @@ pub(crate) struct Line {
     #[arg(value_name = "B")]
     b: End,
 
-    /// Bits per second, ten per byte, as on a UART [default: unlimited]
+    /// More ends of a shared line, up to 30
+    #[arg(value_name = "C", num_args = 0..=30, requires = "half_duplex")]
+    others: Vec<End>,
+
+    /// A shared, half-duplex line such as RS-485: each end hears what the others send, and ends that send at once damage each
+    /// other's bytes
+    #[arg(long, conflicts_with = "cut")]
+    half_duplex: bool,
+
+    /// Bits per second, ten per byte, as on a UART [default: unlimited; 115200 with --half-duplex]
     #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
     baud: Option<u32>,
 
@@ -76,13 +91,18 @@ pub(crate) struct Line {
 }
 
 const AFTER_HELP: &str = "\
-A TIME has a unit: 500ms, 2s, 1m. Faults occur in both directions, independently.
+A TIME has a unit: 500ms, 2s, 1m. Faults occur in both directions, independently; on a shared line, in what each end
+hears.
 Byte counts are printed at the end, at each SIGUSR1, and continuously on a terminal.
 
 A gripper behind a bad cable:
   ztl device sim:gripper --on tcp:7000
   ztl line pty:/tmp/gripper tcp:localhost:7000 --baud 115200 --flip 1e-4
-  ztl gateway --device gripper=serial:/tmp/gripper -p 12345 -s /lab";
+  ztl gateway --device gripper=serial:/tmp/gripper -p 12345 -s /lab
+
+Two boards on one pair of wires:
+  ztl line --half-duplex pty:/tmp/arm serial:/dev/ttyUSB0 serial:/dev/ttyUSB1
+  ztl gateway --device arm=rs485:/tmp/arm -p 12345 -s /lab";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Cut {
@@ -105,22 +125,18 @@ impl Line {
     pub(crate) fn run(self) -> Done {
         signals::catch()?;
         let seed = self.seed.unwrap_or_else(ztl_sim::line::random_seed);
-        let lines = [
-            self.direction(seed, Cut::ToB),
-            self.direction(!seed, Cut::ToA),
-        ];
         let limit = self.limit.map(|limit| Instant::now() + limit);
-        let cable = Arc::new(Cable::lay([self.a, self.b], lines)?);
-        let [a, b] = cable.places();
-        line(format_args!("A: {a}"));
-        line(format_args!("B: {b}"));
+        let cable = Arc::new(self.lay(seed)?);
+        for (name, place) in NAMES.iter().zip(cable.places()) {
+            line(format_args!("{name}: {place}"));
+        }
         line(format_args!(
             "Seed {seed}: with --seed {seed} the same bytes have the same faults."
         ));
         let shown = Arc::downgrade(&cable);
         signals::at_usr1(move || {
             if let Some(cable) = shown.upgrade() {
-                print(cable.counts());
+                cable.print();
             }
         })?;
         let live = is_live();
@@ -132,26 +148,45 @@ impl Line {
                 break;
             }
             if live {
-                show(cable.counts());
+                cable.show();
             }
         }
         if live {
             rewrite("", "");
         }
-        print(cable.counts());
+        cable.print();
         Ok(signals::exit_code_or(ExitCode::SUCCESS))
     }
 
-    /// One direction; `way` is the option that cuts it.
-    fn direction(&self, seed: u64, way: Cut) -> FaultyLine {
-        let faults = Faults {
+    fn lay(self, seed: u64) -> Result<Laid, CableError> {
+        let lines = [
+            self.direction(seed, Cut::ToB),
+            self.direction(!seed, Cut::ToA),
+        ];
+        if !self.half_duplex {
+            return Ok(Laid::Cable(Cable::lay([self.a, self.b], lines)?));
+        }
+        let faults = self.faults();
+        let mut ends = vec![self.a, self.b];
+        ends.extend(self.others);
+        let baud = self.baud.unwrap_or(BAUD);
+        let cable = SharedCable::lay(ends, baud, (faults, self.latency), seed)?;
+        Ok(Laid::Shared(cable))
+    }
+
+    const fn faults(&self) -> Faults {
+        Faults {
             flip: self.flip,
             drop: self.drop,
             double: self.double,
             stall: self.stall,
             stall_for: self.stall_for,
-        };
-        let line = FaultyLine::new(faults, seed)
+        }
+    }
+
+    /// One direction; `way` is the option that cuts it.
+    fn direction(&self, seed: u64, way: Cut) -> FaultyLine {
+        let line = FaultyLine::new(self.faults(), seed)
             .with_baud(self.baud.unwrap_or(0))
             .with_latency(self.latency);
         match self.cut {
@@ -163,21 +198,62 @@ impl Line {
     }
 }
 
-fn print([there, back]: [Counts; 2]) {
-    line(format_args!("A to B: {there}"));
-    line(format_args!("B to A: {back}"));
+/// A running line.
+enum Laid {
+    Cable(Cable),
+    Shared(SharedCable),
 }
 
-/// Shows the counts in one line that is overwritten.
-fn show([there, back]: [Counts; 2]) {
-    let text = format!(
-        "A to B: {} bytes, {} faults; B to A: {} bytes, {} faults",
-        there.bytes,
-        there.faults(),
-        back.bytes,
-        back.faults()
-    );
-    rewrite(&text, "");
+impl Laid {
+    fn places(&self) -> Vec<&str> {
+        match self {
+            Self::Cable(cable) => cable.places().to_vec(),
+            Self::Shared(cable) => cable.places().iter().map(String::as_str).collect(),
+        }
+    }
+
+    fn print(&self) {
+        match self {
+            Self::Cable(cable) => {
+                let [there, back] = cable.counts();
+                line(format_args!("A to B: {there}"));
+                line(format_args!("B to A: {back}"));
+            }
+            Self::Shared(cable) => {
+                for (name, heard) in NAMES.iter().zip(cable.counts()) {
+                    line(format_args!("to {name}: {heard}"));
+                }
+                line(format_args!("{} bytes collided", cable.collided()));
+            }
+        }
+    }
+
+    /// Shows the counts in one line that is overwritten.
+    fn show(&self) {
+        let text = match self {
+            Self::Cable(cable) => {
+                let [there, back] = cable.counts();
+                format!(
+                    "A to B: {} bytes, {} faults; B to A: {} bytes, {} faults",
+                    there.bytes,
+                    there.faults(),
+                    back.bytes,
+                    back.faults()
+                )
+            }
+            Self::Shared(cable) => {
+                let counts = cable.counts();
+                let heard = counts.first().copied().unwrap_or_default();
+                format!(
+                    "to A: {} bytes, {} faults; {} bytes collided",
+                    heard.bytes,
+                    heard.faults(),
+                    cable.collided()
+                )
+            }
+        };
+        rewrite(&text, "");
+    }
 }
 
 #[cfg(test)]

@@ -12,6 +12,8 @@ mod rig;
 mod stack;
 mod zmtp;
 
+use ztl_tests::lab::{Board, COMPLETED, PATIENCE, Pin, Server, until};
+
 /// Each test on each board.
 macro_rules! boards {
     ($($module:ident: $board:literal),+) => {
@@ -73,6 +75,24 @@ fn stack_use_without_a_log_matches_the_record() {
 #[test]
 fn the_smallest_node_runs_on_the_recorded_stack() {
     stack::of_the_lamp("microbit-smallest");
+}
+
+#[test]
+fn a_board_on_a_shared_line_serves_tasks_and_disables_its_driver() {
+    let board = Board::with_image("microbit", "microbit-bus");
+    let line = board.device().replace("desk=tcp:", "arm=rs485:tcp:");
+    // Patient, since QEMU answers late on a busy system.
+    let gateway = Server::gateway(&[&format!("{line}?wait=200")]);
+    gateway.wait_ready("arm.desk");
+    let mut client = gateway.original_client();
+    let id = client.start("arm.desk", "lamp", "on");
+    assert_eq!(client.wait(id, 60.0), (COMPLETED, "on"));
+    assert_eq!(board.read(Pin::Lamp), 1);
+    // What the GPIO drives, and its third pin.
+    let enabled = || board.read_word(0x5000_0504) & 1 << 3 != 0;
+    until("the driver disabled between two answers", PATIENCE, || {
+        (!enabled()).then_some(())
+    });
 }
 
 #[test]

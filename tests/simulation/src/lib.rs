@@ -44,6 +44,11 @@ pub mod broken {
         MUTANT.set(mutant);
     }
 
+    /// Whether any mutant is switched on.
+    pub(crate) fn is_on() -> bool {
+        MUTANT.get().is_some()
+    }
+
     /// Whether one of these mutants is switched on.
     pub(crate) fn is(mutants: &[usize]) -> bool {
         MUTANT.get().is_some_and(|on| mutants.contains(&on))

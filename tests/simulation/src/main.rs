@@ -27,7 +27,7 @@ const TOLD: u64 = 3;
 const SEEDS: u64 = 2000;
 
 const USAGE: &str = "usage: ztl-simulation model [SCENARIO] [--depth FAULTS]\n       \
-                     ztl-simulation simulate [--seeds NUMBER] [--first SEED] | --show SEED";
+                     ztl-simulation simulate [--bus] [--seeds NUMBER] [--first SEED] | --show SEED";
 
 fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -131,13 +131,15 @@ fn explored<S: System>(name: &str, times: u8, first: &S) -> bool {
 
 fn simulate(words: &[&str]) -> Result<bool, String> {
     let (mut seeds, mut first) = (SEEDS, 1);
+    let mut plan_of: fn(u64) -> Plan = Plan::new;
     let mut words = words.iter();
     while let Some(word) = words.next() {
         match *word {
             "--seeds" => seeds = number(word, words.next())?,
             "--first" => first = number(word, words.next())?,
+            "--bus" => plan_of = Plan::shared,
             "--show" => {
-                print!("{}", report(&Plan::new(number(word, words.next())?)));
+                print!("{}", report(&plan_of(number(word, words.next())?)));
                 return Ok(true);
             }
             _ => return Err(format!("what is `{word}`?\n{USAGE}")),
@@ -162,7 +164,7 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
             if seed >= first.saturating_add(seeds) || failed.load(Ordering::Relaxed) >= TOLD {
                 break;
             }
-            let plan = Plan::new(seed);
+            let plan = plan_of(seed);
             match attempt(&plan, false) {
                 Ok((summary, _)) => mine += summary,
                 Err(_) => {

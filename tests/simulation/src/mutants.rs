@@ -11,11 +11,14 @@ pub struct Mutant {
     pub name: &'static str,
     /// The changes: file, code that occurs there once, and its replacement. `ON` stands for the switch.
     pub edits: &'static [(&'static str, &'static str, &'static str)],
-    /// The scenario that catches it, and with how many faults.
+    /// The scenario that catches it, and with how many faults; or [`SEEDS`], and how many of them.
     pub caught_in: (&'static str, u8),
     /// How the message of the violation begins.
     pub complaint: &'static str,
 }
+
+/// The simulation of whole shared lines, in place of a scenario of the model.
+pub const SEEDS: &str = "seeds of shared lines";
 
 const COMMANDS: &str = "ztl-mcu/src/node/commands.rs";
 const RUNNER: &str = "ztl-mcu/src/node/runner.rs";
@@ -508,5 +511,45 @@ pub const MUTANTS: &[Mutant] = &[
         )],
         caught_in: ("set", 1),
         complaint: "promise 8",
+    },
+    Mutant {
+        name: "a Start and an Abort wait for the polls of a shared line",
+        edits: &[(
+            MEMBER,
+            "let urgent = command.urgent || self.needs.urgent;",
+            "let urgent = !ON && (command.urgent || self.needs.urgent);",
+        )],
+        caught_in: (SEEDS, 3),
+        complaint: "turn: a Start or an Abort",
+    },
+    Mutant {
+        name: "a search of a shared line goes before the turns of busy nodes",
+        edits: &[(
+            BUS,
+            "search.set_waiting(!fits);",
+            "search.set_waiting(!fits && !ON);",
+        )],
+        caught_in: (SEEDS, 10),
+        complaint: "turn: a turn at least every",
+    },
+    Mutant {
+        name: "a node with a task on a shared line is polled like one at rest",
+        edits: &[(
+            MEMBER,
+            "if self.needs.busy { BUSY }",
+            "if self.needs.busy && !ON { BUSY }",
+        )],
+        caught_in: (SEEDS, 3),
+        complaint: "turn: a turn at least every",
+    },
+    Mutant {
+        name: "the gateway asks the next question while a node of a shared line answers",
+        edits: &[(
+            BUS,
+            "if self.question.is_some() || now < self.quiet_at {",
+            "if self.question.is_some() && !ON || now < self.quiet_at {",
+        )],
+        caught_in: (SEEDS, 3),
+        complaint: "promise 3",
     },
 ];

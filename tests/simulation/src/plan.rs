@@ -75,6 +75,34 @@ pub enum What {
     Full(Duration),
     /// Messages between clients and gateway are lost for this time.
     Deaf(Duration),
+    /// A node of a shared line has this trouble for this time.
+    Trouble(usize, Trouble, Duration),
+}
+
+/// What is wrong with a node of a shared line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Trouble {
+    /// It sends rubbish without being asked, a fifth of the time.
+    Babbles,
+    /// It always has a reading, as long as fits.
+    Floods,
+    /// It is reset every 100 ms.
+    Resets,
+    /// It neither hears nor sends.
+    Silent,
+    /// It hears, and is not heard.
+    Mute,
+}
+
+impl Trouble {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Babbles,
+        Self::Floods,
+        Self::Resets,
+        Self::Silent,
+        Self::Mute,
+    ];
 }
 
 /// A happening and its time.
@@ -91,6 +119,8 @@ pub struct Happening {
 pub struct Plan {
     /// The seed of the plan and of the line faults.
     pub seed: u64,
+    /// Whether the devices are nodes of one shared line.
+    pub shared: bool,
     /// The devices and their motors.
     pub devices: Vec<[MotorPlan; 2]>,
     /// Number of clients.
@@ -106,19 +136,33 @@ pub struct Plan {
 pub(crate) enum Revert {
     Plug(usize),
     Silence(usize, Way),
+    Healthy(usize),
     Start,
     Empty,
 }
 
+/// Nodes of a shared line.
+const NODES: u64 = 16;
 /// How long a gateway needs for nearly all commands of a session if it sends only pings.
 const IDLE: Duration = Duration::from_secs(56);
 
 impl Plan {
-    /// The plan of a seed.
+    /// The plan of a seed, with one or two devices on lines of their own.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut dice = Dice::new(seed);
-        let devices: Vec<_> = (0..1 + dice.below(2))
+        let devices = 1 + dice.below(2);
+        Self::with(seed, dice, devices, false)
+    }
+
+    /// The plan of a seed, with 16 nodes on a shared line.
+    #[must_use]
+    pub fn shared(seed: u64) -> Self {
+        Self::with(seed, Dice::new(seed), NODES, true)
+    }
+
+    fn with(seed: u64, mut dice: Dice, devices: u64, shared: bool) -> Self {
+        let devices: Vec<_> = (0..devices)
             .map(|_| [motor(&mut dice), motor(&mut dice)])
             .collect();
         let clients = 1 + dice.below(3) as usize;
@@ -128,12 +172,16 @@ impl Plan {
         let mut asked = 0;
         for _ in 0..6 + dice.below(20) {
             at += Duration::from_millis(dice.below(700));
-            let what = what(&mut dice, devices.len(), clients, journal, asked);
+            let what = if shared && dice.chance(0.2) {
+                trouble(&mut dice)
+            } else {
+                what(&mut dice, devices.len(), clients, journal, asked)
+            };
             asked += usize::from(matches!(what, What::Ask { .. } | What::Press { .. }));
             happenings.push(Happening { at, what });
         }
         // Sometimes a session has had nearly all its commands when the first happening begins.
-        if dice.chance(0.1) {
+        if !shared && dice.chance(0.1) {
             let idle = IDLE + Duration::from_millis(dice.below(6000));
             for happening in &mut happenings {
                 happening.at += idle;
@@ -141,12 +189,19 @@ impl Plan {
         }
         Self {
             seed,
+            shared,
             devices,
             clients,
             journal,
             happenings,
         }
     }
+}
+
+fn trouble(dice: &mut Dice) -> What {
+    let node = dice.below(NODES) as usize;
+    let trouble = Trouble::ALL[dice.below(Trouble::ALL.len() as u64) as usize];
+    What::Trouble(node, trouble, Duration::from_millis(dice.below(6000)))
 }
 
 fn motor(dice: &mut Dice) -> MotorPlan {
@@ -221,8 +276,10 @@ impl fmt::Display for Plan {
         let journal = if self.journal { "a" } else { "no" };
         writeln!(
             f,
-            "seed {}: {} clients, {journal} journal",
-            self.seed, self.clients
+            "seed {}: {} clients, {journal} journal{}",
+            self.seed,
+            self.clients,
+            if self.shared { ", a shared line" } else { "" }
         )?;
         for (number, [arm, belt]) in self.devices.iter().enumerate() {
             writeln!(f, "device {number}: arm {arm:?}, belt {belt:?}")?;

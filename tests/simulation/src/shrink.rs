@@ -76,7 +76,8 @@ fn time_of(what: &mut What) -> Option<&mut Duration> {
         | What::Noise(_, _, _, time)
         | What::Kill(_, time)
         | What::Full(time)
-        | What::Deaf(time) => Some(time),
+        | What::Deaf(time)
+        | What::Trouble(_, _, time) => Some(time),
         What::Ask { .. } | What::Abort { .. } | What::Press { .. } | What::Reset(_) => None,
     }
 }
@@ -89,7 +90,9 @@ pub fn report(plan: &Plan) -> String {
         Ok((summary, trace)) => (trace, format!("All promises are kept: {summary}\n\n")),
         Err(failure) => {
             let complaint = failure.complaint;
-            let again = format!("To see it again: cargo xtask simulate --seeds 1 --first {seed}");
+            let shared = if plan.shared { " --bus" } else { "" };
+            let again =
+                format!("To see it again: cargo xtask simulate{shared} --seeds 1 --first {seed}");
             (failure.trace, format!("BROKEN: {complaint}\n{again}\n\n"))
         }
     };

@@ -1,7 +1,9 @@
 //! The exploration of `cargo xtask model` with few faults, and the mutants that the model must catch.
 
 use ztl_simulation::explore::{System, explore};
-use ztl_simulation::mutants::{MUTANTS, Mutant};
+use ztl_simulation::mutants::{MUTANTS, Mutant, SEEDS};
+use ztl_simulation::plan::Plan;
+use ztl_simulation::shrink::attempt;
 use ztl_simulation::{broken, real};
 
 /// More states than any scenario has.
@@ -63,6 +65,11 @@ fn every_mutant_is_caught() {
 
 fn complaint(mutant: &Mutant) -> Option<String> {
     let (name, times) = mutant.caught_in;
+    if name == SEEDS {
+        let mut seeds = 1..=u64::from(times);
+        let broken = |seed| attempt(&Plan::shared(seed), false).err();
+        return seeds.find_map(broken).map(|failure| failure.complaint);
+    }
     let mut shared = broken::model::BUS_SCENARIOS.iter();
     if let Some(scenario) = shared.find(|scenario| scenario.name == name) {
         return complaint_about(&broken::model::BusModel::new(scenario.with_times(times)));

@@ -22,6 +22,26 @@ fn two_thousand_simulations_keep_the_guarantees() {
 }
 
 #[test]
+#[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
+fn sixteen_nodes_on_a_shared_line_keep_the_guarantees_and_have_their_turns() {
+    let mut total = Summary::default();
+    for seed in 1..=40 {
+        let plan = Plan::shared(seed);
+        match attempt(&plan, false) {
+            Ok((summary, _)) => total += summary,
+            Err(_) => panic!("{}", report(&shrink(&plan))),
+        }
+    }
+    println!("40 seeds: {total}");
+    // The seeds must move motors and let nodes send at once, and each trouble must come up.
+    assert!(total.begun > 1200 && total.collided > 10_000, "{total}");
+    assert!(
+        total.troubled.iter().all(|turns| !turns.turn.is_zero()),
+        "{total}"
+    );
+}
+
+#[test]
 fn a_seed_is_deterministic() {
     for seed in [3, 4711] {
         let plan = Plan::new(seed);

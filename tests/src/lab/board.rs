@@ -143,7 +143,13 @@ impl Board {
     /// Reads a pin.
     #[track_caller]
     pub fn read(&self, pin: Pin) -> u32 {
-        let answer = self.probe(&format!("readl {:#x}", self.address(pin)));
+        self.read_word(self.address(pin))
+    }
+
+    /// Reads a word of memory or a register.
+    #[track_caller]
+    pub fn read_word(&self, address: u64) -> u32 {
+        let answer = self.probe(&format!("readl {address:#x}"));
         let number = answer.trim_start_matches("0x");
         let number = u64::from_str_radix(number, 16).expect("a number in hexadecimal");
         u32::try_from(number).expect("32 bits")

@@ -10,6 +10,8 @@ use crate::state::BusNeeds;
 /// How often a node with tasks has its turn: no more often if it has nothing to say, and no less often if the line is fast
 /// enough for all, apart from the question that is under way.
 const BUSY: (Duration, Duration) = (Duration::from_millis(32), Duration::from_millis(42));
+/// A node with tasks has its turn at the latest after this.
+const LATEST: Duration = Duration::from_millis(50);
 /// A node without tasks.
 const REST: (Duration, Duration) = (Duration::from_millis(200), Duration::from_millis(250));
 /// A node that does not answer this often in a row is asked less often.
@@ -119,6 +121,17 @@ impl Member {
             }
         });
         command.into_iter().chain([poll])
+    }
+
+    /// Whether a command can be sent.
+    pub(super) fn has_command(&self, now: Instant) -> bool {
+        self.command.is_some() && self.not_before <= now
+    }
+
+    /// When it has its turn at the latest, if it has tasks and answers.
+    pub(super) fn latest(&self) -> Option<Instant> {
+        let answers = self.needs.busy && self.silent < SILENCE;
+        answers.then(|| self.polled + LATEST)
     }
 
     /// Takes the frames of the next question.

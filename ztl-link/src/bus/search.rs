@@ -1,9 +1,13 @@
 //! Finds all nodes of a bus by their ids, without collisions in the end: where several answer at once, the next question
 //! is for half of them.
 
+use std::time::Duration;
+
 use ztl_core::Instant;
 use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
 
+/// A question waits at most this long for a moment at which it delays no node with a task too much.
+const WAIT: Duration = Duration::from_secs(2);
 /// A question without an answer is repeated this often.
 const REPEATS: u8 = 2;
 /// A search gives up after this many questions: 32 nodes need about a thousand on a bad line.
@@ -25,6 +29,8 @@ pub(super) struct Search {
     round: u8,
     /// When the last question was asked.
     asked: Instant,
+    /// Whether there is no time for the next question.
+    waiting: bool,
     /// Prefixes that are not finished, as bits and their number; the last one is asked next.
     prefixes: Vec<(u8, u64)>,
     /// How often the last question had no answer.
@@ -44,6 +50,7 @@ impl Search {
         Self {
             round,
             asked: now,
+            waiting: false,
             prefixes: vec![(0, 0)],
             silences: 0,
             questions: 0,
@@ -56,6 +63,19 @@ impl Search {
 
     pub(super) const fn asked(&self) -> Instant {
         self.asked
+    }
+
+    pub(super) const fn set_waiting(&mut self, waiting: bool) {
+        self.waiting = waiting;
+    }
+
+    /// When the next question may be asked.
+    pub(super) fn ready(&self) -> Instant {
+        if self.waiting {
+            self.asked + WAIT
+        } else {
+            self.asked
+        }
     }
 
     pub(super) fn has_ended(&self) -> bool {

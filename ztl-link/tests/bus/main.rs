@@ -48,6 +48,20 @@ fn sixteen_nodes_with_tasks_have_their_turn_every_50_ms() {
 }
 
 #[test]
+fn a_search_leaves_sixteen_nodes_with_tasks_their_turns() {
+    let mut lab = Lab::new(16, 4);
+    all_busy(&mut lab, 16);
+    lab.run(SECOND);
+    lab.forget_turns();
+    lab.bus_search();
+    lab.run(Duration::from_millis(1800));
+    for address in 1..=16 {
+        let pause = lab.longest_pause(address);
+        assert!(pause <= Duration::from_millis(50), "{address}: {pause:?}");
+    }
+}
+
+#[test]
 fn an_abort_goes_before_all_polls() {
     let mut lab = Lab::new(16, 2);
     all_busy(&mut lab, 16);

@@ -98,8 +98,7 @@ impl Bus {
                 record: record.as_ref().map(|record| record.of(&node.name)),
                 place: Some(Place {
                     name: node.name.clone(),
-                    // Spread over all bits, as the ids of chips are.
-                    id: u64::wrapping_mul(id, 0x9E37_79B9_7F4A_7C15),
+                    id: unique(&node.name, id),
                     address: node.address,
                 }),
                 updates: None,
@@ -133,6 +132,13 @@ impl Bus {
             run: Box::new(run),
         })
     }
+}
+
+/// An id, spread over all bits, as those of chips are. Nodes of several simulated lines that are joined have different ones
+/// if they have different names.
+fn unique(name: &str, number: u64) -> u64 {
+    let fold = |id: u64, byte: u8| (id ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3);
+    name.bytes().fold(0xCBF2_9CE4_8422_2325, fold) ^ number.wrapping_mul(0x9E37_79B9_7F4A_7C15)
 }
 
 /// A node's end of the line.

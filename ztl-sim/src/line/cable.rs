@@ -1,6 +1,7 @@
 //! A cable between two real endpoints, with a faulty line in each direction.
 
 mod direction;
+mod shared;
 
 use std::io;
 use std::net::{TcpListener, TcpStream};
@@ -14,6 +15,7 @@ use super::faults::{Counts, FaultyLine};
 #[cfg(unix)]
 use crate::pty::{Link, Pty};
 use direction::Direction;
+pub use shared::SharedCable;
 use ztl_std::gateway::{Endpoint, Line};
 
 /// Pause before an end is reopened.
@@ -98,7 +100,11 @@ impl Cable {
             _links: Vec::new(),
         };
         for (side, end) in ends.into_iter().enumerate() {
-            let (socket, place) = cable.prepare(end)?;
+            let (socket, place) = prepare(
+                end,
+                #[cfg(unix)]
+                &mut cable._links,
+            )?;
             if let Some(known) = cable.places.get_mut(side) {
                 *known = place;
             }
@@ -131,45 +137,6 @@ impl Cable {
             .map(|direction| direction.counts())
     }
 
-    fn prepare(&mut self, end: End) -> Result<(Socket, String), CableError> {
-        match end {
-            End::Open(endpoint) => {
-                let place = endpoint.to_string();
-                Ok((Socket::Open(endpoint), place))
-            }
-            End::Listen { address } => {
-                let listener = TcpListener::bind(&address).and_then(|listener| {
-                    // Must not block in accept, so that it can be stopped.
-                    listener.set_nonblocking(true)?;
-                    let address = listener.local_addr()?;
-                    Ok((listener, address))
-                });
-                match listener {
-                    Ok((listener, address)) => {
-                        Ok((Socket::Listen(listener), format!("tcp:{address}")))
-                    }
-                    Err(cause) => Err(CableError::Listen { address, cause }),
-                }
-            }
-            #[cfg(unix)]
-            End::Pty { link } => {
-                let pty = Pty::new().map_err(CableError::Pty)?;
-                let mut path = pty.path().to_owned();
-                if let Some(link) = link {
-                    path = link.display().to_string();
-                    let link = Link::new(link, pty.path()).map_err(CableError::Pty)?;
-                    self._links.push(link);
-                }
-                Ok((Socket::Pty(pty), format!("serial:{path}")))
-            }
-            #[cfg(not(unix))]
-            End::Pty { .. } => Err(CableError::Pty(io::Error::new(
-                io::ErrorKind::Unsupported,
-                "this system has no ptys; use tcp-listen:PORT",
-            ))),
-        }
-    }
-
     fn spawn(&mut self, name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), CableError> {
         let thread = std::thread::Builder::new()
             .name(format!("ztl-cable-{name}"))
@@ -186,6 +153,43 @@ impl Drop for Cable {
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
+    }
+}
+
+/// Sets up an end, and says how others reach it.
+fn prepare(end: End, #[cfg(unix)] links: &mut Vec<Link>) -> Result<(Socket, String), CableError> {
+    match end {
+        End::Open(endpoint) => {
+            let place = endpoint.to_string();
+            Ok((Socket::Open(endpoint), place))
+        }
+        End::Listen { address } => {
+            let listener = TcpListener::bind(&address).and_then(|listener| {
+                // Must not block in accept, so that it can be stopped.
+                listener.set_nonblocking(true)?;
+                let address = listener.local_addr()?;
+                Ok((listener, address))
+            });
+            match listener {
+                Ok((listener, address)) => Ok((Socket::Listen(listener), format!("tcp:{address}"))),
+                Err(cause) => Err(CableError::Listen { address, cause }),
+            }
+        }
+        #[cfg(unix)]
+        End::Pty { link } => {
+            let pty = Pty::new().map_err(CableError::Pty)?;
+            let mut path = pty.path().to_owned();
+            if let Some(link) = link {
+                path = link.display().to_string();
+                links.push(Link::new(link, pty.path()).map_err(CableError::Pty)?);
+            }
+            Ok((Socket::Pty(pty), format!("serial:{path}")))
+        }
+        #[cfg(not(unix))]
+        End::Pty { .. } => Err(CableError::Pty(io::Error::new(
+            io::ErrorKind::Unsupported,
+            "this system has no ptys; use tcp-listen:PORT",
+        ))),
     }
 }
 

@@ -63,6 +63,11 @@ impl Uart {
         unsafe { NVIC::unmask(Uart0) };
         Self { busy: false }
     }
+
+    /// Waits until the last byte has left, with its stop bit.
+    pub fn wait_sent(&self) {
+        while self.busy && SENT.read() == 0 {}
+    }
 }
 
 /// A byte was received. The UART announces the bytes in its buffer one by one.

@@ -7,17 +7,22 @@ use std::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{LINK_TIMEOUT, Loss};
 use ztl_core::time::earliest;
-use ztl_mcu::describe::Described;
-use ztl_mcu::{Acting, Identity, Node, Reason};
+use ztl_mcu::Reason;
 use ztl_sim::line::{Faults, FaultyLine};
 
+use super::gateway::{BAUD, address};
 use super::motor::{Motor, Shared, Truth};
-use crate::plan::{MotorPlan, Way};
-
-type SmallNode = Node<'static, Acting<Described<[Motor; 2]>>, 4, 160>;
+use super::some_node::SomeNode;
+use crate::plan::{Dice, MotorPlan, Trouble, Way};
 
 /// Bytes are transferred in pieces of about this duration.
 const BURST: Duration = Duration::from_millis(1);
+/// Most time until the node of a shared line begins its answer, in µs: the main loop of its firmware takes it.
+const MAIN_LOOP: u64 = 700;
+/// How often a node is reset or babbles that does, and how many bytes it sends: a fifth of what the line takes.
+const RESETS: Duration = Duration::from_millis(100);
+const BABBLES: Duration = Duration::from_millis(87);
+const RUBBISH: u64 = 200;
 /// The last new command arrives at most this long after a direction is cut: a `Start` that is in the line, and a `Ping`
 /// that was due.
 const LAST_COMMAND: Duration = Duration::from_millis(1300);
@@ -26,10 +31,20 @@ const LAST_COMMAND: Duration = Duration::from_millis(1300);
 /// second, two link timeouts, and one second.
 const GIVEN_UP: Duration = Duration::from_millis(4100);
 
+/// The line to the gateway.
+const UP: u64 = 2;
+
 pub(super) struct Device {
     number: usize,
     motors: [MotorPlan; 2],
-    node: SmallNode,
+    node: SomeNode,
+    /// Whether it is on a shared line.
+    shared: bool,
+    /// What is wrong with it, and when the node does that next.
+    trouble: Option<(Trouble, Instant)>,
+    dice: Dice,
+    /// When it has something to do, at the latest; only on a shared line.
+    due: Instant,
     boots: u32,
     /// Time of the last reset, when its clock was 0.
     booted: Instant,
@@ -45,22 +60,32 @@ impl Device {
     pub(super) fn new(
         now: Instant,
         seed: u64,
-        number: usize,
+        (number, shared): (usize, bool),
         motors: [MotorPlan; 2],
         truth: Shared,
     ) -> Self {
-        let line = |way: u64| {
-            FaultyLine::new(Faults::default(), seed ^ way << 50 ^ (number as u64) << 60)
-                .with_baud(115_200)
+        let mut dice = Dice::new(seed ^ (number as u64 + 1) << 40);
+        let mut line = |way: u64| {
+            let seed = seed ^ way << 50 ^ (number as u64) << 60;
+            let line = FaultyLine::new(Faults::default(), seed);
+            match (shared, way) {
+                (false, _) => line.with_baud(BAUD),
+                (true, UP) => line.with_latency(Duration::from_micros(dice.below(MAIN_LOOP))),
+                (true, _) => line,
+            }
         };
         Self {
             number,
             motors,
-            node: node(number, motors, 1, &truth),
+            node: node((number, shared), motors, 1, &truth),
+            shared,
+            trouble: None,
             boots: 1,
             booted: now,
             down: line(1),
-            up: line(2),
+            up: line(UP),
+            dice,
+            due: now,
             cuts: [now..now, now..now],
             unplugged: 0,
             truth,
@@ -71,8 +96,37 @@ impl Device {
         Instant::ZERO + now.since(self.booted)
     }
 
+    /// Gives the node a trouble, or ends it.
+    pub(super) fn set_trouble(&mut self, trouble: Option<(Trouble, Instant)>) {
+        self.trouble = trouble;
+        self.due = Instant::ZERO;
+        let mut truth = self.truth.borrow_mut();
+        match self.trouble {
+            Some((Trouble::Floods, _)) => truth.floods = Some(self.number),
+            _ if truth.floods == Some(self.number) => truth.floods = None,
+            _ => {}
+        }
+    }
+
+    fn trouble(&mut self, now: Instant) {
+        match &mut self.trouble {
+            Some((Trouble::Babbles, next)) if *next <= now => {
+                *next = now + BABBLES;
+                let rubbish = (0..self.dice.below(2 * RUBBISH)).map(|_| self.dice.below(256) as u8);
+                let rubbish: Vec<u8> = rubbish.collect();
+                self.up.handle_bytes(now, &rubbish);
+            }
+            Some((Trouble::Resets, next)) if *next <= now => {
+                *next = now + RESETS;
+                self.reset(now);
+            }
+            _ => {}
+        }
+    }
+
     /// Passes bytes to the node, advances the motors, and sends output.
     pub(super) fn turn(&mut self, now: Instant) {
+        self.trouble(now);
         let clock = self.clock(now);
         let mut buffer = [0xA5; 64];
         loop {
@@ -92,6 +146,14 @@ impl Device {
                 self.up.handle_bytes(now, &buffer[..count]);
             }
         }
+        if self.shared {
+            self.due = self.next(now);
+        }
+    }
+
+    /// Whether it has something to do, which the devices of a shared line mostly have not.
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        !self.shared || self.due <= now
     }
 
     /// A button starts a task, and an event is reported, for which there may be no room.
@@ -102,10 +164,11 @@ impl Device {
         task: usize,
         millis: u64,
     ) -> Result<(), Reason> {
+        self.due = now;
         let clock = self.clock(now);
         self.node.report_event(clock, &format!("event {task}"));
         let goal = format!("{task} {millis}");
-        self.node.start_here(clock, motor, &goal).map(drop)
+        self.node.start_here(clock, motor, &goal)
     }
 
     /// Whether it was reset.
@@ -129,25 +192,43 @@ impl Device {
     pub(super) fn send(&mut self, now: Instant, bytes: &[u8]) {
         if self.is_plugged() {
             self.down.handle_bytes(now, bytes);
+            self.due = now;
         }
     }
 
-    pub(super) fn wake(&self, now: Instant) -> Option<Instant> {
+    pub(super) fn wake(&self, now: Instant) -> Instant {
+        if self.shared {
+            self.due
+        } else {
+            self.next(now)
+        }
+    }
+
+    fn next(&self, now: Instant) -> Instant {
         let clock = self.clock(now);
         let node = now + self.node.poll_timeout(clock).since(clock);
-        let lines = [&self.down, &self.up].map(|line| line.poll_timeout(BURST));
-        lines.into_iter().fold(Some(node), earliest)
+        // A shared line has made pieces already.
+        let burst = if self.shared { Duration::ZERO } else { BURST };
+        let lines = [&self.down, &self.up].map(|line| line.poll_timeout(burst));
+        let trouble = match self.trouble {
+            Some((Trouble::Babbles | Trouble::Resets, next)) => Some(next),
+            _ => None,
+        };
+        let other = lines.into_iter().chain([trouble]).fold(None, earliest);
+        other.map_or(node, |other| other.min(node))
     }
 
     pub(super) fn reset(&mut self, now: Instant) {
         self.boots += 1;
         self.booted = now;
+        self.due = now;
         for motor in 0..self.motors.len() {
             self.truth.borrow_mut().rest((self.number, motor), None);
         }
         // Boot ids are random: never repeated.
         let boot = self.boots.wrapping_mul(0x85EB_CA6B);
-        self.node = node(self.number, self.motors, boot, &self.truth);
+        let place = (self.number, self.shared);
+        self.node = node(place, self.motors, boot, &self.truth);
     }
 
     pub(super) fn unplug(&mut self) {
@@ -180,6 +261,7 @@ impl Device {
 
     /// Ends all faults of the line.
     pub(super) fn mend(&mut self, now: Instant) {
+        self.set_trouble(None);
         for way in [Way::Down, Way::Up] {
             self.cut(way, now..now);
             self.way(way).set_faults(Faults::default());
@@ -218,7 +300,12 @@ impl Device {
     }
 }
 
-fn node(number: usize, motors: [MotorPlan; 2], boot: u32, truth: &Shared) -> SmallNode {
+fn node(
+    (number, shared): (usize, bool),
+    motors: [MotorPlan; 2],
+    boot: u32,
+    truth: &Shared,
+) -> SomeNode {
     let motor = |place: usize| Motor {
         plan: motors[place],
         place: (number, place),
@@ -226,6 +313,6 @@ fn node(number: usize, motors: [MotorPlan; 2], boot: u32, truth: &Shared) -> Sma
         ends: None,
         safe_at: None,
     };
-    let components = Acting::new(Described([motor(0), motor(1)]));
-    Node::new(Identity::new("lab", "1", boot), components)
+    let address = shared.then(|| address(number));
+    SomeNode::new([motor(0), motor(1)], boot, address)
 }

@@ -18,8 +18,10 @@ use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
 
 pub(super) const SCOPE: &str = "/lab";
 
+/// The rate of all lines.
+pub(super) const BAUD: u32 = 115_200;
 /// Room for more tasks than any plan starts.
-type Room = Fixed<Envelope, 1, 48, 160, 24>;
+type Room = Fixed<Envelope, 1, 128, 160, 24>;
 pub(super) type LabSession = Session<Option<DeviceJournal<Disk>>>;
 
 thread_local! {
@@ -70,7 +72,12 @@ pub(super) struct Gateway {
 
 impl Gateway {
     /// Starts for the `boot`-th time. The lines of the devices are not open yet.
-    pub(super) fn new(now: Instant, devices: usize, disk: Option<&Disk>, boot: u32) -> Self {
+    pub(super) fn new(
+        now: Instant,
+        (devices, shared): (usize, bool),
+        disk: Option<&Disk>,
+        boot: u32,
+    ) -> Self {
         // No id is reused, as with a random number between 1 and 2^30.
         let first = TaskId::new(boot * 100_000).expect("boots count from 1");
         let log =
@@ -87,7 +94,12 @@ impl Gateway {
             let book = log
                 .clone()
                 .map(|log| DeviceJournal::new(log, &name(device), moment));
-            Session::with_journal(book, id, Some(115_200), number)
+            let session = Session::with_journal(book, id, Some(BAUD), number);
+            if shared {
+                session.with_address(address(device))
+            } else {
+                session
+            }
         });
         let mut gateway = Self {
             dispatcher: Dispatcher::new(Fixed::new([SCOPE]), Config::new(first, boot)),
@@ -174,7 +186,10 @@ impl Gateway {
     /// Handles timeouts and the events of the sessions.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         for device in 0..self.sessions.len() {
-            self.sessions[device].handle_timeout(now);
+            let session = &mut self.sessions[device];
+            if session.poll_timeout().is_some_and(|at| at <= now) {
+                session.handle_timeout(now);
+            }
             while let Some(event) = self.sessions[device].poll_event() {
                 if event == LinkEvent::Begun {
                     self.take_up(now, device);
@@ -216,6 +231,11 @@ impl Gateway {
         let sessions = self.sessions.iter().map(LabSession::poll_timeout);
         sessions.fold(self.dispatcher.poll_timeout(), earliest)
     }
+}
+
+/// Address of a device on a shared line.
+pub(super) const fn address(device: usize) -> u8 {
+    device as u8 + 1
 }
 
 /// Name of a device.

@@ -216,9 +216,9 @@ impl Books {
     }
 
     /// Promise 3: the device serves after all faults.
-    pub(super) fn completed(&self, task: usize) -> Result<(), String> {
+    pub(super) fn came_to(&self, task: usize, expected: State) -> Result<(), String> {
         match &self.tasks[task].known {
-            Known::Ended(_, State::Completed, _) => Ok(()),
+            Known::Ended(_, state, _) if *state == expected => Ok(()),
             known => Err(format!("promise 3: a new task, {task}, comes to {known:?}")),
         }
     }

@@ -6,8 +6,12 @@ mod device;
 mod gateway;
 mod happen;
 mod judge;
+mod master;
 mod motor;
 mod own;
+mod serve;
+mod shared;
+mod some_node;
 mod summary;
 
 use std::cell::RefCell;
@@ -26,6 +30,7 @@ use self::device::Device;
 use self::gateway::{Gateway, Letter, name};
 use self::judge::Books;
 use self::motor::{Condition, Motor, NAMES, Shared, Truth};
+use self::shared::SharedLine;
 use crate::plan::{Happening, Plan, Revert};
 pub use summary::{Failure, Summary};
 
@@ -55,6 +60,8 @@ struct Lab {
     now: Instant,
     truth: Shared,
     devices: Vec<Device>,
+    /// The line of all devices, if they share one.
+    line: Option<SharedLine>,
     /// `None` while it is killed.
     gateway: Option<Gateway>,
     boots: u32,
@@ -80,13 +87,17 @@ impl Lab {
         let truth: Shared = Rc::new(RefCell::new(Truth::default()));
         truth.borrow_mut().motors = vec![[Condition::default(); 2]; plan.devices.len()];
         let device = |(number, motors): (usize, _)| {
-            Device::new(BEGIN, plan.seed, number, motors, Rc::clone(&truth))
+            let place = (number, plan.shared);
+            Device::new(BEGIN, plan.seed, place, motors, Rc::clone(&truth))
         };
         let devices = plan.devices.iter().copied().enumerate().map(device);
         let mut lab = Self {
             now: BEGIN,
             devices: devices.collect(),
             truth,
+            line: plan
+                .shared
+                .then(|| SharedLine::new(BEGIN, plan.devices.len(), plan.seed)),
             gateway: None,
             boots: 0,
             disk: plan.journal.then(Disk::default),
@@ -131,8 +142,13 @@ impl Lab {
         let reset: Vec<bool> = self.devices.iter().map(Device::was_reset).collect();
         self.books.own_settled(&self.truth.borrow(), &reset)?;
         self.judge_descriptions()?;
-        self.serve()?;
-        Ok(self.books.summary(&self.truth.borrow()))
+        let mut summary = Summary::default();
+        match self.line {
+            Some(_) => self.serve_shared(plan.seed, &mut summary)?,
+            None => self.serve()?,
+        }
+        summary += self.books.summary(&self.truth.borrow());
+        Ok(summary)
     }
 
     /// Asks again for every reported final state, which must not have changed.
@@ -142,18 +158,6 @@ impl Lab {
                 self.people[who].watch(self.now, task, id);
             }
         }
-    }
-
-    /// Runs a new task on each motor of each device.
-    fn serve(&mut self) -> Result<(), String> {
-        for device in 0..self.devices.len() {
-            for motor in 0..NAMES.len() {
-                let task = self.ask(0, device, motor, 20, true);
-                self.pass_until(self.now + Duration::from_millis(1500))?;
-                self.books.completed(task)?;
-            }
-        }
-        Ok(())
     }
 
     fn ask(
@@ -193,7 +197,8 @@ impl Lab {
     }
 
     fn pass_until(&mut self, end: Instant) -> Result<(), String> {
-        for _ in 0..TURNS {
+        let lines = self.line.iter().map(|_| self.devices.len()).sum::<usize>();
+        for _ in 0..TURNS * lines.max(1) {
             self.turn()?;
             // Advances even if something is due at once again.
             let soon = self.now + Duration::from_micros(20);
@@ -209,13 +214,21 @@ impl Lab {
     }
 
     fn wake(&self) -> Option<Instant> {
-        let devices = self.devices.iter().map(|device| device.wake(self.now));
+        let devices = self
+            .devices
+            .iter()
+            .map(|device| Some(device.wake(self.now)));
         let people = self.people.iter().map(Person::poll_timeout);
         let letters = [&self.to_gateway, &self.to_people];
         let letters = letters.into_iter().map(|l| l.front().map(|(at, _)| *at));
         let reverts = self.reverts.iter().map(|(at, _)| Some(*at));
         let gateway = self.gateway.as_ref().and_then(Gateway::poll_timeout);
-        let all = devices.chain(people).chain(letters).chain(reverts);
+        let line = self.line.iter().map(SharedLine::poll_timeout);
+        let all = devices
+            .chain(people)
+            .chain(letters)
+            .chain(reverts)
+            .chain(line);
         all.fold(gateway, earliest)
     }
 
@@ -223,10 +236,12 @@ impl Lab {
     fn turn(&mut self) -> Result<(), String> {
         gateway::set_clocks(self.now);
         self.revert();
-        for device in 0..self.devices.len() {
-            self.devices[device].turn(self.now);
-            self.exchange(device);
+        for device in &mut self.devices {
+            if device.is_due(self.now) {
+                device.turn(self.now);
+            }
         }
+        self.exchange();
         self.carry_requests();
         if let Some(gateway) = &mut self.gateway {
             gateway.handle_timeout(self.now);
@@ -240,8 +255,9 @@ impl Lab {
                 self.books.on_event(&event, &self.truth.borrow())?;
             }
         }
-        for device in 0..self.devices.len() {
-            self.exchange(device);
+        match &mut self.line {
+            Some(line) => line.transmit(self.now, self.gateway.as_mut())?,
+            None => self.exchange(),
         }
         self.carry_answers()?;
         let truth = self.truth.borrow();
@@ -254,8 +270,17 @@ impl Lab {
         self.books.judge(&truth)
     }
 
-    /// Exchanges bytes between a session and its line.
-    fn exchange(&mut self, device: usize) {
+    /// Exchanges bytes between sessions and lines.
+    fn exchange(&mut self) {
+        if let Some(line) = &mut self.line {
+            return line.receive(self.now, &mut self.devices, self.gateway.as_mut());
+        }
+        for device in 0..self.devices.len() {
+            self.exchange_with(device);
+        }
+    }
+
+    fn exchange_with(&mut self, device: usize) {
         let now = self.now;
         let line = &mut self.devices[device];
         let arrived = line.arrived(now);

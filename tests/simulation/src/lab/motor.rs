@@ -7,7 +7,7 @@ use std::time::Duration;
 use ztl_core::link::Offer;
 use ztl_core::{Instant, State};
 use ztl_mcu::describe::{About, Describe, Goal};
-use ztl_mcu::{Component, Refused, Report, Run, description};
+use ztl_mcu::{Component, Reading, Refused, Report, Run, description};
 
 use crate::plan::MotorPlan;
 
@@ -38,6 +38,8 @@ pub(super) struct Truth {
     pub(super) tasks: Vec<Execution>,
     /// The motors of each device.
     pub(super) motors: Vec<[Condition; 2]>,
+    /// The device that always has a reading.
+    pub(super) floods: Option<usize>,
 }
 
 /// Reported for an unreachable device, whose motors may still be going to their safe state.
@@ -124,6 +126,7 @@ impl Component for Motor {
             .with_unit("ms")
             .with_busy(self.plan.busy)
             .with_loss(self.plan.loss)
+            .with_topics("place")
     }
 
     fn check(&self, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
@@ -180,6 +183,17 @@ impl Component for Motor {
         self.safe_at.get_or_insert(now + self.plan.slow);
         let (device, motor) = self.place;
         self.truth.borrow_mut().motors[device][motor].to_safety = true;
+    }
+
+    fn poll_reading(&mut self, _: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        let floods = self.truth.borrow().floods == Some(self.place.0);
+        floods.then(|| {
+            buffer.fill(b'x');
+            Reading {
+                topic: 0,
+                len: buffer.len(),
+            }
+        })
     }
 
     fn poll_timeout(&self, now: Instant) -> Instant {
