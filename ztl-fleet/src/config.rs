@@ -1,5 +1,6 @@
 //! The files of `ztl-fleet`: one for each agent, endpoint and router, with the same keys for what they share.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use ztl_std::Access;
@@ -46,10 +47,36 @@ pub struct AgentConfig {
     pub scopes: Vec<String>,
     /// Groups that it belongs to.
     pub groups: Vec<String>,
+    /// The robot's key in the fleet, and who may ask it.
+    pub identity: Option<Identity>,
     /// Directory of what must survive a restart.
     pub state: PathBuf,
     /// How to reach the fleet.
     pub links: Links,
+}
+
+/// Who a robot is, and who may ask it what.
+#[derive(Debug, Clone)]
+pub struct Identity {
+    /// The robot's keys.
+    pub own: KeyPair,
+    /// Keys of clients, each for one scope or for all.
+    pub clients: Vec<(Option<String>, PublicKey)>,
+}
+
+impl Identity {
+    /// Whether the owner of a key may use a scope.
+    #[must_use]
+    pub fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
+        let mut clients = self.clients.iter();
+        clients.any(|(only, key)| key == client && only.as_deref().is_none_or(|only| only == scope))
+    }
+
+    /// Whether the owner of a key may use the whole robot.
+    #[must_use]
+    pub fn may_use_all(&self, client: &PublicKey) -> bool {
+        self.clients.contains(&(None, *client))
+    }
 }
 
 /// The file of an endpoint, and of the commands that look at a fleet.
@@ -57,8 +84,10 @@ pub struct AgentConfig {
 pub struct EndpointConfig {
     /// Where to listen, and who may use it.
     pub listen: Listen,
-    /// The robots that belong to the fleet.
-    pub robots: Vec<String>,
+    /// The robots that belong to the fleet, with their keys if there is a [`fleet_key`](Self::fleet_key).
+    pub robots: BTreeMap<String, Option<PublicKey>>,
+    /// The own keys in the fleet. With them, nothing is sent to robots without a known key.
+    pub fleet_key: Option<KeyPair>,
     /// How to reach the fleet.
     pub links: Links,
 }
@@ -105,6 +134,7 @@ impl AgentConfig {
             let state = fields.optional("state");
             let state = state.and_then(|node| reading.text(node, "a directory"));
             let keys = KeyFiles::take(&mut reading, &mut fields, base);
+            let identity = identity(&mut reading, &mut fields, base);
             let links = links(&mut reading, &mut fields, base, false);
             fields.finish(&mut reading);
             let name: String = name?;
@@ -114,6 +144,7 @@ impl AgentConfig {
                 keys,
                 scopes,
                 groups,
+                identity,
                 state: base.join(state),
                 links,
                 name,
@@ -136,15 +167,16 @@ impl EndpointConfig {
         let read = reading.fields(document.root(), example);
         let read = read.map(|mut fields| {
             let listen = Listen::read(&mut reading, &mut fields, base);
-            let mut robots = Vec::new();
-            for node in fields.optional("robots").map_or(&[][..], one_or_more) {
-                robots.extend(robot(&mut reading, node));
-            }
+            let key_at = fields.present("fleet-key");
+            let fleet_key = key_at.and_then(|node| own_key(&mut reading, node, base));
+            let robots_at = fields.optional("robots");
+            let robots = robots(&mut reading, robots_at, base, key_at);
             let links = links(&mut reading, &mut fields, base, false);
             fields.finish(&mut reading);
             Self {
                 listen,
                 robots,
+                fleet_key,
                 links,
             }
         });
@@ -253,6 +285,85 @@ fn links<'d>(
         });
     }
     links
+}
+
+/// The robots of an endpoint: names, or with a `fleet-key`, a mapping from names to keys.
+fn robots<'d>(
+    reading: &mut Reading<'d>,
+    node: Option<&'d Node>,
+    base: &Path,
+    fleet_key: Option<&'d Node>,
+) -> BTreeMap<String, Option<PublicKey>> {
+    let mut all = BTreeMap::new();
+    let example = "each robot and its key, as arm-1: {key: arm-1.key}";
+    let Some(node) = node else {
+        if let Some(fleet_key) = fleet_key {
+            let message = format!("with a fleet-key, 'robots' must name {example}");
+            reading.wrong(fleet_key, message);
+        }
+        return all;
+    };
+    if fleet_key.is_none() {
+        for node in one_or_more(node) {
+            all.extend(robot(reading, node).map(|name| (name, None)));
+        }
+        return all;
+    }
+    for (name_at, value) in reading.pairs(node, example).unwrap_or_default() {
+        let name = robot(reading, name_at);
+        let key = reading
+            .fields(value, "key: arm-1.key")
+            .and_then(|mut fields| {
+                let node = fields.required("key", "key: arm-1.key");
+                fields.finish(reading);
+                let read = |text: &str| PublicKey::read(&base.join(text));
+                reading.parsed(node?, "the file of the robot's public key", read)
+            });
+        if let (Some(name), Some(key)) = (name, key)
+            && all.insert(name, Some(key)).is_some()
+        {
+            reading.wrong(name_at, "this robot has a key already");
+        }
+    }
+    all
+}
+
+fn own_key<'d>(reading: &mut Reading<'d>, node: &'d Node, base: &Path) -> Option<KeyPair> {
+    reading.parsed(node, "a file of `ztl keys`, as arm-1.key_secret", |text| {
+        KeyPair::read(&base.join(text))
+    })
+}
+
+/// A robot's own key, and who may ask it.
+fn identity<'d>(
+    reading: &mut Reading<'d>,
+    fields: &mut Fields<'d>,
+    base: &Path,
+) -> Option<Identity> {
+    let (own, clients_at) = (fields.present("fleet-key"), fields.present("client-keys"));
+    let Some(own) = own else {
+        if let Some(clients) = clients_at {
+            let message = "clients can have keys only if the robot has one; write fleet-key: arm-1.key_secret";
+            reading.wrong(clients, message);
+        }
+        return None;
+    };
+    let own = own_key(reading, own, base);
+    let mut clients = Vec::new();
+    for node in clients_at.map_or(&[][..], one_or_more) {
+        let what = "a client's key, as desk.key or /lab=desk.key";
+        let read = reading.parsed(node, what, |text| {
+            let (scope, path) = match text.split_once('=') {
+                Some((scope, path)) => (Some(scope.to_owned()), path),
+                None => (None, text),
+            };
+            PublicKey::read_all(&base.join(path)).map(|keys| (scope, keys))
+        });
+        if let Some((scope, keys)) = read {
+            clients.extend(keys.into_iter().map(|key| (scope.clone(), key)));
+        }
+    }
+    Some(Identity { own: own?, clients })
 }
 
 fn address<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {

@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use serde_json::Value;
-use zenoh::Session;
 use ztl_core::Message;
+use ztl_fleet::caller::Caller;
 use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::join::Stopped;
-use ztl_fleet::session::{self, key};
+use ztl_fleet::session;
 use ztl_fleet::wire::{RobotInfo, Verdict};
 
 use crate::{Done, line};
@@ -39,13 +39,20 @@ struct Found {
 }
 
 impl Select {
-    fn find(&self) -> Result<(Session, Vec<Found>), session::ZenohError> {
+    fn find(&self) -> Result<(Caller, Vec<Found>), session::ZenohError> {
         let config = EndpointConfig::load(&self.file)?;
         let session = session::open(&config.links, false)?;
-        let agents = session::present(&session, "*", LIMIT)?;
-        let infos = session::infos(&session, &agents, LIMIT);
+        let mut agents = session::present(&session, "*", LIMIT)?;
+        let caller = Caller::new(session, &config);
+        for (robot, agent) in agents.extract_if(.., |(robot, agent)| !caller.accepts(robot, agent))
+        {
+            line(format_args!(
+                "{robot}  refused  agent {agent} does not have the key of this name"
+            ))?;
+        }
+        let infos = caller.infos(&agents, LIMIT);
         let there: BTreeSet<&String> = agents.iter().map(|(robot, _)| robot).collect();
-        let missing = config.robots.iter().filter(|name| !there.contains(name));
+        let missing = config.robots.keys().filter(|name| !there.contains(name));
         let missing = missing.map(|name| Found {
             name: name.clone(),
             agent: None,
@@ -63,12 +70,12 @@ impl Select {
             }
         }
         all.sort_by(|a, b| a.name.cmp(&b.name));
-        Ok((session, all))
+        Ok((caller, all))
     }
 
     /// Exit code 0 if all robots are there and ready.
     pub(crate) fn ls(self) -> Done {
-        let (_session, all) = self.find()?;
+        let (_caller, all) = self.find()?;
         let mut good = true;
         for found in &all {
             let name = &found.name;
@@ -88,9 +95,9 @@ impl Select {
 
     /// Exit code 0 if all robots have answered.
     pub(crate) fn ps(self) -> Done {
-        let (session, all) = self.find()?;
+        let (caller, all) = self.find()?;
         let mut good = true;
-        let answers = ask(&session, &all, "request", b"$ztl;2;-1;tasks", LIMIT);
+        let answers = ask(&caller, &all, "request", b"$ztl;2;-1;tasks", LIMIT);
         for (found, answer) in all.iter().zip(answers) {
             let name = &found.name;
             let tasks = answer.and_then(|body| {
@@ -118,9 +125,9 @@ impl Select {
 
     /// Exit code 0 if every robot has confirmed that nothing runs.
     pub(crate) fn stop_all(self) -> Done {
-        let (session, all) = self.find()?;
+        let (caller, all) = self.find()?;
         let mut good = true;
-        let answers = ask(&session, &all, "stop", b"", STOPPING);
+        let answers = ask(&caller, &all, "stop", b"", STOPPING);
         for (found, answer) in all.iter().zip(answers) {
             let name = &found.name;
             let told = answer.and_then(|body| serde_json::from_slice::<Stopped>(&body).ok());
@@ -142,7 +149,7 @@ impl Select {
 
 /// Asks all robots at once; `None` where there is no answer.
 fn ask(
-    session: &Session,
+    caller: &Caller,
     all: &[Found],
     what: &str,
     payload: &[u8],
@@ -150,10 +157,10 @@ fn ask(
 ) -> Vec<Option<Vec<u8>>> {
     let there = all.iter().filter_map(|found| {
         let (agent, _) = found.agent.as_ref()?;
-        Some(key(&found.name, agent, what))
+        Some((found.name.clone(), agent.clone()))
     });
-    let selectors: Vec<String> = there.collect();
-    let mut verdicts = session::ask_all(session, &selectors, payload, limit).into_iter();
+    let agents: Vec<(String, String)> = there.collect();
+    let mut verdicts = caller.ask_all(&agents, what, payload, limit).into_iter();
     let answers = all.iter().map(|found| match &found.agent {
         None => None,
         Some(_) => match verdicts.next().flatten() {

@@ -88,6 +88,13 @@ impl Endpoint {
         }
     }
 
+    /// The boot id of a robot's agent, and what the agent's clock shows at least, in milliseconds; zeros if that is not known.
+    #[must_use]
+    pub fn clock(&self, now: Instant, robot: &str) -> (u32, u64) {
+        let robot = self.robots.get(robot);
+        robot.map_or((0, 0), |robot| robot.clock(now))
+    }
+
     /// The agents that are there.
     pub fn robots(&self) -> impl Iterator<Item = (&str, &str)> {
         let robots = self.robots.iter();
