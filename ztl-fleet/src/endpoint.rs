@@ -22,6 +22,8 @@ use robots::Robot;
 
 /// How long a request may take, less than a client's timeout of 2 s.
 const LONGEST: Duration = Duration::from_millis(1900);
+/// How long a robot's server may hold a STATUS, in milliseconds, so that its answer arrives in time.
+const LONGEST_HOLD_MS: u64 = 1500;
 /// Pause before a query without a reply is repeated.
 const AGAIN: Duration = Duration::from_millis(100);
 /// How long an INIT may act after it was sent: little longer than its client waits.

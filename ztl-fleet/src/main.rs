@@ -3,14 +3,18 @@
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 mod look;
+mod signals;
+mod watch;
 
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use clap::{Parser, Subcommand};
 use tracing_subscriber::filter::LevelFilter;
+use zenoh::Wait as _;
 use ztl_fleet::config::{AgentConfig, EndpointConfig, Links};
 use ztl_fleet::join::Joined;
 use ztl_fleet::serve::Serving;
@@ -43,6 +47,18 @@ enum Command {
     Ls(look::Select),
     /// Show which tasks run
     Ps(look::Select),
+    /// Show who comes and goes, and which tasks start and end, until a signal
+    Watch(look::Select),
+    /// Abort a task of a robot
+    Abort {
+        #[command(flatten)]
+        select: look::Select,
+        /// The robot's scope, as arm-1/lab
+        #[arg(value_name = "NAME/SCOPE")]
+        scope: String,
+        /// The task's id
+        id: ztl_std::RemoteId,
+    },
     /// Stop all tasks of all robots, and name those that did not confirm it
     StopAll(look::Select),
 }
@@ -63,6 +79,9 @@ type Done = Result<ExitCode, Box<dyn std::error::Error + Send + Sync>>;
 
 /// A mistake in the configuration, after which a restart does not help.
 const MISCONFIGURED: u8 = 2;
+
+/// How often an agent looks whether a signal came.
+const LOOK: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
     tracing_subscriber::fmt()
@@ -92,10 +111,14 @@ fn run(command: Command) -> Done {
             if check {
                 return fine(&file);
             }
+            let signals = signals::catch()?;
             let joined = Joined::join(config)?;
             loop {
-                if let Some(end) = joined.wait(Duration::from_secs(3600)) {
+                if let Some(end) = joined.wait(LOOK) {
                     return Err(end.into());
+                }
+                if let Ok(signal) = signals.try_recv() {
+                    return Ok(signals::code(signal));
                 }
             }
         }
@@ -109,24 +132,38 @@ fn run(command: Command) -> Done {
             if check {
                 return fine(&file);
             }
+            let signals = signals::catch()?;
             let serving = Serving::bind(&config)?;
             line(format_args!("Serving {}", serving.endpoint()))?;
+            let stopper = serving.stopper();
+            let (told, signal) = channel();
+            let thread = std::thread::Builder::new().name("ztl-fleet-end".to_owned());
+            thread.spawn(move || {
+                if let Ok(signal) = signals.recv() {
+                    // The receiver waits for the end of the endpoint.
+                    let _ = told.send(signal);
+                    stopper.stop();
+                }
+            })?;
             serving.run()?;
-            Ok(ExitCode::SUCCESS)
+            Ok(signal.try_recv().map_or(ExitCode::SUCCESS, signals::code))
         }
         Command::Router(File { file, check }) => {
             let links = Links::load_router(&file)?;
             if check {
                 return fine(&file);
             }
-            let _session = session::open(&links, true)?;
+            let signals = signals::catch()?;
+            let session = session::open(&links, true)?;
             line(format_args!("Routing at {}", links.listen.join(", ")))?;
-            loop {
-                std::thread::park();
-            }
+            let signal = signals.recv()?;
+            session.close().wait()?;
+            Ok(signals::code(signal))
         }
         Command::Ls(select) => select.ls(),
         Command::Ps(select) => select.ps(),
+        Command::Watch(select) => select.watch(),
+        Command::Abort { select, scope, id } => select.abort(&scope, &id),
         Command::StopAll(select) => select.stop_all(),
     }
 }

@@ -91,7 +91,7 @@ impl Asked {
 impl Shared {
     /// A sealed query.
     pub(super) fn on_sealed(self: &Arc<Self>, query: Query) {
-        match self.open(query) {
+        match self.open(&query) {
             Ok((what, asked)) => match what.as_str() {
                 "request" => self.on_request(asked),
                 "outcome" => self.on_outcome(asked),
@@ -99,7 +99,7 @@ impl Shared {
                 "stop" => self.on_stop(asked),
                 _ => asked.reply(&Verdict::NotStarted(format!("'{what}' is not known"))),
             },
-            Err((query, mistake)) => {
+            Err(mistake) => {
                 if self.told.may() {
                     warn!(target: "fleet", "A sealed request is refused: {mistake}.");
                 }
@@ -109,27 +109,27 @@ impl Shared {
         }
     }
 
-    fn open(&self, query: Query) -> Result<(String, Asked), (Query, &'static str)> {
+    fn open(&self, query: &Query) -> Result<(String, Asked), &'static str> {
         let payload = query.payload().map(|payload| payload.to_bytes());
         let payload = payload.unwrap_or_default().into_owned();
         if payload.len() > LONGEST + OVERHEAD {
-            return Err((query, "it is too long"));
+            return Err("it is too long");
         }
         let Some((key, nonce, sealed)) = seal::parts(&payload) else {
-            return Err((query, "it is too short"));
+            return Err("it is too short");
         };
         let Some((key, shared)) = self.clients.get(key) else {
-            return Err((query, "its key is not among the robot's 'client-keys'"));
+            return Err("its key is not among the robot's 'client-keys'");
         };
         let Some(clear) = shared.open(&nonce, sealed) else {
-            return Err((query, "it was not sealed with its key for this robot's key"));
+            return Err("it was not sealed with its key for this robot's key");
         };
         let request = Request::parse(&clear);
         let Some(request) = request.filter(|request| request.robot == self.config.name) else {
-            return Err((query, "it is for another robot or another version"));
+            return Err("it is for another robot or another version");
         };
         let asked = Asked {
-            query,
+            query: query.clone(),
             parameters: request.parameters.to_owned(),
             body: request.body.to_vec(),
             sender: Some(Sender {

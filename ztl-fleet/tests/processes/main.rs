@@ -6,6 +6,7 @@
     reason = "a test says what is wrong by panicking"
 )]
 
+mod commands;
 mod identity;
 
 use std::path::Path;
