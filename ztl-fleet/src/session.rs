@@ -16,6 +16,8 @@ pub type ZenohError = Box<dyn std::error::Error + Send + Sync>;
 
 /// After this silence a connection counts as lost.
 const LEASE_MS: u32 = 3000;
+/// Longest message that is taken, in bytes: Zenoh's own limit is 1 GiB, an answer of a server about 4 MiB.
+const LONGEST: usize = 8 << 20;
 /// Longest pause before a connection is tried again.
 const RETRY_MS: u32 = 1000;
 
@@ -35,7 +37,10 @@ fn settings(links: &Links, mode: &str) -> Value {
         },
         "listen": { "endpoints": links.listen },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-        "transport": { "link": { "tx": { "lease": LEASE_MS } } },
+        "transport": { "link": {
+            "tx": { "lease": LEASE_MS },
+            "rx": { "max_message_size": LONGEST },
+        } },
     });
     if let Some(tls) = &links.tls
         && let Some(link) = all.pointer_mut("/transport/link")

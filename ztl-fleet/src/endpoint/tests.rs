@@ -234,3 +234,24 @@ fn a_question_that_was_too_late_is_asked_again_with_the_robots_clock() {
     let told = endpoint.handle_verdict(at(5), query, stale);
     assert_eq!(told, [EndpointEffect::Silence { request: 1 }]);
 }
+
+#[test]
+fn a_flood_of_names_and_agents_is_bounded_and_keeps_who_is_there() {
+    let mut endpoint = endpoint();
+    for number in 0..20_000 {
+        endpoint.handle_alive(&format!("robot-{number}"), "a");
+        endpoint.handle_alive("arm", &format!("rival-{number}"));
+    }
+    assert_eq!(endpoint.robots().count(), 10_000);
+    let answer = ask(&mut endpoint, 0, 1, None, "/arm/lab;2;42;");
+    assert!(matches!(&answer[..], [EndpointEffect::Ask { agent, .. }] if agent == "a"));
+    // Those that leave make room.
+    endpoint.handle_gone("robot-7", "a");
+    assert_eq!(endpoint.handle_alive("leg", "l").len(), 1);
+    let promoted = (0..100).filter(|number| {
+        let served = format!("rival-{number}");
+        let agent = if *number == 0 { "a" } else { &served };
+        !endpoint.handle_gone("arm", agent).is_empty()
+    });
+    assert!(promoted.count() <= 16);
+}
