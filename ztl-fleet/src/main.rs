@@ -2,6 +2,7 @@
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
+mod demo;
 mod look;
 mod signals;
 mod watch;
@@ -59,6 +60,8 @@ enum Command {
         /// The task's id
         id: ztl_std::RemoteId,
     },
+    /// Run a demo: five robots in two rooms, a router, and a scene across all, with one robot cut off meanwhile
+    Demo(demo::Demo),
     /// Stop all tasks of all robots, and name those that did not confirm it
     StopAll(look::Select),
 }
@@ -84,12 +87,17 @@ const MISCONFIGURED: u8 = 2;
 const LOOK: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
+    let command = Cli::parse().command;
+    let level = match &command {
+        Command::Demo(demo) => demo.level(),
+        _ => LevelFilter::INFO,
+    };
     tracing_subscriber::fmt()
-        .with_max_level(LevelFilter::INFO)
+        .with_max_level(level)
         .with_writer(std::io::stderr)
         .with_ansi(false)
         .init();
-    match run(Cli::parse().command) {
+    match run(command) {
         Ok(code) => code,
         Err(error) => {
             let mut stderr = std::io::stderr();
@@ -162,6 +170,7 @@ fn run(command: Command) -> Done {
         }
         Command::Ls(select) => select.ls(),
         Command::Ps(select) => select.ps(),
+        Command::Demo(demo) => demo.run(),
         Command::Watch(select) => select.watch(),
         Command::Abort { select, scope, id } => select.abort(&scope, &id),
         Command::StopAll(select) => select.stop_all(),

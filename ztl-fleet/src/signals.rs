@@ -54,6 +54,6 @@ pub(crate) fn code(signal: u8) -> ExitCode {
 }
 
 /// The exit code of a program that a signal interrupted.
-const fn number(signal: u8) -> u8 {
+pub(crate) const fn number(signal: u8) -> u8 {
     signal.saturating_add(128)
 }

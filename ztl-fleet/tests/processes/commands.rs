@@ -1,7 +1,9 @@
 //! The commands that look at a fleet, and the end of those that serve it.
 
+use std::process::Command;
+
 use ztl_std::State;
-use ztl_tests::lab::{Ended, PATIENCE, Process, Server, end, start};
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, start};
 
 use crate::{Fleet, fleet};
 
@@ -67,4 +69,43 @@ fn a_signal_ends_each_part_of_a_fleet_in_order() {
     assert_eq!(endpoint.code, Some(143), "{endpoint:?}");
     let router = ended(fleet.router, "TERM");
     assert_eq!(router.code, Some(143), "{router:?}");
+}
+
+/// `ztl-fleet demo`, whose files are in the directory.
+fn demo(scratch: &Scratch) -> Process {
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_ztl-fleet"));
+    Process::start(demo.arg("demo").env("TMPDIR", scratch.path(".")))
+}
+
+#[track_caller]
+fn assert_nothing_left(scratch: &Scratch) {
+    let left = std::fs::read_dir(scratch.path(".")).unwrap().count();
+    assert_eq!(left, 0);
+}
+
+#[test]
+fn the_demo_shows_a_robot_that_is_cut_off_and_ends_what_it_started() {
+    let scratch = Scratch::new();
+    let demo = demo(&scratch).end(PATIENCE);
+    assert_eq!(demo.code, Some(0), "{demo:?}");
+    for told in [
+        "arm-5  unknown: it is not reached",
+        "arm-5  COMPLETED  waved",
+        "Every task completed, and none ran twice.",
+    ] {
+        assert!(demo.stdout.contains(told), "{demo:?}");
+    }
+    assert_nothing_left(&scratch);
+}
+
+#[test]
+fn a_signal_ends_the_demo_with_all_that_it_started() {
+    let scratch = Scratch::new();
+    for (signal, code) in [("INT", 130), ("TERM", 143)] {
+        let demo = demo(&scratch);
+        demo.wait_for("Initiated task");
+        let ended = ended(demo, signal);
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        assert_nothing_left(&scratch);
+    }
 }
