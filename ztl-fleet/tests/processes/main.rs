@@ -8,6 +8,7 @@
 
 mod commands;
 mod identity;
+mod pictures;
 
 use std::path::Path;
 use std::process::Command;
