@@ -9,6 +9,7 @@
 mod commands;
 mod identity;
 mod pictures;
+mod scene;
 
 use std::path::Path;
 use std::process::Command;
