@@ -60,6 +60,22 @@ impl Caller {
         Self { session, identity }
     }
 
+    /// Asks agents that have a robot's own key: whoever answers is a copy of it.
+    #[must_use]
+    pub fn of_itself(session: Session, robot: &str, own: &KeyPair) -> Self {
+        let public = own.public();
+        let itself = (agent_of(&public), Shared::new(own, &public));
+        let identity = Identity {
+            own: own.clone(),
+            robots: [(robot.to_owned(), itself)].into(),
+            told: Seldom::default(),
+        };
+        Self {
+            session,
+            identity: Some(Arc::new(identity)),
+        }
+    }
+
     /// Its session.
     #[must_use]
     pub const fn session(&self) -> &Session {

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use tracing::warn;
 use ztl_std::Access;
 use ztl_std::files::load_yaml;
-use ztl_std::keys::{KeyFiles, KeyPair, PublicKey};
+use ztl_std::keys::{KeyFiles, KeyPair, PublicKey, exposure};
 use ztl_std::listen::{Listen, one_or_more};
 use ztl_std::scope;
 use ztl_yaml::{Diagnostics, Fields, Node, Reading};
@@ -330,7 +331,11 @@ fn robots<'d>(
 
 fn own_key<'d>(reading: &mut Reading<'d>, node: &'d Node, base: &Path) -> Option<KeyPair> {
     reading.parsed(node, "a file of `ztl keys`, as arm-1.key_secret", |text| {
-        KeyPair::read(&base.join(text))
+        let path = base.join(text);
+        if let Some(exposure) = exposure(&path) {
+            warn!(target: "fleet", "{exposure}");
+        }
+        KeyPair::read(&path)
     })
 }
 
@@ -398,13 +403,21 @@ mod tests {
     use super::*;
 
     fn mistakes(text: &str) -> String {
+        mistakes_of("agent", text, |path| AgentConfig::load(path).map(drop))
+    }
+
+    fn mistakes_of(
+        what: &str,
+        text: &str,
+        load: impl Fn(&Path) -> Result<(), Diagnostics>,
+    ) -> String {
         let directory = std::env::temp_dir();
-        let path = directory.join(format!("ztl-fleet-config-{}.yaml", std::process::id()));
+        let path = directory.join(format!("ztl-fleet-{what}-{}.yaml", std::process::id()));
         std::fs::write(&path, text).unwrap();
-        let loaded = AgentConfig::load(&path);
+        let loaded = load(&path);
         std::fs::remove_file(&path).unwrap();
         let text = loaded.map_or_else(|error| error.to_string(), |_| String::new());
-        text.replace(&format!("{}:", path.display()), "agent.yaml:")
+        text.replace(&format!("{}:", path.display()), &format!("{what}.yaml:"))
     }
 
     #[test]
@@ -443,6 +456,58 @@ mod tests {
         ] {
             let told = mistakes(wrong);
             assert!(told.contains(message), "{message}: {told}");
+        }
+    }
+
+    #[test]
+    fn keys_are_needed_on_both_sides_and_for_each_robot() {
+        let endpoint = |more: &str| {
+            let text = format!("routers: []\n{more}");
+            mistakes_of("endpoint", &text, |path| {
+                EndpointConfig::load(path).map(drop)
+            })
+        };
+        let name = std::env::temp_dir().join(format!("ztl-fleet-desk-{}", std::process::id()));
+        let files = KeyPair::generate().write(&name).unwrap();
+        let name = name.display();
+        let own = format!("fleet-key: {name}.key_secret\n");
+        let arm = format!("arm: {{key: {name}.key}}");
+        assert_eq!(endpoint(&format!("{own}robots: {{{arm}}}\n")), "");
+        for (wrong, message) in [
+            (
+                own.clone(),
+                "endpoint.yaml:2:12: with a fleet-key, 'robots' must name each robot",
+            ),
+            (
+                format!("{own}robots: [arm]\n"),
+                "endpoint.yaml:3:9: found a list; expected a mapping",
+            ),
+            (format!("{own}robots: {{arm: {{}}}}\n"), "key: arm-1.key"),
+            (
+                format!("{own}robots: {{arm: {{key: no.key}}}}\n"),
+                "endpoint.yaml:3:21: ",
+            ),
+            (format!("robots: {{{arm}}}\n"), "endpoint.yaml:2:9: "),
+            (
+                "fleet-key: no.key_secret\nrobots: {}\n".to_owned(),
+                "endpoint.yaml:2:12: ",
+            ),
+        ] {
+            let told = endpoint(&wrong);
+            assert!(told.contains(message), "{message}: {told}");
+        }
+        let robot = "name: a\nserver: tcp://h:7\nrouters: []\n";
+        let clients = format!("client-keys: [{name}.key, /lab={name}.key]\n");
+        assert_eq!(mistakes(&format!("{robot}{own}{clients}")), "");
+        let keyless = mistakes(&format!("{robot}{clients}"));
+        assert!(
+            keyless.contains("agent.yaml:4:14: clients can have keys only if"),
+            "{keyless}"
+        );
+        let unread = mistakes(&format!("{robot}{own}client-keys: no.key\n"));
+        assert!(unread.contains("agent.yaml:5:14: "), "{unread}");
+        for file in files {
+            std::fs::remove_file(file).unwrap();
         }
     }
 }

@@ -54,15 +54,25 @@ pub enum JoinEnd {
         /// The agent that has it.
         by: String,
     },
+    /// Another agent has the robot's key.
+    Copied {
+        /// The robot's name.
+        robot: String,
+    },
 }
 
 impl std::fmt::Display for JoinEnd {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self::NameTaken { robot, by } = self;
-        write!(
-            f,
-            "the name '{robot}' is taken by agent {by}; give this robot another name, or stop that agent"
-        )
+        match self {
+            Self::NameTaken { robot, by } => write!(
+                f,
+                "the name '{robot}' is taken by agent {by}; give this robot another name, or stop that agent"
+            ),
+            Self::Copied { robot } => write!(
+                f,
+                "another agent has the name and the key of robot '{robot}'; give each robot its own, or stop that agent"
+            ),
+        }
     }
 }
 
@@ -78,12 +88,20 @@ struct Shared {
     /// Who may ask, if the robot has a key.
     clients: Clients,
     seen: Mutex<Seen>,
-    told: Seldom,
+    told: Told,
     rules: Mutex<Rules>,
     server: Mutex<ServerState>,
     started: Mutex<Started>,
     busy: AtomicUsize,
     ends: Mutex<Sender<JoinEnd>>,
+}
+
+/// Limits what strangers can make it log.
+#[derive(Debug, Default)]
+struct Told {
+    refusals: Seldom,
+    rivals: Seldom,
+    claims: Seldom,
 }
 
 /// The rules with what they decide about.
@@ -124,7 +142,7 @@ impl Joined {
             client,
             clients: identity.map(asked::clients).unwrap_or_default(),
             seen: Mutex::default(),
-            told: Seldom::default(),
+            told: Told::default(),
             // With a key, the id belongs to it.
             id: identity.map_or(found.agent, |identity| {
                 seal::agent_of(&identity.own.public())
@@ -157,6 +175,13 @@ impl Joined {
             let _ = end.recv();
             return Err(JoinEnd::NameTaken { robot, by: other }.into());
         }
+        if let Some(identity) = &shared.config.identity {
+            let caller = Caller::of_itself(session.clone(), &robot, &identity.own);
+            let copies = caller.infos(&[(robot.clone(), id.clone())], CLAIM);
+            if copies.iter().any(Option::is_some) {
+                return Err(JoinEnd::Copied { robot }.into());
+            }
+        }
         shared.probe();
         shared.offer(&session)?;
         shared.spawn("ztl-fleet-tick", TICK, |shared| {
@@ -174,9 +199,13 @@ impl Joined {
                 && is_there
                 && other != shared.id
             {
+                if shared.config.identity.is_some() {
+                    shared.warn_of_rival(other);
+                    return;
+                }
                 let (session, other) = (session.clone(), other.to_owned());
                 // Zenoh's thread must not wait.
-                let _ = std::thread::Builder::new().spawn(move || shared.on_rival(&session, other));
+                shared.spawn_busy(move |shared| shared.on_rival(&session, other));
             }
         })?;
         info!(target: "fleet", "Robot '{robot}' has joined as agent {id}.");
@@ -226,6 +255,23 @@ impl Shared {
         Ok(())
     }
 
+    /// Acts on a thread of its own, unless there are too many; returns whether it does.
+    fn spawn_busy(self: &Arc<Self>, act: impl FnOnce(&Arc<Self>) + Send + 'static) -> bool {
+        let shared = Arc::clone(self);
+        if self.busy.fetch_add(1, Ordering::SeqCst) < MOST {
+            let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
+            let thread = thread.spawn(move || {
+                act(&shared);
+                shared.busy.fetch_sub(1, Ordering::SeqCst);
+            });
+            if thread.is_ok() {
+                return true;
+            }
+        }
+        self.busy.fetch_sub(1, Ordering::SeqCst);
+        false
+    }
+
     /// Declares what the agent answers.
     fn offer(self: &Arc<Self>, session: &Session) -> Result<(), ZenohError> {
         type Answerer = fn(&Arc<Shared>, Query);
@@ -253,21 +299,11 @@ impl Shared {
                 let Some(shared) = weak.upgrade() else {
                     return;
                 };
-                if shared.busy.fetch_add(1, Ordering::SeqCst) >= MOST {
-                    shared.busy.fetch_sub(1, Ordering::SeqCst);
-                    let reason = "too many requests are waiting, try again";
+                let refused = query.clone();
+                if !shared.spawn_busy(move |shared| answer(shared, query)) {
                     // Somebody else could say so, too: a client believes a sealed answer only.
-                    let _ = query.reply_err(format!("not started: {reason}")).wait();
-                    return;
-                }
-                let busy = Arc::clone(&shared);
-                let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
-                let thread = thread.spawn(move || {
-                    answer(&shared, query);
-                    shared.busy.fetch_sub(1, Ordering::SeqCst);
-                });
-                if thread.is_err() {
-                    busy.busy.fetch_sub(1, Ordering::SeqCst);
+                    let reason = "not started: too many requests are waiting, try again";
+                    let _ = refused.reply_err(reason).wait();
                 }
             });
             queryable.background().wait()?;
@@ -359,7 +395,7 @@ impl Shared {
         let other = parameters.strip_prefix("agent=").and_then(from_hex);
         let other = other.map_or_else(|| "of unknown id".to_owned(), |id| crate::wire::hex(&id));
         let robot = &self.config.name;
-        if self.told.may() {
+        if self.told.claims.may() {
             let refused = match self.config.identity {
                 None => "and was refused",
                 Some(_) => "and an endpoint knows the key of one of the two and refuses the other",
@@ -369,13 +405,17 @@ impl Shared {
         Asked::plain(query).reply(&Verdict::Answer(b"{}".to_vec()));
     }
 
+    /// Another agent claims the name of this one, which belongs to a key.
+    fn warn_of_rival(&self, other: &str) {
+        let robot = &self.config.name;
+        if self.told.rivals.may() {
+            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too; endpoints serve the one whose key they know.");
+        }
+    }
+
     /// Another agent has the same name: of two networks that met. The older claim stays.
     fn on_rival(&self, session: &Session, other: String) {
         let robot = self.config.name.clone();
-        if self.config.identity.is_some() {
-            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too; endpoints serve the one whose key they know.");
-            return;
-        }
         let agents = [(robot.clone(), other.clone())];
         let infos = Caller::plain(session.clone()).infos(&agents, CLAIM);
         let Some(Some(rival)) = infos.into_iter().next() else {

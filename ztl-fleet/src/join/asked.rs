@@ -22,10 +22,12 @@ const MOST_SEEN: usize = 100_000;
 pub(super) type Clients = BTreeMap<[u8; 32], (PublicKey, Arc<seal::Shared>)>;
 
 pub(super) fn clients(identity: &Identity) -> Clients {
-    let clients = identity.clients.iter();
-    let client = |(_, key): &(_, PublicKey)| {
-        let shared = seal::Shared::new(&identity.own, key);
-        (*key.as_bytes(), (*key, Arc::new(shared)))
+    let clients = identity.clients.iter().map(|(_, key)| *key);
+    // A copy of this robot asks whether it is alone; it may use nothing.
+    let clients = clients.chain([identity.own.public()]);
+    let client = |key: PublicKey| {
+        let shared = seal::Shared::new(&identity.own, &key);
+        (*key.as_bytes(), (key, Arc::new(shared)))
     };
     clients.map(client).collect()
 }
@@ -100,7 +102,7 @@ impl Shared {
                 _ => asked.reply(&Verdict::NotStarted(format!("'{what}' is not known"))),
             },
             Err(mistake) => {
-                if self.told.may() {
+                if self.told.refusals.may() {
                     warn!(target: "fleet", "A sealed request is refused: {mistake}.");
                 }
                 // Its sender cannot be told so in a way that proves who says it.

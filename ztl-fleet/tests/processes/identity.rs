@@ -120,6 +120,19 @@ fn a_second_robot_with_another_key_is_never_asked_and_both_are_told() {
 }
 
 #[test]
+fn a_copy_of_a_robot_with_its_key_does_not_join() {
+    let guarded = Guarded::new(ARM, "");
+    let copy = guarded.fleet.start_agent("copy", &guarded.server, ARM);
+    let copy = copy.end(PATIENCE);
+    assert_eq!(copy.code, Some(1), "{copy:?}");
+    let told = "another agent has the name and the key of robot 'arm'";
+    assert!(copy.stderr.contains(told), "{copy:?}");
+    let mut remote = guarded.client();
+    let id = start(&mut remote, "nap", "for", "0");
+    assert_eq!(end(&mut remote, id).0, State::Completed);
+}
+
+#[test]
 fn rules_of_the_robot_and_of_the_endpoint_name_robot_scope_and_client() {
     let robot = "fleet-key: arm.key_secret\nclient-keys: /test=desk.key\n";
     let endpoint = "key: desk.key_secret\nclient-keys: [/arm=anna.key, /leg/test=other.key]\n";
