@@ -1,6 +1,6 @@
 """Somebody hostile who may connect: hostile.py ROUTER ROBOT AGENT.
 
-Claims the robot's name, answers for its agent, and records what is sent to it. Prints each question that the claimed agent
+Claims the robot's name and many others, floods the fleet with answers for its agent, and records what is sent to it. Prints each question that the claimed agent
 gets; at a line on stdin, sends the recorded requests again.
 """
 import json
@@ -27,13 +27,17 @@ def lure(query):
 def answer_for_the_robot(query):
     payload = query.payload.to_bytes()
     recorded.append(payload)
-    for lie in [b"/test;5;1;done", payload, payload[32:], bytes(100)]:
+    if len(recorded) == 1:
+        print("Recording", flush=True)
+    for lie in 20 * [b"/test;5;1;done", payload, payload[32:], bytes(100)]:
         query.reply(query.key_expr, lie)
     query.reply_err("not started: a lie")
 
 
 with zenoh.open(config) as session:
-    token = session.liveliness().declare_token(f"ztl/{robot}/{FORGED}/alive")
+    claims = [FORGED] + [f"{number:032x}" for number in range(500)]
+    tokens = [session.liveliness().declare_token(f"ztl/{robot}/{claim}/alive") for claim in claims]
+    tokens += [session.liveliness().declare_token(f"ztl/robot-{number}/{FORGED}/alive") for number in range(500)]
     forged = session.declare_queryable(f"ztl/{robot}/{FORGED}/**", lure)
     other = session.declare_queryable(f"ztl/{robot}/{agent}/sealed", answer_for_the_robot, complete=True)
     print("Hostile", flush=True)

@@ -32,6 +32,8 @@ fn hostile(fleet: &Fleet, agent: &str) -> Process {
     let args = [fleet.address.as_str(), "arm", agent];
     let hostile = Process::start(&mut python("hostile.py", &args));
     hostile.wait_for("Hostile");
+    // Its claims are many, so that they take a moment to arrive.
+    hostile.wait_for("Recording");
     hostile
 }
 
