@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 use ztl_core::Message;
@@ -12,6 +12,7 @@ use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::join::Stopped;
 use ztl_fleet::session;
 use ztl_fleet::wire::{RobotInfo, Verdict};
+use ztl_std::time::rfc3339;
 use ztl_std::{Description, RemoteId, State};
 
 use crate::{Done, line};
@@ -109,7 +110,10 @@ impl Select {
                 None => ("not there", String::new()),
                 Some((agent, None)) => ("does not answer", format!("agent {agent}")),
                 Some((_, Some(info))) => match &info.problem {
-                    None => ("ready", info.scopes.join(" ")),
+                    None => {
+                        let scopes = info.scopes.join(" ");
+                        ("ready", format!("{scopes}  since {}", wall(info.since)))
+                    }
                     Some(problem) => ("not ready", problem.clone()),
                 },
             };
@@ -307,6 +311,14 @@ fn ask(
         },
     });
     answers.collect()
+}
+
+/// Seconds since 1970 in RFC 3339.
+fn wall(seconds: u64) -> String {
+    let at = UNIX_EPOCH.checked_add(Duration::from_secs(seconds));
+    let text = at.and_then(|at| rfc3339::serialize(&at, serde_json::value::Serializer).ok());
+    let text = text.as_ref().and_then(Value::as_str);
+    text.unwrap_or("an unknown time").to_owned()
 }
 
 fn code(good: bool) -> ExitCode {
