@@ -15,7 +15,7 @@ use ztl_std::keys::KeyPair;
 use crate::config::EndpointConfig;
 use crate::random;
 use crate::seal::{Request, Shared, agent_of};
-use crate::seldom::Seldom;
+use crate::seldom::{Seldom, brief};
 use crate::session::{ZenohError, key, verdict};
 use crate::wire::{RobotInfo, Verdict, fresh};
 
@@ -144,10 +144,7 @@ impl Caller {
                     warn!(target: "fleet", "An answer for robot '{robot}' does not have its key and is dropped.");
                 }
                 None => {
-                    let said: String = String::from_utf8_lossy(&payload)
-                        .chars()
-                        .take(200)
-                        .collect();
+                    let said = brief(&String::from_utf8_lossy(&payload));
                     warn!(target: "fleet", "Robot '{robot}' or somebody for it refuses a request; {refusal}{said}.");
                 }
             }

@@ -24,7 +24,7 @@ use crate::config::AgentConfig;
 use crate::journal::Journal;
 use crate::random;
 use crate::seal;
-use crate::seldom::Seldom;
+use crate::seldom::{Seldom, brief};
 use crate::session::{self, ZenohError, key};
 use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
 use asked::{Asked, Clients, Seen};
@@ -326,8 +326,9 @@ impl Shared {
         };
         // What the server says of itself is about all scopes.
         let scope = Some(message.scope).filter(|scope| *scope != "$ztl");
+        let named = brief(message.scope);
         if !self.may_use(&asked, scope) {
-            warn!(target: "fleet", "{} may not use scope '{}'.", asked.who(), message.scope);
+            warn!(target: "fleet", "{} may not use scope '{named}'.", asked.who());
             return refuse("the robot's 'client-keys' do not allow this");
         }
         let code = message.code().ok().and_then(|code| code.value());
@@ -336,7 +337,7 @@ impl Shared {
             let Some(init) = rules else {
                 return refuse("an INIT needs client, number, boot and until");
             };
-            info!(target: "fleet", "INIT {} for '{}' by {}.", init.id.number, message.scope, asked.who());
+            info!(target: "fleet", "INIT {} for '{named}' by {}.", init.id.number, asked.who());
             let server = self.server_boot();
             let body = asked.body.clone();
             let mut rules = self.rules();
@@ -349,7 +350,7 @@ impl Shared {
             return;
         }
         if is_abort {
-            info!(target: "fleet", "ABORT of {} at '{}' by {}.", message.id, message.scope, asked.who());
+            info!(target: "fleet", "ABORT of {} at '{named}' by {}.", brief(message.id), asked.who());
         }
         let envelope = rules.map(|rules| Envelope {
             client: rules.id.client,

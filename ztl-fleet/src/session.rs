@@ -9,7 +9,7 @@ use zenoh::sample::SampleKind;
 use zenoh::{Config, Session, Wait as _};
 
 use crate::config::Links;
-use crate::wire::{ROOT, Verdict};
+use crate::wire::{ROOT, Verdict, from_hex, is_name};
 
 /// What failed in Zenoh.
 pub type ZenohError = Box<dyn std::error::Error + Send + Sync>;
@@ -74,13 +74,14 @@ pub fn key(robot: &str, agent: &str, what: &str) -> String {
     format!("{ROOT}/{robot}/{agent}/{what}")
 }
 
-/// The robot and the agent in a key.
+/// The robot and the agent in a key; `None` if it has others than [`is_name`] and 32 hexadecimal digits there.
 #[must_use]
 pub fn parts(key: &str) -> Option<(&str, &str)> {
     let mut chunks = key.split('/');
     let root = chunks.next()?;
     let (robot, agent) = (chunks.next()?, chunks.next()?);
-    (root == ROOT).then_some((robot, agent))
+    let fits = root == ROOT && is_name(robot) && from_hex(agent).is_some();
+    fits.then_some((robot, agent))
 }
 
 /// A reply as a verdict.
@@ -159,4 +160,23 @@ pub fn watch_presence(
         })
         .background()
         .wait()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_with_an_odd_name_is_nobodys() {
+        let agent = "0123456789abcdef0123456789abcdef";
+        assert_eq!(parts(&key("arm-1", agent, "alive")), Some(("arm-1", agent)));
+        let odd = "a\nb";
+        for key in [
+            key(odd, agent, "alive"),
+            key("arm", "7", "alive"),
+            format!("x/arm/{agent}/alive"),
+        ] {
+            assert_eq!(parts(&key), None, "{key}");
+        }
+    }
 }

@@ -13,6 +13,7 @@ use super::{LONGEST, Shared};
 use crate::config::Identity;
 use crate::random;
 use crate::seal::{self, Nonce, OVERHEAD, Request};
+use crate::seldom::brief;
 use crate::wire::{Verdict, fresh_until};
 
 /// Most nonces that are remembered.
@@ -85,7 +86,7 @@ impl Asked {
     pub(super) fn who(&self) -> String {
         match &self.sender {
             None => "anybody".to_owned(),
-            Some(sender) => format!("{} for {}", sender.key, sender.who),
+            Some(sender) => format!("{} for {}", sender.key, brief(&sender.who)),
         }
     }
 }
