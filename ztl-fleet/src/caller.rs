@@ -131,22 +131,23 @@ impl Caller {
         let identity = Arc::clone(identity);
         let answered = AtomicBool::new(false);
         let callback = move |reply: Reply| {
-            let (payload, refusal) = match reply.result() {
-                Ok(sample) => (sample.payload().to_bytes(), ""),
-                Err(error) => (error.payload().to_bytes(), "it says: "),
+            let (payload, is_refusal) = match reply.result() {
+                Ok(sample) => (sample.payload().to_bytes(), false),
+                Err(error) => (error.payload().to_bytes(), true),
             };
             let shared = identity.robots.get(&robot);
-            match shared.and_then(|(_, shared)| shared.open_answer(&asked, &payload)) {
-                Some(verdict) if !answered.swap(true, Ordering::SeqCst) => on_reply(verdict),
-                Some(_) => {}
-                None if !identity.told.may() => {}
-                None if refusal.is_empty() => {
-                    warn!(target: "fleet", "An answer for robot '{robot}' does not have its key and is dropped.");
+            let opened = shared.and_then(|(_, shared)| shared.open_answer(&asked, &payload));
+            if let Some(verdict) = opened {
+                if !answered.swap(true, Ordering::SeqCst) {
+                    on_reply(verdict);
                 }
-                None => {
-                    let said = brief(&String::from_utf8_lossy(&payload));
-                    warn!(target: "fleet", "Robot '{robot}' or somebody for it refuses a request; {refusal}{said}.");
-                }
+            } else if !identity.told.may() {
+                // The log has said so.
+            } else if is_refusal {
+                let said = brief(&String::from_utf8_lossy(&payload));
+                warn!(target: "fleet", "Robot '{robot}', or somebody for it, refuses a request: {said}.");
+            } else {
+                warn!(target: "fleet", "An answer for robot '{robot}' does not have its key and is dropped.");
             }
         };
         let handler = CallbackDrop {
