@@ -1,10 +1,12 @@
 //! The files of `ztl-fleet`: one for each agent, endpoint and router, with the same keys for what they share.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use tracing::warn;
 use ztl_std::Access;
 use ztl_std::files::load_yaml;
-use ztl_std::keys::{KeyFiles, KeyPair, PublicKey};
+use ztl_std::keys::{KeyFiles, KeyPair, PublicKey, exposure};
 use ztl_std::listen::{Listen, one_or_more};
 use ztl_std::scope;
 use ztl_yaml::{Diagnostics, Fields, Node, Reading};
@@ -46,10 +48,36 @@ pub struct AgentConfig {
     pub scopes: Vec<String>,
     /// Groups that it belongs to.
     pub groups: Vec<String>,
+    /// The robot's key in the fleet, and who may ask it.
+    pub identity: Option<Identity>,
     /// Directory of what must survive a restart.
     pub state: PathBuf,
     /// How to reach the fleet.
     pub links: Links,
+}
+
+/// Who a robot is, and who may ask it what.
+#[derive(Debug, Clone)]
+pub struct Identity {
+    /// The robot's keys.
+    pub own: KeyPair,
+    /// Keys of clients, each for one scope or for all.
+    pub clients: Vec<(Option<String>, PublicKey)>,
+}
+
+impl Identity {
+    /// Whether the owner of a key may use a scope.
+    #[must_use]
+    pub fn may_use(&self, client: &PublicKey, scope: &str) -> bool {
+        let mut clients = self.clients.iter();
+        clients.any(|(only, key)| key == client && only.as_deref().is_none_or(|only| only == scope))
+    }
+
+    /// Whether the owner of a key may use the whole robot.
+    #[must_use]
+    pub fn may_use_all(&self, client: &PublicKey) -> bool {
+        self.clients.contains(&(None, *client))
+    }
 }
 
 /// The file of an endpoint, and of the commands that look at a fleet.
@@ -57,8 +85,10 @@ pub struct AgentConfig {
 pub struct EndpointConfig {
     /// Where to listen, and who may use it.
     pub listen: Listen,
-    /// The robots that belong to the fleet.
-    pub robots: Vec<String>,
+    /// The robots that belong to the fleet, with their keys if there is a [`fleet_key`](Self::fleet_key).
+    pub robots: BTreeMap<String, Option<PublicKey>>,
+    /// The own keys in the fleet. With them, nothing is sent to robots without a known key.
+    pub fleet_key: Option<KeyPair>,
     /// How to reach the fleet.
     pub links: Links,
 }
@@ -105,6 +135,7 @@ impl AgentConfig {
             let state = fields.optional("state");
             let state = state.and_then(|node| reading.text(node, "a directory"));
             let keys = KeyFiles::take(&mut reading, &mut fields, base);
+            let identity = identity(&mut reading, &mut fields, base);
             let links = links(&mut reading, &mut fields, base, false);
             fields.finish(&mut reading);
             let name: String = name?;
@@ -114,6 +145,7 @@ impl AgentConfig {
                 keys,
                 scopes,
                 groups,
+                identity,
                 state: base.join(state),
                 links,
                 name,
@@ -136,15 +168,16 @@ impl EndpointConfig {
         let read = reading.fields(document.root(), example);
         let read = read.map(|mut fields| {
             let listen = Listen::read(&mut reading, &mut fields, base);
-            let mut robots = Vec::new();
-            for node in fields.optional("robots").map_or(&[][..], one_or_more) {
-                robots.extend(robot(&mut reading, node));
-            }
+            let key_at = fields.present("fleet-key");
+            let fleet_key = key_at.and_then(|node| own_key(&mut reading, node, base));
+            let robots_at = fields.optional("robots");
+            let robots = robots(&mut reading, robots_at, base, key_at);
             let links = links(&mut reading, &mut fields, base, false);
             fields.finish(&mut reading);
             Self {
                 listen,
                 robots,
+                fleet_key,
                 links,
             }
         });
@@ -255,6 +288,89 @@ fn links<'d>(
     links
 }
 
+/// The robots of an endpoint: names, or with a `fleet-key`, a mapping from names to keys.
+fn robots<'d>(
+    reading: &mut Reading<'d>,
+    node: Option<&'d Node>,
+    base: &Path,
+    fleet_key: Option<&'d Node>,
+) -> BTreeMap<String, Option<PublicKey>> {
+    let mut all = BTreeMap::new();
+    let example = "each robot and its key, as arm-1: {key: arm-1.key}";
+    let Some(node) = node else {
+        if let Some(fleet_key) = fleet_key {
+            let message = format!("with a fleet-key, 'robots' must name {example}");
+            reading.wrong(fleet_key, message);
+        }
+        return all;
+    };
+    if fleet_key.is_none() {
+        for node in one_or_more(node) {
+            all.extend(robot(reading, node).map(|name| (name, None)));
+        }
+        return all;
+    }
+    for (name_at, value) in reading.pairs(node, example).unwrap_or_default() {
+        let name = robot(reading, name_at);
+        let key = reading
+            .fields(value, "key: arm-1.key")
+            .and_then(|mut fields| {
+                let node = fields.required("key", "key: arm-1.key");
+                fields.finish(reading);
+                let read = |text: &str| PublicKey::read(&base.join(text));
+                reading.parsed(node?, "the file of the robot's public key", read)
+            });
+        if let (Some(name), Some(key)) = (name, key)
+            && all.insert(name, Some(key)).is_some()
+        {
+            reading.wrong(name_at, "this robot has a key already");
+        }
+    }
+    all
+}
+
+fn own_key<'d>(reading: &mut Reading<'d>, node: &'d Node, base: &Path) -> Option<KeyPair> {
+    reading.parsed(node, "a file of `ztl keys`, as arm-1.key_secret", |text| {
+        let path = base.join(text);
+        if let Some(exposure) = exposure(&path) {
+            warn!(target: "fleet", "{exposure}");
+        }
+        KeyPair::read(&path)
+    })
+}
+
+/// A robot's own key, and who may ask it.
+fn identity<'d>(
+    reading: &mut Reading<'d>,
+    fields: &mut Fields<'d>,
+    base: &Path,
+) -> Option<Identity> {
+    let (own, clients_at) = (fields.present("fleet-key"), fields.present("client-keys"));
+    let Some(own) = own else {
+        if let Some(clients) = clients_at {
+            let message = "clients can have keys only if the robot has one; write fleet-key: arm-1.key_secret";
+            reading.wrong(clients, message);
+        }
+        return None;
+    };
+    let own = own_key(reading, own, base);
+    let mut clients = Vec::new();
+    for node in clients_at.map_or(&[][..], one_or_more) {
+        let what = "a client's key, as desk.key or /lab=desk.key";
+        let read = reading.parsed(node, what, |text| {
+            let (scope, path) = match text.split_once('=') {
+                Some((scope, path)) => (Some(scope.to_owned()), path),
+                None => (None, text),
+            };
+            PublicKey::read_all(&base.join(path)).map(|keys| (scope, keys))
+        });
+        if let Some((scope, keys)) = read {
+            clients.extend(keys.into_iter().map(|key| (scope.clone(), key)));
+        }
+    }
+    Some(Identity { own: own?, clients })
+}
+
 fn address<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<String> {
     reading.parsed(node, what, |text| {
         let rest = text
@@ -287,13 +403,21 @@ mod tests {
     use super::*;
 
     fn mistakes(text: &str) -> String {
+        mistakes_of("agent", text, |path| AgentConfig::load(path).map(drop))
+    }
+
+    fn mistakes_of(
+        what: &str,
+        text: &str,
+        load: impl Fn(&Path) -> Result<(), Diagnostics>,
+    ) -> String {
         let directory = std::env::temp_dir();
-        let path = directory.join(format!("ztl-fleet-config-{}.yaml", std::process::id()));
+        let path = directory.join(format!("ztl-fleet-{what}-{}.yaml", std::process::id()));
         std::fs::write(&path, text).unwrap();
-        let loaded = AgentConfig::load(&path);
+        let loaded = load(&path);
         std::fs::remove_file(&path).unwrap();
         let text = loaded.map_or_else(|error| error.to_string(), |_| String::new());
-        text.replace(&format!("{}:", path.display()), "agent.yaml:")
+        text.replace(&format!("{}:", path.display()), &format!("{what}.yaml:"))
     }
 
     #[test]
@@ -332,6 +456,58 @@ mod tests {
         ] {
             let told = mistakes(wrong);
             assert!(told.contains(message), "{message}: {told}");
+        }
+    }
+
+    #[test]
+    fn keys_are_needed_on_both_sides_and_for_each_robot() {
+        let endpoint = |more: &str| {
+            let text = format!("routers: []\n{more}");
+            mistakes_of("endpoint", &text, |path| {
+                EndpointConfig::load(path).map(drop)
+            })
+        };
+        let name = std::env::temp_dir().join(format!("ztl-fleet-desk-{}", std::process::id()));
+        let files = KeyPair::generate().write(&name).unwrap();
+        let name = name.display();
+        let own = format!("fleet-key: {name}.key_secret\n");
+        let arm = format!("arm: {{key: {name}.key}}");
+        assert_eq!(endpoint(&format!("{own}robots: {{{arm}}}\n")), "");
+        for (wrong, message) in [
+            (
+                own.clone(),
+                "endpoint.yaml:2:12: with a fleet-key, 'robots' must name each robot",
+            ),
+            (
+                format!("{own}robots: [arm]\n"),
+                "endpoint.yaml:3:9: found a list; expected a mapping",
+            ),
+            (format!("{own}robots: {{arm: {{}}}}\n"), "key: arm-1.key"),
+            (
+                format!("{own}robots: {{arm: {{key: no.key}}}}\n"),
+                "endpoint.yaml:3:21: ",
+            ),
+            (format!("robots: {{{arm}}}\n"), "endpoint.yaml:2:9: "),
+            (
+                "fleet-key: no.key_secret\nrobots: {}\n".to_owned(),
+                "endpoint.yaml:2:12: ",
+            ),
+        ] {
+            let told = endpoint(&wrong);
+            assert!(told.contains(message), "{message}: {told}");
+        }
+        let robot = "name: a\nserver: tcp://h:7\nrouters: []\n";
+        let clients = format!("client-keys: [{name}.key, /lab={name}.key]\n");
+        assert_eq!(mistakes(&format!("{robot}{own}{clients}")), "");
+        let keyless = mistakes(&format!("{robot}{clients}"));
+        assert!(
+            keyless.contains("agent.yaml:4:14: clients can have keys only if"),
+            "{keyless}"
+        );
+        let unread = mistakes(&format!("{robot}{own}client-keys: no.key\n"));
+        assert!(unread.contains("agent.yaml:5:14: "), "{unread}");
+        for file in files {
+            std::fs::remove_file(file).unwrap();
         }
     }
 }

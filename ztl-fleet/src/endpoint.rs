@@ -22,6 +22,8 @@ use robots::Robot;
 
 /// How long a request may take, less than a client's timeout of 2 s.
 const LONGEST: Duration = Duration::from_millis(1900);
+/// How long a robot's server may hold a STATUS, in milliseconds, so that its answer arrives in time.
+const LONGEST_HOLD_MS: u64 = 1500;
 /// Pause before a query without a reply is repeated.
 const AGAIN: Duration = Duration::from_millis(100);
 /// How long an INIT may act after it was sent: little longer than its client waits.
@@ -186,17 +188,17 @@ impl Endpoint {
         if let Verdict::Stale { boot, clock_ms } = verdict {
             self.on_clock(now, &pending.robot, &pending.agent, boot, clock_ms);
             pending.stale += 1;
-            if let Ask::Request {
-                rules: Some(rules), ..
-            } = &mut pending.what
-                && pending.stale <= STALE
+            if pending.stale <= STALE
                 && now < pending.deadline
+                && let Ask::Request { rules, .. } = &mut pending.what
             {
                 // The robot says that it did not act on it, and never will.
-                rules.boot = boot;
-                rules.until_ms = clock_ms.saturating_add(VALID_MS);
-                let (id, rules) = (rules.id, *rules);
-                self.note_rules(id, rules);
+                if let Some(rules) = rules {
+                    rules.boot = boot;
+                    rules.until_ms = clock_ms.saturating_add(VALID_MS);
+                    let (id, rules) = (rules.id, *rules);
+                    self.note_rules(id, rules);
+                }
                 return vec![self.ask(now, pending)];
             }
         }
@@ -275,6 +277,12 @@ impl Endpoint {
         }
         self.inits.retain(|_, init| now < init.expires);
         effects
+    }
+
+    /// The client's request that a query under way belongs to.
+    #[must_use]
+    pub fn request_of(&self, query: u64) -> Option<u64> {
+        self.pending.get(&query).map(|pending| pending.request)
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout).

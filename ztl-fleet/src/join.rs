@@ -1,5 +1,6 @@
 //! The agent beside a robot's server: Zenoh on one side, ZeroMQ on the other, and [`Agent`] between them.
 
+mod asked;
 mod server;
 mod stop;
 
@@ -18,11 +19,15 @@ use ztl_std::relay::{NotRelayed, RelayClient};
 use ztl_std::time::now;
 
 use crate::agent::{Agent, AgentEffect, Entry, ServerSaid};
+use crate::caller::Caller;
 use crate::config::AgentConfig;
 use crate::journal::Journal;
 use crate::random;
+use crate::seal;
+use crate::seldom::{Seldom, brief};
 use crate::session::{self, ZenohError, key};
 use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
+use asked::{Asked, Clients, Seen};
 use server::ServerState;
 use stop::Started;
 pub use stop::Stopped;
@@ -49,15 +54,25 @@ pub enum JoinEnd {
         /// The agent that has it.
         by: String,
     },
+    /// Another agent has the robot's key.
+    Copied {
+        /// The robot's name.
+        robot: String,
+    },
 }
 
 impl std::fmt::Display for JoinEnd {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self::NameTaken { robot, by } = self;
-        write!(
-            f,
-            "the name '{robot}' is taken by agent {by}; give this robot another name, or stop that agent"
-        )
+        match self {
+            Self::NameTaken { robot, by } => write!(
+                f,
+                "the name '{robot}' is taken by agent {by}; give this robot another name, or stop that agent"
+            ),
+            Self::Copied { robot } => write!(
+                f,
+                "another agent has the name and the key of robot '{robot}'; give each robot its own, or stop that agent"
+            ),
+        }
     }
 }
 
@@ -70,6 +85,10 @@ struct Shared {
     id: String,
     since: u64,
     client: RelayClient,
+    /// Who may ask, if the robot has a key.
+    clients: Clients,
+    seen: Mutex<Seen>,
+    told: Told,
     rules: Mutex<Rules>,
     server: Mutex<ServerState>,
     started: Mutex<Started>,
@@ -77,11 +96,19 @@ struct Shared {
     ends: Mutex<Sender<JoinEnd>>,
 }
 
+/// Limits what strangers can make it log.
+#[derive(Debug, Default)]
+struct Told {
+    refusals: Seldom,
+    rivals: Seldom,
+    claims: Seldom,
+}
+
 /// The rules with what they decide about.
 struct Rules {
     agent: Agent,
     journal: Journal,
-    queries: HashMap<u64, Query>,
+    queries: HashMap<u64, Asked>,
     next: u64,
 }
 
@@ -107,9 +134,19 @@ impl Joined {
         let robot = config.name.clone();
         let since = UNIX_EPOCH.elapsed().unwrap_or_default().as_secs();
         let (sender, ends) = channel();
+        let identity = config.identity.as_ref();
+        if identity.is_some_and(|identity| identity.clients.is_empty()) {
+            warn!(target: "fleet", "No client may use this robot: 'client-keys' is empty.");
+        }
         let shared = Arc::new(Shared {
             client,
-            id: found.agent,
+            clients: identity.map(asked::clients).unwrap_or_default(),
+            seen: Mutex::default(),
+            told: Told::default(),
+            // With a key, the id belongs to it.
+            id: identity.map_or(found.agent, |identity| {
+                seal::agent_of(&identity.own.public())
+            }),
             since,
             rules: Mutex::new(Rules {
                 agent,
@@ -125,11 +162,25 @@ impl Joined {
         });
         let id = &shared.id;
         let present = session::present(&session, &robot, CLAIM)?;
-        if let Some((_, other)) = present.into_iter().find(|(_, agent)| agent != id) {
+        // With a key, others cannot take the name: endpoints know whose it is.
+        let has_key = shared.config.identity.is_some();
+        let mut others = present.into_iter().filter(|(_, agent)| agent != id);
+        if let Some((_, other)) = others.next().filter(|_| !has_key) {
             // That one is told, too.
-            let claim = format!("{}?agent={id}", key(&robot, &other, "claim"));
-            let _ = session::ask_all(&session, &[claim], b"", CLAIM);
+            let (told, end) = channel();
+            let on_end = move || {
+                let _ = told.send(());
+            };
+            session::claim(&session, &robot, &other, id, CLAIM, on_end)?;
+            let _ = end.recv();
             return Err(JoinEnd::NameTaken { robot, by: other }.into());
+        }
+        if let Some(identity) = &shared.config.identity {
+            let caller = Caller::of_itself(session.clone(), &robot, &identity.own);
+            let copies = caller.infos(&[(robot.clone(), id.clone())], CLAIM);
+            if copies.iter().any(Option::is_some) {
+                return Err(JoinEnd::Copied { robot }.into());
+            }
         }
         shared.probe();
         shared.offer(&session)?;
@@ -148,9 +199,13 @@ impl Joined {
                 && is_there
                 && other != shared.id
             {
+                if shared.config.identity.is_some() {
+                    shared.warn_of_rival(other);
+                    return;
+                }
                 let (session, other) = (session.clone(), other.to_owned());
                 // Zenoh's thread must not wait.
-                let _ = std::thread::Builder::new().spawn(move || shared.on_rival(&session, other));
+                shared.spawn_busy(move |shared| shared.on_rival(&session, other));
             }
         })?;
         info!(target: "fleet", "Robot '{robot}' has joined as agent {id}.");
@@ -200,17 +255,43 @@ impl Shared {
         Ok(())
     }
 
+    /// Acts on a thread of its own, unless there are too many; returns whether it does.
+    fn spawn_busy(self: &Arc<Self>, act: impl FnOnce(&Arc<Self>) + Send + 'static) -> bool {
+        let shared = Arc::clone(self);
+        if self.busy.fetch_add(1, Ordering::SeqCst) < MOST {
+            let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
+            let thread = thread.spawn(move || {
+                act(&shared);
+                shared.busy.fetch_sub(1, Ordering::SeqCst);
+            });
+            if thread.is_ok() {
+                return true;
+            }
+        }
+        self.busy.fetch_sub(1, Ordering::SeqCst);
+        false
+    }
+
     /// Declares what the agent answers.
     fn offer(self: &Arc<Self>, session: &Session) -> Result<(), ZenohError> {
         type Answerer = fn(&Arc<Shared>, Query);
-        let all: [(&str, Answerer); 5] = [
-            ("request", Shared::on_request),
-            ("outcome", Shared::on_outcome),
-            ("info", Shared::on_info),
-            ("stop", Shared::on_stop),
-            ("claim", Shared::on_claim),
+        let plain: [(&str, Answerer); 4] = [
+            ("request", |shared, query| {
+                shared.on_request(Asked::plain(query))
+            }),
+            ("outcome", |shared, query| {
+                shared.on_outcome(Asked::plain(query))
+            }),
+            ("info", |shared, query| shared.on_info(Asked::plain(query))),
+            ("stop", |shared, query| shared.on_stop(Asked::plain(query))),
         ];
-        for (what, answer) in all {
+        let sealed: [(&str, Answerer); 1] = [("sealed", Shared::on_sealed)];
+        let offered = match self.config.identity {
+            None => &plain[..],
+            Some(_) => &sealed[..],
+        };
+        let claim: (&str, Answerer) = ("claim", Shared::on_claim);
+        for &(what, answer) in offered.iter().chain([&claim]) {
             let weak = Arc::downgrade(self);
             let key = key(&self.config.name, &self.id, what);
             let queryable = session.declare_queryable(key).complete(true);
@@ -218,20 +299,11 @@ impl Shared {
                 let Some(shared) = weak.upgrade() else {
                     return;
                 };
-                if shared.busy.fetch_add(1, Ordering::SeqCst) >= MOST {
-                    shared.busy.fetch_sub(1, Ordering::SeqCst);
-                    let reason = "too many requests are waiting, try again";
-                    reply(&query, &Verdict::NotStarted(reason.to_owned()));
-                    return;
-                }
-                let busy = Arc::clone(&shared);
-                let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
-                let thread = thread.spawn(move || {
-                    answer(&shared, query);
-                    shared.busy.fetch_sub(1, Ordering::SeqCst);
-                });
-                if thread.is_err() {
-                    busy.busy.fetch_sub(1, Ordering::SeqCst);
+                let refused = query.clone();
+                if !shared.spawn_busy(move |shared| answer(shared, query)) {
+                    // Somebody else could say so, too: a client believes a sealed answer only.
+                    let reason = "not started: too many requests are waiting, try again";
+                    let _ = refused.reply_err(reason).wait();
                 }
             });
             queryable.background().wait()?;
@@ -240,67 +312,81 @@ impl Shared {
     }
 
     /// A request to the robot's server.
-    fn on_request(self: &Arc<Self>, query: Query) {
-        let body = query
-            .payload()
-            .map(|payload| payload.to_bytes().into_owned());
-        let body = body.unwrap_or_default();
-        let refuse = |reason: &str| reply(&query, &Verdict::NotStarted(reason.to_owned()));
-        if body.len() > LONGEST {
+    fn on_request(self: &Arc<Self>, asked: Asked) {
+        let refuse = |reason: &str| asked.reply(&Verdict::NotStarted(reason.to_owned()));
+        if asked.body.len() > LONGEST {
             return refuse("the request is too long");
         }
-        let rules = match InitRules::parse(query.parameters().as_str()) {
+        let rules = match InitRules::parse(&asked.parameters) {
             Ok(rules) => rules,
             Err(mistake) => return refuse(&mistake),
         };
-        let Ok(message) = Message::parse(&body) else {
+        let Ok(message) = Message::parse(&asked.body) else {
             return refuse("this is not a request");
         };
+        // What the server says of itself is about all scopes.
+        let scope = Some(message.scope).filter(|scope| *scope != "$ztl");
+        let named = brief(message.scope);
+        if !self.may_use(&asked, scope) {
+            warn!(target: "fleet", "{} may not use scope '{named}'.", asked.who());
+            return refuse("the robot's 'client-keys' do not allow this");
+        }
         let code = message.code().ok().and_then(|code| code.value());
+        let is_abort = code == Some(3);
         if code == Some(1) {
             let Some(init) = rules else {
                 return refuse("an INIT needs client, number, boot and until");
             };
+            info!(target: "fleet", "INIT {} for '{named}' by {}.", init.id.number, asked.who());
             let server = self.server_boot();
+            let body = asked.body.clone();
             let mut rules = self.rules();
-            let number = rules.take(query);
+            let number = rules.take(asked);
             let effects = rules.agent.handle_init(now(), number, init, &body, server);
             drop(rules);
             return self.run(effects);
+        }
+        if self.refuse_stale(&asked) {
+            return;
+        }
+        if is_abort {
+            info!(target: "fleet", "ABORT of {} at '{named}' by {}.", brief(message.id), asked.who());
         }
         let envelope = rules.map(|rules| Envelope {
             client: rules.id.client,
             number: rules.id.number,
             early_end: false,
         });
-        reply(
-            &query,
-            &match self.client.ask(envelope, &body, ANSWER) {
-                Ok(answer) => Verdict::Answer(answer),
-                Err(reason) => Verdict::Unknown(reason.to_string()),
-            },
-        );
+        asked.reply(&match self.client.ask(envelope, &asked.body, ANSWER) {
+            Ok(answer) => Verdict::Answer(answer),
+            Err(reason) => Verdict::Unknown(reason.to_string()),
+        });
     }
 
     /// What became of an INIT.
-    fn on_outcome(self: &Arc<Self>, query: Query) {
-        match InitRules::parse(query.parameters().as_str()) {
+    fn on_outcome(self: &Arc<Self>, asked: Asked) {
+        match InitRules::parse(&asked.parameters) {
             Ok(Some(init)) => {
                 let mut rules = self.rules();
-                let number = rules.take(query);
+                let number = rules.take(asked);
                 let effects = rules.agent.handle_outcome(now(), number, init);
                 drop(rules);
                 self.run(effects);
             }
-            Ok(None) => reply(&query, &Verdict::Unknown("'client' is missing".to_owned())),
-            Err(mistake) => reply(&query, &Verdict::Unknown(mistake)),
+            Ok(None) => asked.reply(&Verdict::Unknown("'client' is missing".to_owned())),
+            Err(mistake) => asked.reply(&Verdict::Unknown(mistake)),
         }
     }
 
-    fn on_info(self: &Arc<Self>, query: Query) {
-        let info = self.info();
+    fn on_info(self: &Arc<Self>, asked: Asked) {
+        let mut info = self.info();
+        info.scopes
+            .retain(|scope| self.may_use(&asked, Some(scope)));
+        if !self.may_use(&asked, None) {
+            info.server = None;
+        }
         if let Ok(body) = serde_json::to_vec(&info) {
-            reply(&query, &Verdict::Answer(body));
+            asked.reply(&Verdict::Answer(body));
         }
     }
 
@@ -310,15 +396,29 @@ impl Shared {
         let other = parameters.strip_prefix("agent=").and_then(from_hex);
         let other = other.map_or_else(|| "of unknown id".to_owned(), |id| crate::wire::hex(&id));
         let robot = &self.config.name;
-        warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, and was refused.");
-        reply(&query, &Verdict::Answer(b"{}".to_vec()));
+        if self.told.claims.may() {
+            let refused = match self.config.identity {
+                None => "and was refused",
+                Some(_) => "and an endpoint knows the key of one of the two and refuses the other",
+            };
+            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, {refused}.");
+        }
+        Asked::plain(query).reply(&Verdict::Answer(b"{}".to_vec()));
+    }
+
+    /// Another agent claims the name of this one, which belongs to a key.
+    fn warn_of_rival(&self, other: &str) {
+        let robot = &self.config.name;
+        if self.told.rivals.may() {
+            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too; endpoints serve the one whose key they know.");
+        }
     }
 
     /// Another agent has the same name: of two networks that met. The older claim stays.
     fn on_rival(&self, session: &Session, other: String) {
         let robot = self.config.name.clone();
         let agents = [(robot.clone(), other.clone())];
-        let infos = session::infos(session, &agents, CLAIM);
+        let infos = Caller::plain(session.clone()).infos(&agents, CLAIM);
         let Some(Some(rival)) = infos.into_iter().next() else {
             warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, and does not answer.");
             return;
@@ -364,8 +464,8 @@ impl Shared {
                 match effect {
                     AgentEffect::Reply { query, verdict } => {
                         let query = self.rules().queries.remove(&query);
-                        if let Some(query) = query {
-                            reply(&query, &verdict);
+                        if let Some(asked) = query {
+                            asked.reply(&verdict);
                         }
                     }
                     AgentEffect::Record(entry) => {
@@ -429,7 +529,7 @@ impl Shared {
 
 impl Rules {
     /// Keeps a query until it is answered.
-    fn take(&mut self, query: Query) -> u64 {
+    fn take(&mut self, query: Asked) -> u64 {
         self.next += 1;
         self.queries.insert(self.next, query);
         self.next
@@ -442,13 +542,4 @@ const fn envelope(id: InitId) -> Envelope {
         number: id.number,
         early_end: false,
     }
-}
-
-/// Answers a query. It fails only if nobody waits any more.
-fn reply(query: &Query, verdict: &Verdict) {
-    let (is_answer, payload) = verdict.to_payload();
-    let _ = match is_answer {
-        true => query.reply(query.key_expr().clone(), payload).wait(),
-        false => query.reply_err(payload).wait(),
-    };
 }

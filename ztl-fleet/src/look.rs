@@ -1,22 +1,26 @@
 //! The commands that look at a fleet, and the one that stops it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Duration;
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
-use zenoh::Session;
 use ztl_core::Message;
+use ztl_fleet::caller::Caller;
 use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::join::Stopped;
-use ztl_fleet::session::{self, key};
+use ztl_fleet::session;
 use ztl_fleet::wire::{RobotInfo, Verdict};
+use ztl_std::time::rfc3339;
+use ztl_std::{Description, RemoteId, State};
 
 use crate::{Done, line};
 
 /// How long robots may take to answer.
 const LIMIT: Duration = Duration::from_secs(2);
+/// Pause between two ABORTs.
+const PAUSE: Duration = Duration::from_millis(50);
 /// How long they may take to stop.
 const STOPPING: Duration = Duration::from_secs(10);
 
@@ -31,21 +35,51 @@ pub(crate) struct Select {
     group: Option<String>,
 }
 
+/// Names with the agents that claim them.
+pub(crate) type Agents = Vec<(String, String)>;
+
+pub(crate) fn refusal(robot: &str, agent: &str) -> String {
+    format!("{robot}  refused  agent {agent} does not have the key of this name")
+}
+
 /// A robot that belongs to the fleet.
-struct Found {
-    name: String,
+#[derive(Debug)]
+pub(crate) struct Found {
+    pub(crate) name: String,
     /// Its agent, and what that says, if it answers.
-    agent: Option<(String, Option<RobotInfo>)>,
+    pub(crate) agent: Option<(String, Option<RobotInfo>)>,
 }
 
 impl Select {
-    fn find(&self) -> Result<(Session, Vec<Found>), session::ZenohError> {
+    /// Connects to the fleet.
+    pub(crate) fn open(&self) -> Result<(Caller, EndpointConfig), session::ZenohError> {
         let config = EndpointConfig::load(&self.file)?;
         let session = session::open(&config.links, false)?;
-        let agents = session::present(&session, "*", LIMIT)?;
-        let infos = session::infos(&session, &agents, LIMIT);
+        Ok((Caller::new(session, &config), config))
+    }
+
+    fn find(&self) -> Result<(Caller, Vec<Found>), session::ZenohError> {
+        let (caller, config) = self.open()?;
+        let (all, refused) = self.look(&caller, &config)?;
+        for (robot, agent) in refused {
+            line(refusal(&robot, &agent))?;
+        }
+        Ok((caller, all))
+    }
+
+    /// The robots that are there or should be, and agents that do not have the key of their name.
+    pub(crate) fn look(
+        &self,
+        caller: &Caller,
+        config: &EndpointConfig,
+    ) -> Result<(Vec<Found>, Agents), session::ZenohError> {
+        let present = session::present(caller.session(), "*", LIMIT)?;
+        let (agents, refused): (Agents, Agents) = present
+            .into_iter()
+            .partition(|(robot, agent)| caller.accepts(robot, agent));
+        let infos = caller.infos(&agents, LIMIT);
         let there: BTreeSet<&String> = agents.iter().map(|(robot, _)| robot).collect();
-        let missing = config.robots.iter().filter(|name| !there.contains(name));
+        let missing = config.robots.keys().filter(|name| !there.contains(name));
         let missing = missing.map(|name| Found {
             name: name.clone(),
             agent: None,
@@ -63,12 +97,12 @@ impl Select {
             }
         }
         all.sort_by(|a, b| a.name.cmp(&b.name));
-        Ok((session, all))
+        Ok((all, refused))
     }
 
     /// Exit code 0 if all robots are there and ready.
     pub(crate) fn ls(self) -> Done {
-        let (_session, all) = self.find()?;
+        let (_caller, all) = self.find()?;
         let mut good = true;
         for found in &all {
             let name = &found.name;
@@ -76,7 +110,10 @@ impl Select {
                 None => ("not there", String::new()),
                 Some((agent, None)) => ("does not answer", format!("agent {agent}")),
                 Some((_, Some(info))) => match &info.problem {
-                    None => ("ready", info.scopes.join(" ")),
+                    None => {
+                        let scopes = info.scopes.join(" ");
+                        ("ready", format!("{scopes}  since {}", wall(info.since)))
+                    }
                     Some(problem) => ("not ready", problem.clone()),
                 },
             };
@@ -86,41 +123,84 @@ impl Select {
         Ok(code(good))
     }
 
-    /// Exit code 0 if all robots have answered.
+    /// Exit code 0 if all robots have told all their tasks.
     pub(crate) fn ps(self) -> Done {
-        let (session, all) = self.find()?;
+        let (caller, all) = self.find()?;
         let mut good = true;
-        let answers = ask(&session, &all, "request", b"$ztl;2;-1;tasks", LIMIT);
-        for (found, answer) in all.iter().zip(answers) {
+        for (found, tasks) in all.iter().zip(tasks(&caller, &all)) {
             let name = &found.name;
-            let tasks = answer.and_then(|body| {
-                let message = Message::parse(&body).ok()?;
-                let told: Value = serde_json::from_str(message.payload).ok()?;
-                Some(told.get("tasks")?.as_array()?.clone())
-            });
             let Some(tasks) = tasks else {
                 good = false;
                 line(format_args!("{name}  unknown: it does not list its tasks"))?;
                 continue;
             };
-            for task in tasks {
-                let state = task.get("state").and_then(Value::as_u64);
-                if state.is_some_and(|state| state < 2) {
-                    let text = |key| task.get(key).and_then(Value::as_str).unwrap_or_default();
-                    let id = task.get("id").map(Value::to_string).unwrap_or_default();
-                    let (scope, goal, text) = (text("scope"), text("task"), text("text"));
+            for (id, task) in tasks.of {
+                if task.may_run() {
+                    let Task {
+                        scope, goal, text, ..
+                    } = task;
                     line(format_args!("{id}  /{name}{scope}  {goal}  {text}"))?;
                 }
+            }
+            if tasks.unread > 0 {
+                good = false;
+                line(format_args!(
+                    "{name}  unknown: {} more tasks run",
+                    tasks.unread
+                ))?;
             }
         }
         Ok(code(good))
     }
 
+    /// Exit code 0 if the task has ended.
+    pub(crate) fn abort(self, scope: &str, id: &RemoteId) -> Done {
+        let scope = scope.strip_prefix('/').unwrap_or(scope);
+        let Some((name, own)) = scope.find('/').and_then(|end| scope.split_at_checked(end)) else {
+            return Err(format!("'{scope}' is not the scope of a robot, as arm-1/lab").into());
+        };
+        let (caller, all) = self.find()?;
+        let found = all
+            .into_iter()
+            .find(|found| found.name == name && found.agent.is_some());
+        let Some(found) = found else {
+            return Err(format!("robot '{name}' is not there").into());
+        };
+        let all = [found];
+        let end = Instant::now() + STOPPING;
+        loop {
+            let body = format!("{own};3;{id};abort command");
+            let answer = ask(&caller, &all, "request", body.as_bytes(), LIMIT);
+            let answer = answer.into_iter().flatten().next();
+            let told = answer.as_deref().and_then(|body| Message::parse(body).ok());
+            let about = told.filter(|told| told.scope == own && told.id == id.to_string());
+            let state = about
+                .as_ref()
+                .and_then(|told| told.state.parse::<i64>().ok());
+            let text = about.as_ref().map_or("no answer", |told| told.payload);
+            match state.and_then(State::from_code) {
+                Some(State::Rejected) => {
+                    line(format_args!("{id}  /{scope}  unknown: {text}"))?;
+                    return Ok(code(false));
+                }
+                Some(state) if state.is_final() => {
+                    line(format_args!("{id}  /{scope}  {state}  {text}"))?;
+                    return Ok(code(true));
+                }
+                _ if Instant::now() >= end => {
+                    line(format_args!("{id}  /{scope}  may still run: {text}"))?;
+                    return Ok(code(false));
+                }
+                _ => std::thread::sleep(PAUSE),
+            }
+        }
+    }
+
     /// Exit code 0 if every robot has confirmed that nothing runs.
     pub(crate) fn stop_all(self) -> Done {
-        let (session, all) = self.find()?;
+        let (caller, all) = self.find()?;
         let mut good = true;
-        let answers = ask(&session, &all, "stop", b"", STOPPING);
+        let answers = ask(&caller, &all, "stop", b"", STOPPING);
         for (found, answer) in all.iter().zip(answers) {
             let name = &found.name;
             let told = answer.and_then(|body| serde_json::from_slice::<Stopped>(&body).ok());
@@ -140,9 +220,78 @@ impl Select {
     }
 }
 
+/// A task as its robot lists it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct Task {
+    pub(crate) scope: String,
+    pub(crate) goal: String,
+    pub(crate) text: String,
+    pub(crate) state: Option<State>,
+}
+
+impl Task {
+    pub(crate) fn may_run(&self) -> bool {
+        self.state.is_none_or(|state| !state.is_final())
+    }
+}
+
+/// The tasks of a robot.
+#[derive(Debug, Default)]
+pub(crate) struct Tasks {
+    /// By id.
+    pub(crate) of: BTreeMap<String, Task>,
+    /// How many more run.
+    unread: usize,
+}
+
+/// The tasks of each robot by its list and by its probe; `None` where it has not told them.
+pub(crate) fn tasks(caller: &Caller, all: &[Found]) -> Vec<Option<Tasks>> {
+    let told = |question: &str| {
+        let question = format!("$ztl;2;-1;{question}");
+        ask(caller, all, "request", question.as_bytes(), LIMIT)
+    };
+    let pairs = told("tasks").into_iter().zip(told("probe"));
+    pairs
+        .map(|(list, probe)| {
+            let mut all = listed(&list?)?;
+            let probe = probe?;
+            let probe = Message::parse(&probe).ok()?;
+            let probe = Description::read(probe.payload.to_owned()).ok()?;
+            all.unread = probe.unread;
+            for (id, scope) in probe.running.into_iter().flatten() {
+                let task = Task {
+                    scope,
+                    ..Task::default()
+                };
+                all.of.entry(id.to_string()).or_insert(task);
+            }
+            Some(all)
+        })
+        .collect()
+}
+
+fn listed(body: &[u8]) -> Option<Tasks> {
+    let message = Message::parse(body).ok()?;
+    let told: Value = serde_json::from_str(message.payload).ok()?;
+    let mut all = Tasks::default();
+    for task in told.get("tasks")?.as_array()? {
+        let text = |key| task.get(key).and_then(Value::as_str).unwrap_or_default();
+        let state = task.get("state").and_then(Value::as_i64);
+        let id = task.get("id").map(Value::to_string).unwrap_or_default();
+        let task = Task {
+            scope: text("scope").to_owned(),
+            goal: text("task").to_owned(),
+            text: text("text").to_owned(),
+            state: state.and_then(State::from_code),
+        };
+        all.of.insert(id, task);
+    }
+    Some(all)
+}
+
 /// Asks all robots at once; `None` where there is no answer.
 fn ask(
-    session: &Session,
+    caller: &Caller,
     all: &[Found],
     what: &str,
     payload: &[u8],
@@ -150,10 +299,10 @@ fn ask(
 ) -> Vec<Option<Vec<u8>>> {
     let there = all.iter().filter_map(|found| {
         let (agent, _) = found.agent.as_ref()?;
-        Some(key(&found.name, agent, what))
+        Some((found.name.clone(), agent.clone()))
     });
-    let selectors: Vec<String> = there.collect();
-    let mut verdicts = session::ask_all(session, &selectors, payload, limit).into_iter();
+    let agents: Vec<(String, String)> = there.collect();
+    let mut verdicts = caller.ask_all(&agents, what, payload, limit).into_iter();
     let answers = all.iter().map(|found| match &found.agent {
         None => None,
         Some(_) => match verdicts.next().flatten() {
@@ -162,6 +311,14 @@ fn ask(
         },
     });
     answers.collect()
+}
+
+/// Seconds since 1970 in RFC 3339.
+fn wall(seconds: u64) -> String {
+    let at = UNIX_EPOCH.checked_add(Duration::from_secs(seconds));
+    let text = at.and_then(|at| rfc3339::serialize(&at, serde_json::value::Serializer).ok());
+    let text = text.as_ref().and_then(Value::as_str);
+    text.unwrap_or("an unknown time").to_owned()
 }
 
 fn code(good: bool) -> ExitCode {

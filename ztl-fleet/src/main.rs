@@ -2,15 +2,20 @@
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
+mod demo;
 mod look;
+mod signals;
+mod watch;
 
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use clap::{Parser, Subcommand};
 use tracing_subscriber::filter::LevelFilter;
+use zenoh::Wait as _;
 use ztl_fleet::config::{AgentConfig, EndpointConfig, Links};
 use ztl_fleet::join::Joined;
 use ztl_fleet::serve::Serving;
@@ -43,6 +48,20 @@ enum Command {
     Ls(look::Select),
     /// Show which tasks run
     Ps(look::Select),
+    /// Show who comes and goes, and which tasks start and end, until a signal
+    Watch(look::Select),
+    /// Abort a task of a robot
+    Abort {
+        #[command(flatten)]
+        select: look::Select,
+        /// The robot's scope, as arm-1/lab
+        #[arg(value_name = "NAME/SCOPE")]
+        scope: String,
+        /// The task's id
+        id: ztl_std::RemoteId,
+    },
+    /// Run a demo: five robots in two rooms, a router, and a scene across all, with one robot cut off meanwhile
+    Demo(demo::Demo),
     /// Stop all tasks of all robots, and name those that did not confirm it
     StopAll(look::Select),
 }
@@ -64,13 +83,21 @@ type Done = Result<ExitCode, Box<dyn std::error::Error + Send + Sync>>;
 /// A mistake in the configuration, after which a restart does not help.
 const MISCONFIGURED: u8 = 2;
 
+/// How often an agent looks whether a signal came.
+const LOOK: Duration = Duration::from_millis(100);
+
 fn main() -> ExitCode {
+    let command = Cli::parse().command;
+    let level = match &command {
+        Command::Demo(demo) => demo.level(),
+        _ => LevelFilter::INFO,
+    };
     tracing_subscriber::fmt()
-        .with_max_level(LevelFilter::INFO)
+        .with_max_level(level)
         .with_writer(std::io::stderr)
         .with_ansi(false)
         .init();
-    match run(Cli::parse().command) {
+    match run(command) {
         Ok(code) => code,
         Err(error) => {
             let mut stderr = std::io::stderr();
@@ -92,10 +119,14 @@ fn run(command: Command) -> Done {
             if check {
                 return fine(&file);
             }
+            let signals = signals::catch()?;
             let joined = Joined::join(config)?;
             loop {
-                if let Some(end) = joined.wait(Duration::from_secs(3600)) {
+                if let Some(end) = joined.wait(LOOK) {
                     return Err(end.into());
+                }
+                if let Ok(signal) = signals.try_recv() {
+                    return Ok(signals::code(signal));
                 }
             }
         }
@@ -109,24 +140,39 @@ fn run(command: Command) -> Done {
             if check {
                 return fine(&file);
             }
+            let signals = signals::catch()?;
             let serving = Serving::bind(&config)?;
             line(format_args!("Serving {}", serving.endpoint()))?;
+            let stopper = serving.stopper();
+            let (told, signal) = channel();
+            let thread = std::thread::Builder::new().name("ztl-fleet-end".to_owned());
+            thread.spawn(move || {
+                if let Ok(signal) = signals.recv() {
+                    // The receiver waits for the end of the endpoint.
+                    let _ = told.send(signal);
+                    stopper.stop();
+                }
+            })?;
             serving.run()?;
-            Ok(ExitCode::SUCCESS)
+            Ok(signal.try_recv().map_or(ExitCode::SUCCESS, signals::code))
         }
         Command::Router(File { file, check }) => {
             let links = Links::load_router(&file)?;
             if check {
                 return fine(&file);
             }
-            let _session = session::open(&links, true)?;
+            let signals = signals::catch()?;
+            let session = session::open(&links, true)?;
             line(format_args!("Routing at {}", links.listen.join(", ")))?;
-            loop {
-                std::thread::park();
-            }
+            let signal = signals.recv()?;
+            session.close().wait()?;
+            Ok(signals::code(signal))
         }
         Command::Ls(select) => select.ls(),
         Command::Ps(select) => select.ps(),
+        Command::Demo(demo) => demo.run(),
+        Command::Watch(select) => select.watch(),
+        Command::Abort { select, scope, id } => select.abort(&scope, &id),
         Command::StopAll(select) => select.stop_all(),
     }
 }

@@ -5,19 +5,23 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use tracing::{info, warn};
-use zenoh::Session;
 use ztl_std::relay::{RelayAnswers, RelayPath, RelayServer, RelayedRequest};
 use ztl_std::time::now;
 use ztl_std::{Access, BindError};
 
+use crate::caller::Caller;
 use crate::config::EndpointConfig;
 use crate::endpoint::{Ask, ClientRequest, Endpoint, EndpointEffect};
 use crate::random;
-use crate::session::{self, ZenohError, key};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict};
+use crate::seal::Request;
+use crate::seldom::Seldom;
+use crate::session::{self, ZenohError};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, fresh};
 
 /// How often robots are asked what they are.
 const INFO: Duration = Duration::from_secs(2);
+/// How long a request that is no INIT may act, by the robot's clock.
+const VALID_MS: u64 = 2500;
 
 /// What happens.
 enum Event {
@@ -32,7 +36,7 @@ enum Event {
 /// An endpoint that is bound and does not serve yet.
 pub struct Serving {
     server: RelayServer,
-    session: Session,
+    caller: Caller,
     access: Access,
 }
 
@@ -50,7 +54,7 @@ impl Serving {
             RelayServer::bind(&endpoint, access.clone(), config.listen.limits);
         Ok(Self {
             server: bound?,
-            session: session::open(&config.links, false)?,
+            caller: Caller::new(session::open(&config.links, false)?, config),
             access,
         })
     }
@@ -74,7 +78,7 @@ impl Serving {
     pub fn run(self) -> Result<(), ZenohError> {
         let (sender, events) = channel();
         let presence = sender.clone();
-        session::watch_presence(&self.session, "*", move |robot, agent, is_there| {
+        session::watch_presence(self.caller.session(), "*", move |robot, agent, is_there| {
             let names = (robot.to_owned(), agent.to_owned());
             let event = match is_there {
                 true => Event::Alive(names.0, names.1),
@@ -85,11 +89,13 @@ impl Serving {
         })?;
         let loops = Loop {
             machine: Endpoint::new(random::boot()?),
-            session: self.session,
+            caller: self.caller,
+            told: Seldom::default(),
             answers: self.server.answers(),
             access: self.access,
             sender: sender.clone(),
             paths: HashMap::new(),
+            who: HashMap::new(),
             next: 0,
         };
         let thread = std::thread::Builder::new().name("ztl-fleet-rules".to_owned());
@@ -107,11 +113,15 @@ impl Serving {
 /// What the endpoint's thread owns.
 struct Loop {
     machine: Endpoint,
-    session: Session,
+    caller: Caller,
+    /// Limits how often it is told who claims a name.
+    told: Seldom,
     answers: RelayAnswers,
     access: Access,
     sender: Sender<Event>,
     paths: HashMap<u64, RelayPath>,
+    /// The keys of the clients that wait, for the robots' logs.
+    who: HashMap<u64, String>,
     next: u64,
 }
 
@@ -161,15 +171,32 @@ impl Loop {
                 };
                 self.paths.insert(self.next, request.path);
                 let (client, access) = (request.client, &self.access);
-                let may_use = |scope: &str| client.is_none_or(|key| access.may_use(&key, scope));
+                if let Some(key) = client {
+                    self.who.insert(self.next, key.to_string());
+                }
+                let may_use = |scope: &str| {
+                    // A rule may name a scope of a robot, or the whole robot.
+                    let robot = scope.match_indices('/').nth(1);
+                    let robot = robot.and_then(|(end, _)| scope.get(..end));
+                    let may = |key| {
+                        access.may_use(&key, scope)
+                            || robot.is_some_and(|robot| access.may_use(&key, robot))
+                    };
+                    client.is_none_or(may)
+                };
                 self.machine.handle_request(now(), asked, may_use)
             }
             Event::Verdict(query, verdict) => self.machine.handle_verdict(now(), query, verdict),
             Event::NoReply(query) => self.machine.handle_no_reply(now(), query),
+            Event::Alive(robot, agent) if !self.caller.accepts(&robot, &agent) => {
+                self.refuse(&robot, &agent);
+                Vec::new()
+            }
             Event::Alive(robot, agent) => {
                 info!(target: "fleet", "Robot '{robot}' is there (agent {agent}).");
                 self.machine.handle_alive(&robot, &agent)
             }
+            Event::Gone(robot, agent) if !self.caller.accepts(&robot, &agent) => Vec::new(),
             Event::Gone(robot, agent) => {
                 info!(target: "fleet", "Robot '{robot}' is gone (agent {agent}).");
                 self.machine.handle_gone(&robot, &agent)
@@ -186,11 +213,13 @@ impl Loop {
         for effect in effects {
             match effect {
                 EndpointEffect::Answer { request, body } => {
+                    self.who.remove(&request);
                     if let Some(path) = self.paths.remove(&request) {
                         self.answers.send(path, body);
                     }
                 }
                 EndpointEffect::Silence { request } => {
+                    self.who.remove(&request);
                     self.paths.remove(&request);
                 }
                 EndpointEffect::Ask {
@@ -212,7 +241,25 @@ impl Loop {
         }
     }
 
+    /// Tells who claims a name that is bound to another key, and who has it.
+    fn refuse(&self, robot: &str, agent: &str) {
+        if !self.told.may() {
+            return;
+        }
+        let Some(bound) = self.caller.bound(robot) else {
+            warn!(target: "fleet", "Agent {agent} claims the name '{robot}', for which no key is known here; it is not served.");
+            return;
+        };
+        warn!(target: "fleet", "Agent {agent} claims the name '{robot}', which belongs to the key of agent {bound}; it is not served.");
+        for (agent, other) in [(agent, bound), (bound, agent)] {
+            // Whoever does not hear it is not served either.
+            let _ = session::claim(self.caller.session(), robot, agent, other, INFO, || {});
+        }
+    }
+
     fn ask(&self, query: u64, robot: &str, agent: &str, what: Ask, limit: Duration) {
+        let (boot, clock_ms) = self.machine.clock(now(), robot);
+        let until_ms = clock_ms.saturating_add(VALID_MS);
         let (what, rules, body) = match what {
             Ask::Request {
                 rules,
@@ -224,17 +271,22 @@ impl Loop {
                         client: envelope.client,
                         number: envelope.number,
                     },
-                    boot: 0,
-                    until_ms: 0,
+                    boot,
+                    until_ms,
                 });
                 ("request", rules.or(plain), body)
             }
             Ask::Outcome(rules) => ("outcome", Some(rules), Vec::new()),
         };
-        let mut selector = key(robot, agent, what);
-        if let Some(rules) = rules {
-            selector = format!("{selector}?{}", rules.to_parameters());
-        }
+        let who = self.machine.request_of(query);
+        let who = who.and_then(|request| self.who.get(&request));
+        let request = Request {
+            robot,
+            what,
+            parameters: &rules.map_or_else(|| fresh(boot, until_ms), |rules| rules.to_parameters()),
+            who: who.map_or("anybody", String::as_str),
+            body: &body,
+        };
         let (replies, ends) = (self.sender.clone(), self.sender.clone());
         let on_reply = move |verdict| {
             let _ = replies.send(Event::Verdict(query, verdict));
@@ -242,7 +294,8 @@ impl Loop {
         let on_end = move || {
             let _ = ends.send(Event::NoReply(query));
         };
-        if session::ask(&self.session, &selector, &body, limit, on_reply, on_end).is_err() {
+        let asked = self.caller.ask(agent, &request, limit, on_reply, on_end);
+        if asked.is_err() {
             let _ = self.sender.send(Event::NoReply(query));
         }
     }
@@ -259,14 +312,14 @@ impl Loop {
                 let _ = sender.send(Event::Info(info));
             }
         };
+        let request = Request {
+            robot,
+            what: "info",
+            parameters: "",
+            who: "ztl-fleet",
+            body: b"",
+        };
         // It is asked again soon.
-        let _ = session::ask(
-            &self.session,
-            &key(robot, agent, "info"),
-            b"",
-            INFO,
-            on_reply,
-            || {},
-        );
+        let _ = self.caller.ask(agent, &request, INFO, on_reply, || {});
     }
 }

@@ -1,6 +1,5 @@
-//! Sessions of Zenoh: opened with the fleet's settings, and asked without its types.
+//! Sessions of Zenoh: opened with the fleet's settings, and who is there.
 
-use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
 use serde_json::{Value, json};
@@ -10,13 +9,15 @@ use zenoh::sample::SampleKind;
 use zenoh::{Config, Session, Wait as _};
 
 use crate::config::Links;
-use crate::wire::{ROOT, RobotInfo, Verdict};
+use crate::wire::{ROOT, Verdict, from_hex, is_name};
 
 /// What failed in Zenoh.
 pub type ZenohError = Box<dyn std::error::Error + Send + Sync>;
 
 /// After this silence a connection counts as lost.
 const LEASE_MS: u32 = 3000;
+/// Longest message that is taken, in bytes: Zenoh's own limit is 1 GiB, an answer of a server about 4 MiB.
+const LONGEST: usize = 8 << 20;
 /// Longest pause before a connection is tried again.
 const RETRY_MS: u32 = 1000;
 
@@ -36,7 +37,10 @@ fn settings(links: &Links, mode: &str) -> Value {
         },
         "listen": { "endpoints": links.listen },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-        "transport": { "link": { "tx": { "lease": LEASE_MS } } },
+        "transport": { "link": {
+            "tx": { "lease": LEASE_MS },
+            "rx": { "max_message_size": LONGEST },
+        } },
     });
     if let Some(tls) = &links.tls
         && let Some(link) = all.pointer_mut("/transport/link")
@@ -70,13 +74,14 @@ pub fn key(robot: &str, agent: &str, what: &str) -> String {
     format!("{ROOT}/{robot}/{agent}/{what}")
 }
 
-/// The robot and the agent in a key.
+/// The robot and the agent in a key; `None` if it has others than [`is_name`] and 32 hexadecimal digits there.
 #[must_use]
 pub fn parts(key: &str) -> Option<(&str, &str)> {
     let mut chunks = key.split('/');
     let root = chunks.next()?;
     let (robot, agent) = (chunks.next()?, chunks.next()?);
-    (root == ROOT).then_some((robot, agent))
+    let fits = root == ROOT && is_name(robot) && from_hex(agent).is_some();
+    fits.then_some((robot, agent))
 }
 
 /// A reply as a verdict.
@@ -88,59 +93,24 @@ pub fn verdict(reply: &Reply) -> Verdict {
     }
 }
 
-/// A query. Its first reply, then its end go to the functions.
+/// Tells an agent that another one claims its name. `on_end` is called when it has heard that, or cannot.
 ///
 /// # Errors
 /// Zenoh's, if nothing was sent.
-pub fn ask(
+pub fn claim(
     session: &Session,
-    selector: &str,
-    payload: &[u8],
+    robot: &str,
+    agent: &str,
+    other: &str,
     limit: Duration,
-    on_reply: impl Fn(Verdict) + Send + Sync + 'static,
     on_end: impl FnMut() + Send + Sync + 'static,
 ) -> Result<(), ZenohError> {
+    let selector = format!("{}?agent={other}", key(robot, agent, "claim"));
     let handler = CallbackDrop {
-        callback: move |reply: Reply| on_reply(verdict(&reply)),
+        callback: |_: Reply| {},
         drop: on_end,
     };
-    let query = session.get(selector).payload(payload).timeout(limit);
-    query.with(handler).wait()
-}
-
-/// Asks several agents at once, and waits for their replies. `None` where there is none within the limit.
-#[must_use]
-pub fn ask_all(
-    session: &Session,
-    selectors: &[String],
-    payload: &[u8],
-    limit: Duration,
-) -> Vec<Option<Verdict>> {
-    let (sender, receiver) = channel();
-    for (index, selector) in selectors.iter().enumerate() {
-        let (replies, ends): (Sender<(usize, Option<Verdict>)>, _) =
-            (sender.clone(), sender.clone());
-        let on_reply = move |verdict| {
-            // The receiver is there as long as this function.
-            let _ = replies.send((index, Some(verdict)));
-        };
-        let on_end = move || {
-            let _ = ends.send((index, None));
-        };
-        if ask(session, selector, payload, limit, on_reply, on_end).is_err() {
-            let _ = sender.send((index, None));
-        }
-    }
-    drop(sender);
-    let mut all = vec![None; selectors.len()];
-    for (index, verdict) in receiver {
-        if let Some(slot) = all.get_mut(index)
-            && slot.is_none()
-        {
-            *slot = verdict;
-        }
-    }
-    all
+    session.get(selector).timeout(limit).with(handler).wait()
 }
 
 /// The agents that are there: robots with their agents, in order. `robot` may be `*`.
@@ -192,21 +162,21 @@ pub fn watch_presence(
         .wait()
 }
 
-/// What agents say of their robots.
-#[must_use]
-pub fn infos(
-    session: &Session,
-    agents: &[(String, String)],
-    limit: Duration,
-) -> Vec<Option<RobotInfo>> {
-    let selectors: Vec<String> = agents
-        .iter()
-        .map(|(robot, agent)| key(robot, agent, "info"))
-        .collect();
-    let read = |verdict: Option<Verdict>| match verdict {
-        Some(Verdict::Answer(body)) => serde_json::from_slice(&body).ok(),
-        _ => None,
-    };
-    let all = ask_all(session, &selectors, b"", limit);
-    all.into_iter().map(read).collect()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_with_an_odd_name_is_nobodys() {
+        let agent = "0123456789abcdef0123456789abcdef";
+        assert_eq!(parts(&key("arm-1", agent, "alive")), Some(("arm-1", agent)));
+        let odd = "a\nb";
+        for key in [
+            key(odd, agent, "alive"),
+            key("arm", "7", "alive"),
+            format!("x/arm/{agent}/alive"),
+        ] {
+            assert_eq!(parts(&key), None, "{key}");
+        }
+    }
 }

@@ -59,13 +59,7 @@ impl InitRules {
     /// # Errors
     /// What is wrong.
     pub fn parse(parameters: &str) -> Result<Option<Self>, String> {
-        let value = |key: &str| {
-            let pairs = parameters
-                .split(';')
-                .filter_map(|pair| pair.split_once('='));
-            let mut found = pairs.filter(|(name, _)| *name == key);
-            found.next().map(|(_, value)| value)
-        };
+        let value = |key: &str| value(parameters, key);
         let Some(client) = value("client") else {
             return Ok(None);
         };
@@ -87,6 +81,29 @@ impl InitRules {
             until_ms: number("until")?,
         }))
     }
+}
+
+/// The parameters of a sealed query that is no INIT: the boot and the agent's clock, after which it does not act.
+#[must_use]
+pub fn fresh(boot: u32, until_ms: u64) -> String {
+    format!("boot={boot};until={until_ms}")
+}
+
+/// Until when a query with these parameters may act, by the agent's clock; `None` if it may not in this boot at this time.
+#[must_use]
+pub fn fresh_until(parameters: &str, boot: u32, clock_ms: u64) -> Option<u64> {
+    let until = value(parameters, "until").and_then(|until| until.parse().ok());
+    let valid = clock_ms..=clock_ms.saturating_add(LONGEST_VALID_MS);
+    let is_ours = value(parameters, "boot") == Some(boot.to_string().as_str());
+    until.filter(|until| is_ours && valid.contains(until))
+}
+
+fn value<'a>(parameters: &'a str, key: &str) -> Option<&'a str> {
+    let pairs = parameters
+        .split(';')
+        .filter_map(|pair| pair.split_once('='));
+    let mut found = pairs.filter(|(name, _)| *name == key);
+    found.next().map(|(_, value)| value)
 }
 
 /// 32 hexadecimal digits.
@@ -240,6 +257,20 @@ mod tests {
             "client=30313233343536373839616263646566;number=1;boot=1",
         ] {
             assert!(InitRules::parse(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_question_is_fresh_in_its_boot_and_until_its_time() {
+        let with_client = "client=x;number=1;boot=7;until=100";
+        for fits in [&fresh(7, 100), with_client] {
+            assert_eq!(fresh_until(fits, 7, 100), Some(100));
+            assert_eq!(fresh_until(fits, 7, 101), None);
+            assert_eq!(fresh_until(fits, 8, 100), None);
+        }
+        let eternal = fresh(7, LONGEST_VALID_MS + 1);
+        for wrong in [&eternal, "boot=7", "until=1", ""] {
+            assert_eq!(fresh_until(wrong, 7, 0), None);
         }
     }
 

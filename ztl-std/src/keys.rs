@@ -199,7 +199,8 @@ impl PublicKey {
     }
 
     /// Its bytes.
-    pub(crate) const fn as_bytes(&self) -> &[u8; LEN] {
+    #[must_use]
+    pub const fn as_bytes(&self) -> &[u8; LEN] {
         &self.0
     }
 
@@ -295,7 +296,8 @@ impl KeyPair {
     }
 
     /// The secret key's bytes.
-    pub(crate) const fn secret(&self) -> &[u8; LEN] {
+    #[must_use]
+    pub const fn secret(&self) -> &[u8; LEN] {
         &self.secret
     }
 }

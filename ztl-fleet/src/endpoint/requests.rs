@@ -1,11 +1,13 @@
 //! Requests of clients to robots, and the outcome of INITs.
 
 use ztl_core::envelope::Envelope;
+use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message, Request};
 
 use super::{
-    Ask, ClientRequest, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST, LastInit, MOST,
-    Pending, Purpose, VALID_MS, about_server, rejection, with_any_scope,
+    Ask, ClientRequest, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST,
+    LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, VALID_MS, about_server, rejection,
+    with_any_scope,
 };
 
 /// The robot and its own scope in a scope of the endpoint: `/NAME/scope`.
@@ -89,6 +91,10 @@ impl Endpoint {
         let Message {
             state, id, payload, ..
         } = message;
+        let held = payload.strip_prefix("wait ").filter(|_| !is_init);
+        let held = held.and_then(|wait| u64::try_from(Integer::parse(wait).ok()?.value()?).ok());
+        let held = held.map(|wait| format!("wait {}", wait.min(LONGEST_HOLD_MS)));
+        let payload = held.as_deref().unwrap_or(payload);
         let body = format!("{robot_scope};{state};{id};{payload}").into_bytes();
         let pending = Pending {
             request,

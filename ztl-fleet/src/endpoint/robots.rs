@@ -6,6 +6,11 @@ use ztl_core::Instant;
 
 use super::{Endpoint, EndpointEffect, RobotInfo};
 
+/// Most robots that are known.
+const MOST_ROBOTS: usize = 10_000;
+/// Most other agents of a name that are known.
+const MOST_RIVALS: usize = 16;
+
 /// A robot that is or was there.
 #[derive(Debug)]
 pub(super) struct Robot {
@@ -31,6 +36,10 @@ impl Robot {
 impl Endpoint {
     /// An agent is there.
     pub fn handle_alive(&mut self, robot: &str, agent: &str) -> Vec<EndpointEffect> {
+        if self.robots.len() >= MOST_ROBOTS && !self.robots.contains_key(robot) {
+            // Anybody may claim names.
+            return Vec::new();
+        }
         let known = self
             .robots
             .entry(robot.to_owned())
@@ -43,7 +52,9 @@ impl Endpoint {
         match &known.agent {
             Some(served) if served == agent => Vec::new(),
             Some(served) => {
-                known.rivals.insert(agent.to_owned());
+                if known.rivals.len() < MOST_RIVALS {
+                    known.rivals.insert(agent.to_owned());
+                }
                 vec![EndpointEffect::Rivals {
                     robot: robot.to_owned(),
                     agent: served.clone(),
@@ -74,7 +85,13 @@ impl Endpoint {
         known.agent = None;
         match known.rivals.pop_first() {
             Some(rival) => self.handle_alive(robot, &rival),
-            None => Vec::new(),
+            None => {
+                // Who has never said what it is may have been anybody.
+                if known.info.is_none() {
+                    self.robots.remove(robot);
+                }
+                Vec::new()
+            }
         }
     }
 
@@ -86,6 +103,13 @@ impl Endpoint {
         {
             known.info = Some(info);
         }
+    }
+
+    /// The boot id of a robot's agent, and what the agent's clock shows at least, in milliseconds; zeros if that is not known.
+    #[must_use]
+    pub fn clock(&self, now: Instant, robot: &str) -> (u32, u64) {
+        let robot = self.robots.get(robot);
+        robot.map_or((0, 0), |robot| robot.clock(now))
     }
 
     /// The agents that are there.

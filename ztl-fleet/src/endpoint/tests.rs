@@ -196,3 +196,62 @@ fn questions_collect_what_robots_say() {
         "{told}"
     );
 }
+
+#[test]
+fn a_status_is_held_at_the_robot_and_its_answer_has_time_to_arrive() {
+    let mut endpoint = endpoint();
+    for (told, passed) in [
+        ("wait 1999", "wait 1500"),
+        ("wait 70", "wait 70"),
+        ("wait x", "wait x"),
+        ("status update", "status update"),
+    ] {
+        let body = format!("/arm/lab;2;42;{told}");
+        let (_, what) = asked(&ask(&mut endpoint, 0, 1, Some(3), &body));
+        let Ask::Request { body, .. } = what else {
+            panic!();
+        };
+        assert_eq!(body, format!("/lab;2;42;{passed}").into_bytes());
+    }
+}
+
+#[test]
+fn a_question_that_was_too_late_is_asked_again_with_the_robots_clock() {
+    let mut endpoint = endpoint();
+    let (mut query, first) = asked(&ask(&mut endpoint, 0, 1, None, "/arm/lab;3;42;"));
+    for clock_ms in 0..u64::from(STALE) {
+        let stale = Verdict::Stale { boot: 8, clock_ms };
+        let (next, again) = asked(&endpoint.handle_verdict(at(5), query, stale));
+        assert_eq!(again, first);
+        assert_eq!(endpoint.clock(at(5), "arm"), (8, clock_ms));
+        assert_eq!(endpoint.request_of(next), Some(1));
+        query = next;
+    }
+    let stale = Verdict::Stale {
+        boot: 8,
+        clock_ms: 9,
+    };
+    let told = endpoint.handle_verdict(at(5), query, stale);
+    assert_eq!(told, [EndpointEffect::Silence { request: 1 }]);
+}
+
+#[test]
+fn a_flood_of_names_and_agents_is_bounded_and_keeps_who_is_there() {
+    let mut endpoint = endpoint();
+    for number in 0..20_000 {
+        endpoint.handle_alive(&format!("robot-{number}"), "a");
+        endpoint.handle_alive("arm", &format!("rival-{number}"));
+    }
+    assert_eq!(endpoint.robots().count(), 10_000);
+    let answer = ask(&mut endpoint, 0, 1, None, "/arm/lab;2;42;");
+    assert!(matches!(&answer[..], [EndpointEffect::Ask { agent, .. }] if agent == "a"));
+    // Those that leave make room.
+    endpoint.handle_gone("robot-7", "a");
+    assert_eq!(endpoint.handle_alive("leg", "l").len(), 1);
+    let promoted = (0..100).filter(|number| {
+        let served = format!("rival-{number}");
+        let agent = if *number == 0 { "a" } else { &served };
+        !endpoint.handle_gone("arm", agent).is_empty()
+    });
+    assert!(promoted.count() <= 16);
+}

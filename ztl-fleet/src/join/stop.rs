@@ -5,10 +5,11 @@ use std::sync::{Arc, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use zenoh::query::Query;
+use tracing::info;
 use ztl_core::Message;
 
-use super::{Shared, reply};
+use super::Shared;
+use super::asked::Asked;
 use crate::wire::Verdict;
 
 /// How long the server's tasks may take to stop.
@@ -64,10 +65,18 @@ impl Shared {
         self.started.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn on_stop(self: &Arc<Self>, query: Query) {
+    pub(super) fn on_stop(self: &Arc<Self>, asked: Asked) {
+        if !self.may_use(&asked, None) {
+            let reason = "the robot's 'client-keys' do not allow this";
+            return asked.reply(&Verdict::NotStarted(reason.to_owned()));
+        }
+        if self.refuse_stale(&asked) {
+            return;
+        }
+        info!(target: "fleet", "All tasks are stopped by {}.", asked.who());
         let stopped = self.stop_all();
         if let Ok(body) = serde_json::to_vec(&stopped) {
-            reply(&query, &Verdict::Answer(body));
+            asked.reply(&Verdict::Answer(body));
         }
     }
 

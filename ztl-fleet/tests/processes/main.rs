@@ -3,8 +3,14 @@
 #![expect(
     clippy::unwrap_used,
     clippy::expect_used,
+    clippy::indexing_slicing,
     reason = "a test says what is wrong by panicking"
 )]
+
+mod commands;
+mod identity;
+mod pictures;
+mod scene;
 
 use std::path::Path;
 use std::process::Command;
@@ -40,10 +46,14 @@ struct Fleet {
 
 impl Fleet {
     fn new() -> Self {
-        let scratch = Scratch::new();
+        Self::with(Scratch::new(), "robots: [arm, leg]\n")
+    }
+
+    /// `more` are lines of the endpoint's file.
+    fn with(scratch: Scratch, more: &str) -> Self {
         let address = format!("tcp/127.0.0.1:{}", reserve_port());
         let router = Self::start_router(&scratch, &address);
-        let endpoint = Self::start_endpoint(&scratch, &address, 0);
+        let endpoint = Self::start_endpoint(&scratch, &address, 0, more);
         let port = endpoint.wait_for_port("Serving ");
         Self {
             scratch,
@@ -62,9 +72,9 @@ impl Fleet {
         router
     }
 
-    fn start_endpoint(scratch: &Scratch, address: &str, port: u16) -> Process {
+    fn start_endpoint(scratch: &Scratch, address: &str, port: u16, more: &str) -> Process {
         let file = scratch.path("endpoint.yaml");
-        let text = format!("port: {port}\nrouters: {address}\nrobots: [arm, leg]\n");
+        let text = format!("port: {port}\nrouters: {address}\n{more}");
         std::fs::write(&file, text).unwrap();
         Process::start(&mut fleet(&["endpoint"], &file))
     }
@@ -137,7 +147,7 @@ fn a_foreign_router_serves_as_well_and_so_does_the_originals_client_and_server()
     let address = format!("tcp/127.0.0.1:{}", reserve_port());
     let router = Process::start(&mut python("router.py", &[&address]));
     router.wait_for("Routing");
-    let endpoint = Fleet::start_endpoint(&scratch, &address, 0);
+    let endpoint = Fleet::start_endpoint(&scratch, &address, 0, "");
     let port = endpoint.wait_for_port("Serving ");
     let fleet = Fleet {
         scratch,
@@ -183,7 +193,7 @@ fn no_task_is_doubled_or_told_falsely_when_router_agent_and_endpoint_are_killed(
     assert_eq!(remote.status(id).unwrap().state, State::Accepted);
 
     kill(fleet.endpoint);
-    fleet.endpoint = Fleet::start_endpoint(&fleet.scratch, &fleet.address, fleet.port);
+    fleet.endpoint = Fleet::start_endpoint(&fleet.scratch, &fleet.address, fleet.port, "");
     fleet.wait_there();
     assert_eq!(remote.status(id).unwrap().state, State::Accepted);
     remote.abort(id).unwrap();
@@ -228,7 +238,8 @@ fn stop_all_names_who_confirmed_and_who_was_not_there() {
         assert_eq!(remote.status(id).unwrap().state, State::Aborted);
     }
     let listed = Process::run(&mut self::fleet(&["ls"], &file)).stdout;
-    assert_eq!(listed, "arm  ready  /test\nleg  not there  \n");
+    assert!(listed.starts_with("arm  ready  /test  since 2"), "{listed}");
+    assert!(listed.ends_with("Z\nleg  not there  \n"), "{listed}");
 }
 
 #[test]

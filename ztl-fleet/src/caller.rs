@@ -1,0 +1,238 @@
+//! Asks robots, in plain queries or in sealed ones, which only the robot's key can answer.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use tracing::warn;
+use zenoh::handlers::CallbackDrop;
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
+use zenoh::{Session, Wait as _};
+use ztl_std::keys::KeyPair;
+
+use crate::config::EndpointConfig;
+use crate::random;
+use crate::seal::{Request, Shared, agent_of};
+use crate::seldom::{Seldom, brief};
+use crate::session::{ZenohError, key, verdict};
+use crate::wire::{RobotInfo, Verdict, fresh};
+
+/// How long a question may act after it was sent, by the robot's clock.
+const VALID_MS: u64 = 2500;
+
+/// What asks robots.
+#[derive(Clone)]
+pub struct Caller {
+    session: Session,
+    identity: Option<Arc<Identity>>,
+}
+
+struct Identity {
+    own: KeyPair,
+    /// The agent that alone has a name, and what its key shares with the own one.
+    robots: BTreeMap<String, (String, Shared)>,
+    told: Seldom,
+}
+
+impl Caller {
+    /// Asks as an endpoint's file says.
+    #[must_use]
+    pub fn new(session: Session, config: &EndpointConfig) -> Self {
+        let identity = config.fleet_key.clone().map(|own| {
+            let robots = config.robots.iter();
+            let robots = robots.filter_map(|(name, key)| {
+                let key = key.as_ref()?;
+                Some((name.clone(), (agent_of(key), Shared::new(&own, key))))
+            });
+            let robots = robots.collect();
+            let told = Seldom::default();
+            Arc::new(Identity { own, robots, told })
+        });
+        Self { session, identity }
+    }
+
+    /// Asks in plain queries.
+    #[must_use]
+    pub const fn plain(session: Session) -> Self {
+        let identity = None;
+        Self { session, identity }
+    }
+
+    /// Asks agents that have a robot's own key: whoever answers is a copy of it.
+    #[must_use]
+    pub fn of_itself(session: Session, robot: &str, own: &KeyPair) -> Self {
+        let public = own.public();
+        let itself = (agent_of(&public), Shared::new(own, &public));
+        let identity = Identity {
+            own: own.clone(),
+            robots: [(robot.to_owned(), itself)].into(),
+            told: Seldom::default(),
+        };
+        Self {
+            session,
+            identity: Some(Arc::new(identity)),
+        }
+    }
+
+    /// Its session.
+    #[must_use]
+    pub const fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The agent whose key a name is bound to.
+    #[must_use]
+    pub fn bound(&self, robot: &str) -> Option<&str> {
+        let (agent, _) = self.identity.as_ref()?.robots.get(robot)?;
+        Some(agent)
+    }
+
+    /// Whether this agent may have this name: with keys, only the bound one.
+    #[must_use]
+    pub fn accepts(&self, robot: &str, agent: &str) -> bool {
+        self.identity.is_none() || self.bound(robot) == Some(agent)
+    }
+
+    /// Sends a question to a robot's agent. Its first true reply, then the end go to the functions.
+    ///
+    /// # Errors
+    /// Zenoh's, if nothing was sent.
+    pub fn ask(
+        &self,
+        agent: &str,
+        request: &Request<'_>,
+        limit: Duration,
+        on_reply: impl Fn(Verdict) + Send + Sync + 'static,
+        on_end: impl FnMut() + Send + Sync + 'static,
+    ) -> Result<(), ZenohError> {
+        let Some(identity) = &self.identity else {
+            let mut selector = key(request.robot, agent, request.what);
+            // Without keys, a clock is for INITs only.
+            if request.parameters.contains("client=") {
+                selector = format!("{selector}?{}", request.parameters);
+            }
+            let handler = CallbackDrop {
+                callback: move |reply: Reply| on_reply(verdict(&reply)),
+                drop: on_end,
+            };
+            let query = self.session.get(selector).payload(request.body);
+            return query.timeout(limit).with(handler).wait();
+        };
+        let robot = request.robot.to_owned();
+        let known = identity.robots.get(&robot);
+        let Some((_, shared)) = known.filter(|(bound, _)| bound == agent) else {
+            return Err(format!("agent {agent} does not have the key of robot '{robot}'").into());
+        };
+        let asked = random::nonce()?;
+        let sealed = shared.request(&identity.own.public(), &asked, request);
+        let sealed = sealed.ok_or("the request's parameters are too long")?;
+        let identity = Arc::clone(identity);
+        let answered = AtomicBool::new(false);
+        let callback = move |reply: Reply| {
+            let (payload, is_refusal) = match reply.result() {
+                Ok(sample) => (sample.payload().to_bytes(), false),
+                Err(error) => (error.payload().to_bytes(), true),
+            };
+            let shared = identity.robots.get(&robot);
+            let opened = shared.and_then(|(_, shared)| shared.open_answer(&asked, &payload));
+            if let Some(verdict) = opened {
+                if !answered.swap(true, Ordering::SeqCst) {
+                    on_reply(verdict);
+                }
+            } else if !identity.told.may() {
+                // The log has said so.
+            } else if is_refusal {
+                let said = brief(&String::from_utf8_lossy(&payload));
+                warn!(target: "fleet", "Robot '{robot}', or somebody for it, refuses a request: {said}.");
+            } else {
+                warn!(target: "fleet", "An answer for robot '{robot}' does not have its key and is dropped.");
+            }
+        };
+        let handler = CallbackDrop {
+            callback,
+            drop: on_end,
+        };
+        // Each reply counts by itself: none may take the place of the robot's.
+        let query = self.session.get(key(request.robot, agent, "sealed"));
+        let query = query
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None);
+        query.payload(sealed).timeout(limit).with(handler).wait()
+    }
+
+    /// Asks several agents at once, and waits for their replies; `None` where there is none within the limit. A robot that has
+    /// to tell its clock first is asked twice.
+    #[must_use]
+    pub fn ask_all(
+        &self,
+        agents: &[(String, String)],
+        what: &str,
+        body: &[u8],
+        limit: Duration,
+    ) -> Vec<Option<Verdict>> {
+        let first: Vec<_> = agents.iter().map(|agent| (agent, fresh(0, 0))).collect();
+        let mut all = self.ask_round(&first, what, body, limit);
+        let mut again = Vec::new();
+        let mut places = Vec::new();
+        for (place, (agent, told)) in agents.iter().zip(&all).enumerate() {
+            if let Some(Verdict::Stale { boot, clock_ms }) = told {
+                again.push((agent, fresh(*boot, clock_ms.saturating_add(VALID_MS))));
+                places.push(place);
+            }
+        }
+        let told = self.ask_round(&again, what, body, limit);
+        for (place, verdict) in places.into_iter().zip(told) {
+            if let Some(slot) = all.get_mut(place) {
+                *slot = verdict;
+            }
+        }
+        all
+    }
+
+    fn ask_round(
+        &self,
+        agents: &[(&(String, String), String)],
+        what: &str,
+        body: &[u8],
+        limit: Duration,
+    ) -> Vec<Option<Verdict>> {
+        let (sender, receiver) = channel();
+        for (index, ((robot, agent), parameters)) in agents.iter().enumerate() {
+            let replies = sender.clone();
+            let request = Request {
+                robot,
+                what,
+                parameters,
+                who: "ztl-fleet",
+                body,
+            };
+            let on_reply = move |verdict| {
+                // The receiver is there as long as this function.
+                let _ = replies.send((index, verdict));
+            };
+            // Without an answer, the slot stays empty.
+            let _ = self.ask(agent, &request, limit, on_reply, || {});
+        }
+        drop(sender);
+        let mut all = vec![None; agents.len()];
+        for (index, verdict) in receiver {
+            if let Some(slot @ None) = all.get_mut(index) {
+                *slot = Some(verdict);
+            }
+        }
+        all
+    }
+
+    /// What agents say of their robots.
+    #[must_use]
+    pub fn infos(&self, agents: &[(String, String)], limit: Duration) -> Vec<Option<RobotInfo>> {
+        let all = self.ask_all(agents, "info", b"", limit);
+        let read = |verdict: Option<Verdict>| match verdict {
+            Some(Verdict::Answer(body)) => serde_json::from_slice(&body).ok(),
+            _ => None,
+        };
+        all.into_iter().map(read).collect()
+    }
+}

@@ -1,0 +1,111 @@
+//! The commands that look at a fleet, and the end of those that serve it.
+
+use std::process::Command;
+
+use ztl_std::State;
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, start};
+
+use crate::{Fleet, fleet};
+
+/// Ends a process by one signal.
+#[track_caller]
+fn ended(process: Process, signal: &str) -> Ended {
+    process.signal(signal);
+    process.end(PATIENCE)
+}
+
+#[test]
+fn watch_tells_who_comes_and_what_starts_and_ends_and_abort_ends_a_task() {
+    let (fleet, server) = (Fleet::new(), Server::naps());
+    let file = fleet.scratch.path("endpoint.yaml");
+    let watch = Process::start(&mut self::fleet(&["watch"], &file));
+    watch.wait_for("arm  is not there");
+    let agent = fleet.join(&server, "");
+    watch.wait_for("arm  is there");
+    let mut remote = fleet.client();
+    let id = start(&mut remote, "nap", "for", "60");
+    watch.wait_for(&format!("{id}  /arm/test  started  nap:for:60"));
+    let listed = Process::run(&mut self::fleet(&["ps"], &file)).stdout;
+    assert!(
+        listed.contains(&format!("{id}  /arm/test  nap:for:60")),
+        "{listed}"
+    );
+    let abort = |scope: &str, id: &str| {
+        let mut abort = self::fleet(&["abort"], &file);
+        Process::run(abort.args([scope, id]))
+    };
+    let aborted = abort("arm/test", &id.to_string());
+    assert_eq!(aborted.code, Some(0), "{aborted:?}");
+    assert!(aborted.stdout.contains("ABORTED"), "{aborted:?}");
+    assert_eq!(end(&mut remote, id).0, State::Aborted);
+    watch.wait_for(&format!("{id}  /arm/test  ABORTED"));
+    // A task that is quicker than a look.
+    let id = start(&mut remote, "nap", "for", "0");
+    watch.wait_for(&format!("{id}  /arm/test  COMPLETED"));
+    for (scope, id, told) in [
+        ("arm/test", "7", "unknown: Invalid ID '7'"),
+        ("leg/test", "7", "robot 'leg' is not there"),
+        ("arm", "7", "'arm' is not the scope of a robot"),
+    ] {
+        let ended = abort(scope, id);
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        assert!(format!("{ended:?}").contains(told), "{ended:?}");
+    }
+    let agent = ended(agent, "TERM");
+    assert_eq!(agent.code, Some(143), "{agent:?}");
+    watch.wait_for("arm  is not there");
+    let watch = ended(watch, "INT");
+    assert_eq!(watch.code, Some(0), "{watch:?}");
+}
+
+#[test]
+fn a_signal_ends_each_part_of_a_fleet_in_order() {
+    let (fleet, server) = (Fleet::new(), Server::naps());
+    let agent = fleet.join(&server, "");
+    let agent = ended(agent, "INT");
+    assert_eq!(agent.code, Some(0), "{agent:?}");
+    assert!(agent.stderr.contains("Robot 'arm' leaves"), "{agent:?}");
+    let endpoint = ended(fleet.endpoint, "TERM");
+    assert_eq!(endpoint.code, Some(143), "{endpoint:?}");
+    let router = ended(fleet.router, "TERM");
+    assert_eq!(router.code, Some(143), "{router:?}");
+}
+
+/// `ztl-fleet demo`, whose files are in the directory.
+fn demo(scratch: &Scratch) -> Process {
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_ztl-fleet"));
+    Process::start(demo.arg("demo").env("TMPDIR", scratch.path(".")))
+}
+
+#[track_caller]
+fn assert_nothing_left(scratch: &Scratch) {
+    let left = std::fs::read_dir(scratch.path(".")).unwrap().count();
+    assert_eq!(left, 0);
+}
+
+#[test]
+fn the_demo_shows_a_robot_that_is_cut_off_and_ends_what_it_started() {
+    let scratch = Scratch::new();
+    let demo = demo(&scratch).end(PATIENCE);
+    assert_eq!(demo.code, Some(0), "{demo:?}");
+    for told in [
+        "arm-5  unknown: it is not reached",
+        "arm-5  COMPLETED  waved",
+        "Every task completed, and none ran twice.",
+    ] {
+        assert!(demo.stdout.contains(told), "{demo:?}");
+    }
+    assert_nothing_left(&scratch);
+}
+
+#[test]
+fn a_signal_ends_the_demo_with_all_that_it_started() {
+    let scratch = Scratch::new();
+    for (signal, code) in [("INT", 130), ("TERM", 143)] {
+        let demo = demo(&scratch);
+        demo.wait_for("Initiated task");
+        let ended = ended(demo, signal);
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        assert_nothing_left(&scratch);
+    }
+}
