@@ -1,12 +1,11 @@
 //! Asks robots, in plain queries or in sealed ones, which only the robot's key can answer.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
-use tracing::warn;
+use tracing::{error, warn};
 use zenoh::handlers::CallbackDrop;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::{Session, Wait as _};
@@ -34,6 +33,23 @@ struct Identity {
     /// The agent that alone has a name, and what its key shares with the own one.
     robots: BTreeMap<String, (String, Shared)>,
     told: Seldom,
+    /// Robots of which two agents have the key.
+    copied: Mutex<BTreeSet<String>>,
+}
+
+impl Identity {
+    fn new(own: KeyPair, robots: BTreeMap<String, (String, Shared)>) -> Self {
+        Self {
+            own,
+            robots,
+            told: Seldom::default(),
+            copied: Mutex::default(),
+        }
+    }
+
+    fn copied(&self) -> MutexGuard<'_, BTreeSet<String>> {
+        self.copied.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Caller {
@@ -47,8 +63,7 @@ impl Caller {
                 Some((name.clone(), (agent_of(key), Shared::new(&own, key))))
             });
             let robots = robots.collect();
-            let told = Seldom::default();
-            Arc::new(Identity { own, robots, told })
+            Arc::new(Identity::new(own, robots))
         });
         Self { session, identity }
     }
@@ -65,11 +80,7 @@ impl Caller {
     pub fn of_itself(session: Session, robot: &str, own: &KeyPair) -> Self {
         let public = own.public();
         let itself = (agent_of(&public), Shared::new(own, &public));
-        let identity = Identity {
-            own: own.clone(),
-            robots: [(robot.to_owned(), itself)].into(),
-            told: Seldom::default(),
-        };
+        let identity = Identity::new(own.clone(), [(robot.to_owned(), itself)].into());
         Self {
             session,
             identity: Some(Arc::new(identity)),
@@ -125,11 +136,15 @@ impl Caller {
         let Some((_, shared)) = known.filter(|(bound, _)| bound == agent) else {
             return Err(format!("agent {agent} does not have the key of robot '{robot}'").into());
         };
+        if identity.copied().contains(&robot) {
+            return Err(format!("two agents have the key of robot '{robot}'").into());
+        }
         let asked = random::nonce()?;
         let sealed = shared.request(&identity.own.public(), &asked, request);
         let sealed = sealed.ok_or("the request's parameters are too long")?;
         let identity = Arc::clone(identity);
-        let answered = AtomicBool::new(false);
+        // The boot of the agent that has answered, where it tells it.
+        let answered: OnceLock<Option<u32>> = OnceLock::new();
         let callback = move |reply: Reply| {
             let (payload, is_refusal) = match reply.result() {
                 Ok(sample) => (sample.payload().to_bytes(), false),
@@ -138,8 +153,14 @@ impl Caller {
             let shared = identity.robots.get(&robot);
             let opened = shared.and_then(|(_, shared)| shared.open_answer(&asked, &payload));
             if let Some(verdict) = opened {
-                if !answered.swap(true, Ordering::SeqCst) {
+                let boot = boot(&verdict);
+                if answered.set(boot).is_ok() {
                     on_reply(verdict);
+                } else if boot.is_some()
+                    && answered.get() != Some(&boot)
+                    && identity.copied().insert(robot.clone())
+                {
+                    error!(target: "fleet", "Two agents have the key of robot '{robot}'. It is not used any more; give each robot its own key, and restart.");
                 }
             } else if !identity.told.may() {
                 // The log has said so.
@@ -234,5 +255,16 @@ impl Caller {
             _ => None,
         };
         all.into_iter().map(read).collect()
+    }
+}
+
+/// The boot of the agent that answers what its robot is.
+fn boot(verdict: &Verdict) -> Option<u32> {
+    match verdict {
+        Verdict::Answer(body) => {
+            let info: Option<RobotInfo> = serde_json::from_slice(body).ok();
+            info.map(|info| info.boot)
+        }
+        _ => None,
     }
 }

@@ -135,6 +135,21 @@ fn a_copy_of_a_robot_with_its_key_does_not_join() {
 }
 
 #[test]
+fn a_copy_that_comes_while_the_robot_is_cut_off_is_noticed_and_neither_is_used() {
+    let guarded = Guarded::new(ARM, "");
+    let mut remote = guarded.client();
+    guarded.agent.signal("STOP");
+    let copy = Server::naps();
+    let agent = guarded.fleet.start_agent("copy", &copy, ARM);
+    agent.wait_for("has joined");
+    guarded.agent.signal("CONT");
+    let told = "Two agents have the key of robot 'arm'";
+    guarded.fleet.endpoint.wait_for(told);
+    assert!(remote.trigger("nap", "for", "0").is_err());
+    assert_eq!((tasks(&guarded.server), tasks(&copy)), (0, 0));
+}
+
+#[test]
 fn rules_of_the_robot_and_of_the_endpoint_name_robot_scope_and_client() {
     let robot = "fleet-key: arm.key_secret\nclient-keys: /test=desk.key\n";
     let endpoint = "key: desk.key_secret\nclient-keys: [/arm=anna.key, /leg/test=other.key]\n";
