@@ -64,8 +64,7 @@ pub struct Cable {
     places: [String; 2],
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    #[cfg(unix)]
-    _links: Vec<Link>,
+    links: Links,
 }
 
 impl std::fmt::Debug for Cable {
@@ -75,6 +74,12 @@ impl std::fmt::Debug for Cable {
             .finish_non_exhaustive()
     }
 }
+
+/// Links to ptys, which are removed in the end.
+#[cfg(unix)]
+type Links = Vec<Link>;
+#[cfg(not(unix))]
+type Links = ();
 
 /// An end that is ready to be opened.
 enum Socket {
@@ -96,15 +101,10 @@ impl Cable {
             places: Default::default(),
             stop: Arc::default(),
             threads: Vec::new(),
-            #[cfg(unix)]
-            _links: Vec::new(),
+            links: Links::default(),
         };
         for (side, end) in ends.into_iter().enumerate() {
-            let (socket, place) = prepare(
-                end,
-                #[cfg(unix)]
-                &mut cable._links,
-            )?;
+            let (socket, place) = prepare(end, &mut cable.links)?;
             if let Some(known) = cable.places.get_mut(side) {
                 *known = place;
             }
@@ -157,7 +157,7 @@ impl Drop for Cable {
 }
 
 /// Sets up an end, and says how others reach it.
-fn prepare(end: End, #[cfg(unix)] links: &mut Vec<Link>) -> Result<(Socket, String), CableError> {
+fn prepare(end: End, links: &mut Links) -> Result<(Socket, String), CableError> {
     match end {
         End::Open(endpoint) => {
             let place = endpoint.to_string();
@@ -186,10 +186,13 @@ fn prepare(end: End, #[cfg(unix)] links: &mut Vec<Link>) -> Result<(Socket, Stri
             Ok((Socket::Pty(pty), format!("serial:{path}")))
         }
         #[cfg(not(unix))]
-        End::Pty { .. } => Err(CableError::Pty(io::Error::new(
-            io::ErrorKind::Unsupported,
-            "this system has no ptys; use tcp-listen:PORT",
-        ))),
+        End::Pty { .. } => {
+            let () = *links;
+            Err(CableError::Pty(io::Error::new(
+                io::ErrorKind::Unsupported,
+                "this system has no ptys; use tcp-listen:PORT",
+            )))
+        }
     }
 }
 

@@ -247,10 +247,8 @@ impl SharedLine {
     }
 
     fn on_question(&mut self, now: Instant, bytes: &[u8]) -> Result<(), String> {
-        let frames = bytes
-            .split(|byte| *byte == 0)
-            .filter(|frame| !frame.is_empty());
-        let Some(last) = frames.last() else {
+        let mut frames = bytes.rsplit(|byte| *byte == 0);
+        let Some(last) = frames.find(|frame| !frame.is_empty()) else {
             return Ok(());
         };
         if let Some(before) = self.asked.filter(|_| !self.heard.is_empty()) {

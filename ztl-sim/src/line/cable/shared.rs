@@ -10,11 +10,9 @@ use ztl_core::time::earliest;
 use ztl_std::gateway::{READ_TIMEOUT, is_pause};
 use ztl_std::time::now;
 
-use super::{CableError, End, RETRY, Socket, open, prepare};
+use super::{CableError, End, Links, RETRY, Socket, open, prepare};
 use crate::line::faults::{Counts, Faults, FaultyLine};
 use crate::line::half_duplex::HalfDuplex;
-#[cfg(unix)]
-use crate::pty::Link;
 
 /// Longest delay added to collect bytes, so that few wake-ups carry many.
 const BURST: Duration = Duration::from_millis(1);
@@ -30,8 +28,7 @@ pub struct SharedCable {
     places: Vec<String>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    #[cfg(unix)]
-    _links: Vec<Link>,
+    links: Links,
 }
 
 impl std::fmt::Debug for SharedCable {
@@ -100,15 +97,10 @@ impl SharedCable {
             places: Vec::new(),
             stop: Arc::default(),
             threads: Vec::new(),
-            #[cfg(unix)]
-            _links: Vec::new(),
+            links: Links::default(),
         };
         for (number, end) in ends.into_iter().enumerate() {
-            let (socket, place) = prepare(
-                end,
-                #[cfg(unix)]
-                &mut cable._links,
-            )?;
+            let (socket, place) = prepare(end, &mut cable.links)?;
             cable.places.push(place);
             let (line, stop) = (Arc::clone(&shared), Arc::clone(&cable.stop));
             cable.spawn("out", move || line.carry(number, &stop))?;
