@@ -33,6 +33,7 @@ fn sixteen_nodes_on_a_shared_line_keep_the_guarantees_and_have_their_turns() {
         }
     }
     println!("40 seeds: {total}");
+    assert!(total.healthy.turn.as_millis() < 50, "{total}");
     // The seeds must move motors and let nodes send at once, and each trouble must come up.
     assert!(total.begun > 1200 && total.collided > 10_000, "{total}");
     assert!(
