@@ -1,5 +1,6 @@
 //! Reads a configuration file: what all its parts need.
 
+use std::io;
 use std::path::Path;
 use std::time::Duration;
 
@@ -11,6 +12,17 @@ use ztl_std::describe::GoalRule;
 use crate::http::hosts::Hosts;
 use crate::naoqi::connection::Naoqi;
 use crate::ros1::connection::Ros1;
+
+/// The text of a file with a secret, of at most `most` bytes.
+///
+/// # Errors
+/// Why it cannot be read.
+pub(crate) fn secret(file: &Path, most: u64) -> Result<String, String> {
+    let text = ztl_std::files::read(file, most).and_then(|bytes| {
+        String::from_utf8(bytes).map_err(|_| io::Error::other("it is not text in UTF-8"))
+    });
+    text.map_err(|error| format!("{}: {error}", file.display()))
+}
 
 /// A file that is being read.
 pub(crate) struct ConfigReader<'d> {

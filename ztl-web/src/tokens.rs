@@ -7,6 +7,9 @@ use std::path::Path;
 /// The length of a token: 128 bits in hexadecimal.
 const LENGTH: usize = 32;
 
+/// The longest file with secrets, in bytes; one has 83.
+const LONGEST: u64 = 1024;
+
 /// The secrets of a console.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Tokens {
@@ -38,8 +41,8 @@ impl Tokens {
     /// # Errors
     /// If it cannot be read or made, or contains something else.
     pub fn kept(path: &Path) -> io::Result<Self> {
-        match fs::read_to_string(path) {
-            Ok(text) => Self::parse(&text).ok_or_else(|| {
+        match ztl_std::files::read(path, LONGEST) {
+            Ok(text) => Self::parse(&String::from_utf8_lossy(&text)).ok_or_else(|| {
                 let why = "expected the lines `operator TOKEN` and `watcher TOKEN`, of 32 hexadecimal digits each";
                 io::Error::new(io::ErrorKind::InvalidData, why)
             }),
@@ -95,5 +98,7 @@ mod tests {
         ] {
             assert!(Tokens::parse(&wrong).is_none(), "{wrong}");
         }
+        let endless = Tokens::kept(Path::new("/dev/zero")).err();
+        assert!(endless.is_some_and(|it| it.to_string() == "it is not a regular file"));
     }
 }

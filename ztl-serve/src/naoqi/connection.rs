@@ -12,7 +12,7 @@ use ztl_yaml::{Node, NodeValue};
 
 use super::names::Used;
 use crate::log::LOG;
-use crate::reader::ConfigReader;
+use crate::reader::{ConfigReader, secret};
 
 /// Where NAOqi listens on the robot itself.
 const DIRECTORY: &str = "tcp://127.0.0.1:9559";
@@ -99,11 +99,7 @@ impl Robot {
 
 /// Reads a token.
 fn token(file: &Path) -> Result<String, String> {
-    let text = fs::metadata(file).and_then(|about| match about.len() {
-        0..=LONGEST_TOKEN => fs::read_to_string(file),
-        _ => Err(std::io::Error::other("this is too long for a token")),
-    });
-    let text = text.map_err(|error| format!("{}: {error}", file.display()))?;
+    let text = secret(file, LONGEST_TOKEN)?;
     match text.trim() {
         "" => Err(format!(
             "{} is empty; write the robot's password into it",
@@ -203,5 +199,10 @@ mod tests {
         assert_eq!(mode & 0o777, 0o600);
         fs::write(&file, " \n").expect("to write");
         assert!(token(&file).is_err_and(|it| it.contains("is empty")));
+        fs::write(&file, "x".repeat(4097)).expect("to write");
+        assert!(token(&file).is_err_and(|it| it.ends_with("it has more than 4096 bytes")));
+        // Its length is said to be zero, and it never ends.
+        let endless = token(Path::new("/dev/zero"));
+        assert!(endless.is_err_and(|it| it == "/dev/zero: it is not a regular file"));
     }
 }

@@ -191,10 +191,7 @@ fn digest(image: &[u8], head: &[u8; HEAD_LEN]) -> [u8; 64] {
 
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, Box<dyn Error>> {
     let failed = |error: io::Error| format!("{}: {error}", path.display());
-    if fs::metadata(path).map_err(failed)?.len() > MAX_FILE {
-        return Err(format!("{}: longer than {MAX_FILE} bytes", path.display()).into());
-    }
-    Ok(fs::read(path).map_err(failed)?)
+    Ok(ztl_std::files::read(path, MAX_FILE).map_err(failed)?)
 }
 
 /// Creates a file, and never overwrites one.
