@@ -20,5 +20,6 @@ pub mod recording;
 pub mod ros1;
 mod script;
 pub mod spec;
+pub mod sse;
 pub mod zmtp;
 pub mod zmtp_session;

@@ -24,6 +24,9 @@ const DONE: u32 = 3;
 /// The longest error text that is kept, in bytes.
 const ERROR_TEXT: usize = 4096;
 
+/// The longest token, in bytes.
+const LONGEST_TOKEN: usize = 1024;
+
 /// Who this client is, for servers that ask for it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Credentials {
@@ -224,6 +227,10 @@ impl Connection {
             }
             Some(CONTINUE) => {
                 let token = entry(&map, "auth_newToken").and_then(Value::as_text);
+                // It is kept in a file, of which it is the only line.
+                let token = token.filter(|it| {
+                    it.len() <= LONGEST_TOKEN && !it.contains(char::is_control) && it.trim() == *it
+                });
                 match (token, &mut self.credentials) {
                     (Some(token), Some(credentials)) if !new_token => {
                         token.clone_into(&mut credentials.token);

@@ -23,7 +23,8 @@ pub struct Limits {
     pub output: usize,
     /// The most connections. Default 64.
     pub connections: usize,
-    /// The most services whose names the session keeps; a robot has about 100. Services beyond that can still be called. Default 4096.
+    /// The most services whose names the session keeps; a robot has about 100. A name has at most
+    /// 256 bytes. Services beyond that can still be called. Default 4096.
     pub services: usize,
 }
 

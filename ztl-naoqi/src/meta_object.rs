@@ -9,6 +9,9 @@ use crate::value::Value;
 /// How deep the signatures of methods may be nested.
 const DEPTH: usize = 32;
 
+/// The longest name or signature, in bytes.
+const LONGEST_TEXT: usize = 8 << 10;
+
 /// Numbers below this are of functions that every object has.
 const FIRST_OWN: u32 = 100;
 
@@ -98,7 +101,11 @@ impl MetaObject {
             Value::Map(entries) => Some(entries.iter().map(|(_, value)| value)),
             _ => None,
         };
-        let text = |value: &Value, place| Some(value.field("", place)?.as_text()?.to_owned());
+        let text = |value: &Value, place| {
+            let text = value.field("", place)?.as_text()?;
+            // A parsed signature takes many times its length.
+            (text.len() <= LONGEST_TEXT).then(|| text.to_owned())
+        };
         let member = |value: &Value| {
             Some(Member {
                 id: value.field("", 0)?.as_u32()?,

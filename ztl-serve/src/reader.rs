@@ -12,6 +12,15 @@ use crate::http::hosts::Hosts;
 use crate::naoqi::connection::Naoqi;
 use crate::ros1::connection::Ros1;
 
+/// The text of a file with a secret, of at most `most` bytes.
+///
+/// # Errors
+/// Why it cannot be read.
+pub(crate) fn secret(file: &Path, most: u64) -> Result<String, String> {
+    let text = ztl_std::files::read_text(file, most);
+    text.map_err(|error| format!("{}: {error}", file.display()))
+}
+
 /// A file that is being read.
 pub(crate) struct ConfigReader<'d> {
     pub(crate) document: &'d Document,

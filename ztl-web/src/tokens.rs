@@ -11,6 +11,9 @@ const LENGTH: usize = 32;
 /// Most bytes of their file.
 const LONGEST: u64 = 4096;
 
+/// The longest file with secrets, in bytes; one has 83.
+const LONGEST: u64 = 1024;
+
 /// The secrets of a console.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Tokens {
@@ -99,5 +102,7 @@ mod tests {
         ] {
             assert!(Tokens::parse(&wrong).is_none(), "{wrong}");
         }
+        let endless = Tokens::kept(Path::new("/dev/zero")).err();
+        assert!(endless.is_some_and(|it| it.to_string() == "it is not a regular file"));
     }
 }

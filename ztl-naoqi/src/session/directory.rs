@@ -16,6 +16,9 @@ use super::{Action, CallError, Event, LinkId, Session};
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 
+/// The longest name of a service that is kept, in bytes.
+const LONGEST_NAME: usize = 256;
+
 /// The number of the directory's own service, and of the object that a service is.
 const DIRECTORY: u32 = 1;
 pub(super) const MAIN: u32 = 1;
@@ -202,8 +205,8 @@ impl Session {
 
     /// Whether it is news, and there is room for it.
     fn learn_name(&mut self, name: &str, id: u32) -> bool {
-        let has_room =
-            self.known.len() < self.options.limits.services || self.known.contains_key(name);
+        let has_room = name.len() <= LONGEST_NAME
+            && (self.known.len() < self.options.limits.services || self.known.contains_key(name));
         has_room && self.known.insert(name.to_owned(), id) != Some(id)
     }
 

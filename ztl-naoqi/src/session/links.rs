@@ -19,6 +19,8 @@ const OPENING: Duration = Duration::from_secs(4);
 const QUIET: Duration = Duration::from_secs(5);
 /// How long its answer may take.
 const PROBE: Duration = Duration::from_secs(5);
+/// The most answers that are awaited on a connection; the calls under way are fewer.
+const MOST_PENDING: usize = 8192;
 /// The function that lists the names of properties, which libqi answers without asking the object.
 const PROPERTIES: u32 = 7;
 
@@ -195,6 +197,10 @@ impl Session {
     ) -> Result<u32, OutputFull> {
         let link = self.links.get_mut(&link).ok_or(OutputFull)?;
         let connection = link.connection.as_mut().ok_or(OutputFull)?;
+        // A peer that never answers must not take memory for what is asked.
+        if link.pending.len() >= MOST_PENDING {
+            return Err(OutputFull);
+        }
         let id = connection.send(Kind::Call, address, payload)?;
         link.pending.insert(id, pending);
         Ok(id)

@@ -7,6 +7,8 @@ use crate::encode::encode;
 use crate::message::{Address, Frames, Kind, Message};
 use crate::signature::{Names, Signature};
 
+mod hostile;
+
 /// A robot that answers as it is told.
 struct Robot {
     session: Session,

@@ -8,14 +8,13 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ureq::http::{HeaderName, HeaderValue, Method, Uri};
 use ztl_std::describe::{GoalRule, GoalValue};
-use ztl_std::files;
 use ztl_yaml::{Fields, Node, NodeValue, closest};
 
 use super::hosts::{Host, mistake};
 use super::tls::Trust;
 use crate::call::Call;
 use crate::program::template::Template;
-use crate::reader::ConfigReader;
+use crate::reader::{ConfigReader, secret};
 use crate::value_template::ValueTemplate;
 
 /// The longest secret, in bytes.
@@ -210,8 +209,7 @@ impl Secret {
 
     fn header(&self) -> Result<HeaderValue, String> {
         let file = self.file();
-        let text = files::read_text(file, LONGEST_SECRET);
-        let text = text.map_err(|error| format!("{}: {error}", file.display()))?;
+        let text = secret(file, LONGEST_SECRET)?;
         let text = text.trim();
         let value = match self {
             Self::Bearer(_) => format!("Bearer {text}"),
@@ -504,6 +502,12 @@ impl<'d> ConfigReader<'d> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_secret_that_never_ends_is_not_read() {
+        let endless = Secret::Bearer("/dev/zero".into()).header();
+        assert!(endless.is_err_and(|it| it == "/dev/zero: it is not a regular file"));
+    }
 
     #[test]
     fn nothing_of_a_value_has_a_meaning_in_an_address() {

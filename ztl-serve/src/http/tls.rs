@@ -15,6 +15,9 @@ use rustls::{
     CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, SignatureScheme,
 };
 
+/// The longest file with certificates, in bytes. All authorities of a system take a quarter of it.
+const LONGEST_FILE: u64 = 1 << 20;
+
 /// Which certificates of a host are right.
 #[derive(Debug, Clone)]
 pub(crate) enum Trust {
@@ -31,8 +34,9 @@ impl Trust {
     /// What is wrong with it.
     pub(super) fn pinned(file: &Path) -> Result<Self, String> {
         let wrong = |why: &dyn fmt::Display| format!("{}: {why}", file.display());
-        let certificates = CertificateDer::pem_file_iter(file)
-            .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        let text = ztl_std::files::read(file, LONGEST_FILE).map_err(|error| wrong(&error))?;
+        let certificates = CertificateDer::pem_slice_iter(&text)
+            .collect::<Result<Vec<_>, _>>()
             .map_err(|error| wrong(&error))?;
         if certificates.is_empty() {
             return Err(wrong(&"no certificate: expected PEM"));
@@ -203,5 +207,16 @@ fn is_about_chain(error: &CertificateError) -> bool {
             other.0.downcast_ref::<webpki::Error>() == Some(&webpki::Error::CaUsedAsEndEntity)
         }
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_never_ends_is_not_read() {
+        let endless = Trust::pinned(Path::new("/dev/zero"));
+        assert!(endless.is_err_and(|it| it == "/dev/zero: it is not a regular file"));
     }
 }

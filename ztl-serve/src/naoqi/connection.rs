@@ -8,12 +8,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tracing::{info, warn};
 use ztl_naoqi::{Client, Credentials, Endpoint, Event, Limits, Options};
-use ztl_std::files;
 use ztl_yaml::{Node, NodeValue};
 
 use super::names::Used;
 use crate::log::LOG;
-use crate::reader::ConfigReader;
+use crate::reader::{ConfigReader, secret};
 
 /// Where NAOqi listens on the robot itself.
 const DIRECTORY: &str = "tcp://127.0.0.1:9559";
@@ -100,8 +99,7 @@ impl Robot {
 
 /// Reads a token.
 fn token(file: &Path) -> Result<String, String> {
-    let text = files::read_text(file, LONGEST_TOKEN);
-    let text = text.map_err(|error| format!("{}: {error}", file.display()))?;
+    let text = secret(file, LONGEST_TOKEN)?;
     match text.trim() {
         "" => Err(format!(
             "{} is empty; write the robot's password into it",
@@ -203,5 +201,10 @@ mod tests {
         assert_eq!(mode & 0o777, 0o600);
         fs::write(&file, " \n").expect("to write");
         assert!(token(&file).is_err_and(|it| it.contains("is empty")));
+        fs::write(&file, "x".repeat(4097)).expect("to write");
+        assert!(token(&file).is_err_and(|it| it.ends_with("it has more than 4096 bytes")));
+        // Its length is said to be zero, and it never ends.
+        let endless = token(Path::new("/dev/zero"));
+        assert!(endless.is_err_and(|it| it == "/dev/zero: it is not a regular file"));
     }
 }
