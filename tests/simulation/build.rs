@@ -43,6 +43,9 @@ fn main() -> io::Result<()> {
         collect(&mcu.join(name), &mut files)?;
     }
     collect(&root.join("ztl-link/src"), &mut files)?;
+    for name in ["agent.rs", "agent", "endpoint.rs", "endpoint", "wire.rs"] {
+        collect(&root.join("ztl-fleet/src").join(name), &mut files)?;
+    }
 
     let mut lost = Vec::new();
     for (number, mutant) in MUTANTS.iter().enumerate() {
@@ -70,9 +73,11 @@ fn main() -> io::Result<()> {
          pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\
+         #[path = {:?}]\n/// The rules of a fleet.\npub mod fleet {{\npub mod agent;\npub mod endpoint;\npub mod wire;\n}}\n\
          /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
         out.join("ztl-mcu/src"),
         out.join("ztl-link/src/lib.rs"),
+        out.join("ztl-fleet/src"),
     );
     fs::write(out.join("ends.rs"), modules)
 }
@@ -125,10 +130,11 @@ fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
         let switch = format!("crate::broken::is(&{numbers:?})");
         *text = text.replace(find, &replace.replace("ON", &switch));
     }
-    let inside = if path.starts_with(root.join("ztl-mcu")) {
-        format!("{ENDS}::mcu::")
-    } else {
-        format!("{ENDS}::link::")
+    let within = |package: &str| path.starts_with(root.join(package));
+    let inside = match () {
+        () if within("ztl-mcu") => format!("{ENDS}::mcu::"),
+        () if within("ztl-fleet") => format!("{ENDS}::fleet::"),
+        () => format!("{ENDS}::link::"),
     };
     *text = text
         .replace("use crate::", &format!("use {inside}"))

@@ -16,9 +16,11 @@ pub mod shrink;
 pub mod real {
     /// The two ends of the link.
     pub(crate) mod ends {
+        pub(crate) use ztl_fleet as fleet;
         pub(crate) use ztl_link as link;
         pub(crate) use ztl_mcu as mcu;
     }
+    pub mod fleet;
     pub mod model;
 }
 
@@ -33,6 +35,7 @@ pub mod broken {
     pub mod ends {
         include!(concat!(env!("OUT_DIR"), "/ends.rs"));
     }
+    pub mod fleet;
     pub mod model;
 
     thread_local! {
