@@ -220,8 +220,9 @@ impl Shared {
                 };
                 if shared.busy.fetch_add(1, Ordering::SeqCst) >= MOST {
                     shared.busy.fetch_sub(1, Ordering::SeqCst);
+                    // An earlier copy may have acted.
                     let reason = "too many requests are waiting, try again";
-                    reply(&query, &Verdict::NotStarted(reason.to_owned()));
+                    reply(&query, &Verdict::Unknown(reason.to_owned()));
                     return;
                 }
                 let busy = Arc::clone(&shared);

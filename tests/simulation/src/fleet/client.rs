@@ -45,9 +45,10 @@ pub(super) struct Asked {
     kind: Kind,
     envelope: Option<Envelope>,
     body: String,
-    /// The endpoint's boot id, as far as the client knows.
+    /// The endpoint's boot id when the INIT was sent.
     boot: u32,
-    repeats: bool,
+    /// The endpoint's boot id when it was sent.
+    sent_to: u32,
     answered: bool,
 }
 
@@ -56,13 +57,17 @@ impl World {
         if self.calm {
             return;
         }
-        let most = if self.weather.replay > 0.0 { 9000 } else { 2500 };
+        let most = if self.weather.replay > 0.0 {
+            9000
+        } else {
+            2500
+        };
         let wait = 20 + self.dice.below(most);
         self.after(wait, Event::Act(person));
         let last = self.people[person].last.clone();
         let choice = self.dice.below(10);
         match last {
-            Some(last) if !last.told && choice < 4 => {
+            Some(last) if !last.told && choice < 4 && self.is_kept(&last) => {
                 let elsewhere = self.dice.chance(0.1);
                 let desk = (last.desk + usize::from(elsewhere)) % ENDPOINTS;
                 self.ask_outcome(person, &last, desk);
@@ -72,7 +77,7 @@ impl World {
                 if runs && self.now.since(last.sent) < Duration::from_secs(10) {
                     let kind = Kind::Init(last.tag);
                     let number = Some(last.number);
-                    self.send(person, last.desk, kind, number, last.body, true);
+                    self.send(person, last.desk, kind, number, last.body);
                 }
             }
             _ if choice >= 4 && choice < 8 => {
@@ -83,6 +88,11 @@ impl World {
                 self.init(person, desk);
             }
         }
+    }
+
+    /// Whether a client may still ask for its outcome.
+    fn is_kept(&self, last: &Last) -> bool {
+        self.now.since(last.sent) < Duration::from_secs(50)
     }
 
     fn init(&mut self, person: usize, desk: usize) -> Option<u64> {
@@ -105,7 +115,7 @@ impl World {
                 told: false,
             });
         }
-        self.send(person, desk, Kind::Init(tag), number, body, false)
+        self.send(person, desk, Kind::Init(tag), number, body)
     }
 
     /// The next number of a client with envelopes.
@@ -124,7 +134,7 @@ impl World {
         let number = self.next_number(person);
         let body = format!("$ztl;2;-1;outcome {}", last.number);
         let kind = Kind::Outcome(last.tag.clone());
-        let request = self.send(person, desk, kind, number, body, false)?;
+        let request = self.send(person, desk, kind, number, body)?;
         if let Some(asked) = self.asked.get_mut(&request) {
             asked.boot = last.boot;
         }
@@ -155,7 +165,7 @@ impl World {
             false => Kind::Status(tag.to_owned(), boot),
         };
         let number = self.next_number(person);
-        self.send(person, desk, kind, number, body, false)
+        self.send(person, desk, kind, number, body)
     }
 
     fn scope_of(&self, tag: &str) -> &'static str {
@@ -172,7 +182,6 @@ impl World {
         kind: Kind,
         number: Option<u64>,
         body: String,
-        repeats: bool,
     ) -> Option<u64> {
         let boot = self.desks[desk].as_ref()?.boot;
         let request = self.number();
@@ -182,19 +191,22 @@ impl World {
             number,
             early_end: false,
         });
-        self.note(|| format!("client {person} request {request} to endpoint {desk}: {number:?} {body}"));
+        self.note(|| {
+            format!("client {person} request {request} to endpoint {desk}: {number:?} {body}")
+        });
         let asked = Asked {
             person,
             kind,
             envelope,
             body,
             boot,
-            repeats,
+            sent_to: boot,
             answered: false,
         };
         self.asked.insert(request, asked);
         for time in self.arrivals().into_iter().take(1) {
-            self.after(time, Event::ToFleet(desk, request));
+            // A connection does not keep it for longer.
+            self.after(time.min(5000), Event::ToFleet(desk, request));
         }
         Some(request)
     }
@@ -207,7 +219,8 @@ impl World {
         let (Some(at), Some(asked)) = (self.at(desk, boot), self.asked.get(&request)) else {
             return;
         };
-        if asked.repeats && asked.boot != boot {
+        if asked.sent_to != boot {
+            // Its connection ended.
             return;
         }
         let (envelope, body) = (asked.envelope, asked.body.clone());
@@ -264,7 +277,7 @@ impl World {
             let last = self.people[person].last.clone();
             if let Some(last) = last.filter(|last| !last.told)
                 && self.at(last.desk, last.boot).is_some()
-                && self.now.since(last.sent) < Duration::from_secs(50)
+                && self.is_kept(&last)
             {
                 open.extend(self.ask_outcome(person, &last, last.desk));
             }

@@ -85,9 +85,9 @@ impl Truth {
                 };
                 self.told = Some(id);
                 match known {
-                    Some(known) if known != id => Err(format!(
-                        "another id is told: {text} instead of {known}"
-                    )),
+                    Some(known) if known != id => {
+                        Err(format!("another id is told: {text} instead of {known}"))
+                    }
                     _ => Ok(()),
                 }
             }

@@ -75,8 +75,8 @@ enum Event {
     Look(usize),
     /// An agent sends to its server what was forwarded.
     Forward(usize, u32, FromAgent, Option<(InitId, bool)>, Vec<u8>),
-    /// A request arrives at a server.
-    ToServer(usize, u64, Option<(InitId, bool)>, Vec<u8>),
+    /// A request arrives at a server with this boot id.
+    ToServer(usize, u32, u64, Option<(InitId, bool)>, Vec<u8>),
     /// A server's answer arrives at its agent; `None` when it has waited long enough.
     FromServer(usize, u64, Option<Vec<u8>>),
     /// A handler decides about a task, and how it ends.
@@ -285,7 +285,7 @@ impl World {
             }
             if wake < at {
                 self.now = wake.max(self.now);
-                self.timeouts()?;
+                self.timeouts();
                 continue;
             }
             self.events.pop();
@@ -302,7 +302,8 @@ impl World {
             Event::ToEndpoint((desk, boot, query), verdict) => {
                 if let Some(at) = self.at(desk, boot) {
                     self.note(|| format!("endpoint {desk} query {query}: {verdict:?}"));
-                    let effects = self.with_desk(desk, |rules| rules.handle_verdict(at, query, verdict));
+                    let effects =
+                        self.with_desk(desk, |rules| rules.handle_verdict(at, query, verdict));
                     self.desk_effects(desk, effects);
                 }
             }
@@ -325,8 +326,8 @@ impl World {
             Event::Forward(robot, boot, from, envelope, body) => {
                 self.forward(robot, boot, from, envelope, body);
             }
-            Event::ToServer(robot, token, envelope, body) => {
-                self.on_server(robot, token, envelope, &body)?;
+            Event::ToServer(robot, boot, token, envelope, body) => {
+                self.on_server(robot, boot, token, envelope, &body);
             }
             Event::FromServer(robot, token, body) => self.on_answer(robot, token, body),
             Event::Decide(robot, boot, id, payload) => self.decide(robot, boot, id, &payload)?,

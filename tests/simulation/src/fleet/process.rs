@@ -27,7 +27,7 @@ impl World {
         all.unwrap_or(Instant::NEVER)
     }
 
-    pub(super) fn timeouts(&mut self) -> Result<(), String> {
+    pub(super) fn timeouts(&mut self) {
         let now = self.now;
         for desk in 0..self.desks.len() {
             if let Some(at) = self.desks[desk].as_ref().map(|desk| desk.clock(now)) {
@@ -43,7 +43,6 @@ impl World {
             }
             self.flush(robot);
         }
-        Ok(())
     }
 
     /// The clock of an endpoint that runs with this boot id.
@@ -83,7 +82,7 @@ impl World {
             match effect {
                 EndpointEffect::Answer { request, body } => {
                     for time in self.arrivals().into_iter().take(1) {
-                        self.after(time, Event::ToClient(request, body.clone()));
+                        self.after(time.min(5000), Event::ToClient(request, body.clone()));
                     }
                 }
                 EndpointEffect::Silence { .. } => self.figures.silent += 1,
@@ -97,7 +96,9 @@ impl World {
                     let robot = (0..ROBOTS).find(|known| name(*known) == robot);
                     let robot = robot.expect("it was announced");
                     let back = (desk, boot, query);
-                    self.note(|| format!("endpoint {desk} query {query} to robot {robot}: {what:?}"));
+                    self.note(|| {
+                        format!("endpoint {desk} query {query} to robot {robot}: {what:?}")
+                    });
                     let mut limit = u64::try_from(limit.as_millis()).unwrap_or(u64::MAX);
                     if !self.cut[desk][robot] {
                         for time in self.arrivals() {
@@ -167,7 +168,8 @@ impl World {
             server: None,
             scopes: SCOPES.iter().map(|scope| (*scope).to_owned()).collect(),
         };
-        for time in self.arrivals() {
+        // Nobody waits for a later one.
+        for time in self.arrivals().into_iter().filter(|time| *time < 2000) {
             self.after(time, Event::Info(desk, boot, info.clone()));
         }
     }
@@ -253,7 +255,10 @@ impl World {
                 AgentEffect::AskServer(id) => {
                     let body = format!("$ztl;2;-1;outcome {}", id.number).into_bytes();
                     let from = FromAgent::Outcome(id);
-                    self.after(0, Event::Forward(robot, boot, from, Some((id, false)), body));
+                    self.after(
+                        0,
+                        Event::Forward(robot, boot, from, Some((id, false)), body),
+                    );
                 }
             }
         }
@@ -274,15 +279,19 @@ impl World {
         }
         let text = String::from_utf8_lossy(&body).into_owned();
         self.note(|| format!("agent {robot} to its server: {from:?} {text}"));
-        if self.robots[robot].server.is_none() {
+        let Some(server) = &self.robots[robot].server else {
             return self.on_server_said(robot, from, None, false);
-        }
+        };
+        let server = server.boot;
         let token = self.number();
         self.asks.insert(token, (boot, from));
         // One copy at most, but perhaps after the agent waits no more.
         for time in self.arrivals().into_iter().take(1) {
             let time = time.min(5000);
-            self.after(time, Event::ToServer(robot, token, envelope, body.clone()));
+            self.after(
+                time,
+                Event::ToServer(robot, server, token, envelope, body.clone()),
+            );
         }
         self.after(ANSWER, Event::FromServer(robot, token, None));
     }
@@ -290,15 +299,16 @@ impl World {
     pub(super) fn on_server(
         &mut self,
         robot: usize,
+        boot: u32,
         token: u64,
         envelope: Option<(InitId, bool)>,
         body: &[u8],
-    ) -> Result<(), String> {
+    ) {
         let now = self.now;
-        let Some(server) = &mut self.robots[robot].server else {
-            return Ok(());
+        // With a server, its connections end.
+        let Some(server) = running(self.robots[robot].server.as_mut(), boot) else {
+            return;
         };
-        let boot = server.boot;
         let envelope = envelope.map(|(id, early_end)| Envelope {
             client: id.client,
             number: id.number,
@@ -317,7 +327,6 @@ impl World {
             None => {}
         }
         self.flush(robot);
-        Ok(())
     }
 
     /// A handler starts a task, or rejects it.
@@ -388,13 +397,7 @@ impl World {
         }
     }
 
-    fn on_server_said(
-        &mut self,
-        robot: usize,
-        from: FromAgent,
-        body: Option<Vec<u8>>,
-        sent: bool,
-    ) {
+    fn on_server_said(&mut self, robot: usize, from: FromAgent, body: Option<Vec<u8>>, sent: bool) {
         let effects = match from {
             FromAgent::Init(id) => {
                 let said = match sent {
