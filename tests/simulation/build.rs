@@ -7,7 +7,11 @@ use std::{env, fs, io};
 #[path = "src/mutants.rs"]
 mod mutants;
 
-use mutants::MUTANTS;
+#[path = "src/fleet_mutants.rs"]
+mod fleet_mutants;
+
+use fleet_mutants::FLEET;
+use mutants::{MUTANTS, Mutant};
 
 /// Module path of the copy.
 const ENDS: &str = "crate::broken::ends";
@@ -22,6 +26,7 @@ fn main() -> io::Result<()> {
         println!("cargo::rustc-cfg=optimised");
     }
     println!("cargo::rerun-if-changed=src/mutants.rs");
+    println!("cargo::rerun-if-changed=src/fleet_mutants.rs");
 
     let mut files = BTreeMap::new();
     let mcu = root.join("ztl-mcu/src");
@@ -48,7 +53,7 @@ fn main() -> io::Result<()> {
     }
 
     let mut lost = Vec::new();
-    for (number, mutant) in MUTANTS.iter().enumerate() {
+    for (number, mutant) in all().enumerate() {
         let _ = (mutant.name, mutant.caught_in, mutant.complaint);
         for (file, _, _) in mutant.edits {
             if !files.contains_key(&root.join(file)) {
@@ -82,6 +87,10 @@ fn main() -> io::Result<()> {
     fs::write(out.join("ends.rs"), modules)
 }
 
+fn all() -> impl Iterator<Item = &'static Mutant> {
+    MUTANTS.iter().chain(FLEET)
+}
+
 /// Reads a file, or all files of a directory, without their tests.
 fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()> {
     println!("cargo::rerun-if-changed={}", path.display());
@@ -111,7 +120,7 @@ fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()>
 fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
     // Each piece of code once, with the mutants that change it.
     let mut places: BTreeMap<&str, (&str, Vec<usize>)> = BTreeMap::new();
-    for (number, mutant) in MUTANTS.iter().enumerate() {
+    for (number, mutant) in all().enumerate() {
         let here = mutant
             .edits
             .iter()

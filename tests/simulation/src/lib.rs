@@ -7,6 +7,7 @@
 
 pub mod explore;
 pub mod fingerprint;
+pub mod fleet_mutants;
 pub mod lab;
 pub mod plan;
 pub mod shrink;
@@ -55,7 +56,12 @@ pub mod broken {
     /// Names of the mutants whose code is not found.
     #[must_use]
     pub fn lost() -> Vec<&'static str> {
-        let name = |number: &usize| crate::mutants::MUTANTS[*number].name;
-        ends::LOST.iter().map(name).collect()
+        let all = || {
+            crate::mutants::MUTANTS
+                .iter()
+                .chain(crate::fleet_mutants::FLEET)
+        };
+        let name = |number: &usize| all().nth(*number).map(|mutant| mutant.name);
+        ends::LOST.iter().filter_map(name).collect()
     }
 }
