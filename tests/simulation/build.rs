@@ -7,7 +7,11 @@ use std::{env, fs, io};
 #[path = "src/mutants.rs"]
 mod mutants;
 
-use mutants::MUTANTS;
+#[path = "src/fleet_mutants.rs"]
+mod fleet_mutants;
+
+use fleet_mutants::FLEET;
+use mutants::{MUTANTS, Mutant};
 
 /// Module path of the copy.
 const ENDS: &str = "crate::broken::ends";
@@ -22,6 +26,7 @@ fn main() -> io::Result<()> {
         println!("cargo::rustc-cfg=optimised");
     }
     println!("cargo::rerun-if-changed=src/mutants.rs");
+    println!("cargo::rerun-if-changed=src/fleet_mutants.rs");
 
     let mut files = BTreeMap::new();
     let mcu = root.join("ztl-mcu/src");
@@ -43,9 +48,12 @@ fn main() -> io::Result<()> {
         collect(&mcu.join(name), &mut files)?;
     }
     collect(&root.join("ztl-link/src"), &mut files)?;
+    for name in ["agent.rs", "agent", "endpoint.rs", "endpoint", "wire.rs"] {
+        collect(&root.join("ztl-fleet/src").join(name), &mut files)?;
+    }
 
     let mut lost = Vec::new();
-    for (number, mutant) in MUTANTS.iter().enumerate() {
+    for (number, mutant) in all().enumerate() {
         let _ = (mutant.name, mutant.caught_in, mutant.complaint);
         for (file, _, _) in mutant.edits {
             if !files.contains_key(&root.join(file)) {
@@ -70,11 +78,17 @@ fn main() -> io::Result<()> {
          pub use component::{{Component, Components, Reading, Refused, Report, Run}};\n\
          pub use node::{{Counters, Identity, LinkUp, Node, Reason}};\n}}\n\
          #[path = {:?}]\n/// The gateway's end.\npub mod link;\n\
+         #[path = {:?}]\n/// The rules of a fleet.\npub mod fleet {{\npub mod agent;\npub mod endpoint;\npub mod wire;\n}}\n\
          /// Mutants whose code is not found.\npub(crate) const LOST: &[usize] = &{lost:?};\n",
         out.join("ztl-mcu/src"),
         out.join("ztl-link/src/lib.rs"),
+        out.join("ztl-fleet/src"),
     );
     fs::write(out.join("ends.rs"), modules)
+}
+
+fn all() -> impl Iterator<Item = &'static Mutant> {
+    MUTANTS.iter().chain(FLEET)
 }
 
 /// Reads a file, or all files of a directory, without their tests.
@@ -106,7 +120,7 @@ fn collect(path: &Path, files: &mut BTreeMap<PathBuf, String>) -> io::Result<()>
 fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
     // Each piece of code once, with the mutants that change it.
     let mut places: BTreeMap<&str, (&str, Vec<usize>)> = BTreeMap::new();
-    for (number, mutant) in MUTANTS.iter().enumerate() {
+    for (number, mutant) in all().enumerate() {
         let here = mutant
             .edits
             .iter()
@@ -125,10 +139,11 @@ fn break_it(root: &Path, path: &Path, text: &mut String) -> Vec<usize> {
         let switch = format!("crate::broken::is(&{numbers:?})");
         *text = text.replace(find, &replace.replace("ON", &switch));
     }
-    let inside = if path.starts_with(root.join("ztl-mcu")) {
-        format!("{ENDS}::mcu::")
-    } else {
-        format!("{ENDS}::link::")
+    let within = |package: &str| path.starts_with(root.join(package));
+    let inside = match () {
+        () if within("ztl-mcu") => format!("{ENDS}::mcu::"),
+        () if within("ztl-fleet") => format!("{ENDS}::fleet::"),
+        () => format!("{ENDS}::link::"),
     };
     *text = text
         .replace("use crate::", &format!("use {inside}"))

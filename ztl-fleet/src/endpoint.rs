@@ -194,10 +194,12 @@ impl Endpoint {
             {
                 // The robot says that it did not act on it, and never will.
                 if let Some(rules) = rules {
-                    rules.boot = boot;
-                    rules.until_ms = clock_ms.saturating_add(VALID_MS);
-                    let (id, rules) = (rules.id, *rules);
-                    self.note_rules(id, rules);
+                    let new = InitRules {
+                        id: rules.id,
+                        boot,
+                        until_ms: clock_ms.saturating_add(VALID_MS),
+                    };
+                    *rules = self.note_rules(*rules, new);
                 }
                 return vec![self.ask(now, pending)];
             }
@@ -211,17 +213,23 @@ impl Endpoint {
                     } => Some(rules.id),
                     _ => None,
                 };
+                // Another copy of it may have been sent with other rules meanwhile.
+                let is_latest = id.is_some_and(|id| self.is_latest(id, &pending.what));
+                let is_refused = !matches!(verdict, Verdict::Answer(_));
                 let body = match verdict {
                     Verdict::Answer(body) => with_scope(&body, &robot_scope, &scope),
                     // Only an INIT can be known not to have acted.
                     Verdict::NotStarted(reason) if id.is_some() => rejection(&scope, &reason),
-                    Verdict::Stale { .. } if id.is_some() => {
+                    Verdict::Stale { .. } if is_latest => {
                         rejection(&scope, "the robot's agent was restarted, try again")
                     }
                     _ => return vec![EndpointEffect::Silence { request }],
                 };
                 if let Some(id) = id {
                     self.note_answer(now, id, &body);
+                    if is_refused {
+                        self.give_up(id);
+                    }
                 }
                 vec![EndpointEffect::Answer { request, body }]
             }

@@ -301,8 +301,8 @@ impl Shared {
                 };
                 let refused = query.clone();
                 if !shared.spawn_busy(move |shared| answer(shared, query)) {
-                    // Somebody else could say so, too: a client believes a sealed answer only.
-                    let reason = "not started: too many requests are waiting, try again";
+                    // An earlier copy may have acted. (A client with a key believes a sealed answer only.)
+                    let reason = "unknown: too many requests are waiting, try again";
                     let _ = refused.reply_err(reason).wait();
                 }
             });

@@ -1,17 +1,26 @@
 //! Fleets: robots of many rooms and buildings behind one ZTL endpoint, over Eclipse Zenoh.
 //!
 //! [`agent`] and [`endpoint`] are the rules, without I/O and without Zenoh; [`wire`] is what they say to each other, and
-//! [`seal`] how they know each other (docs/fleet.md).
+//! [`seal`] how they know each other (docs/fleet.md). The rest needs the feature `processes`.
 
 pub mod agent;
+#[cfg(feature = "processes")]
 pub mod caller;
+#[cfg(feature = "processes")]
 pub mod config;
 pub mod endpoint;
+#[cfg(feature = "processes")]
 pub mod join;
+#[cfg(feature = "processes")]
 pub mod journal;
+#[cfg(feature = "processes")]
 pub mod random;
+#[cfg(feature = "processes")]
 pub mod seal;
+#[cfg(feature = "processes")]
 pub mod seldom;
+#[cfg(feature = "processes")]
 pub mod serve;
+#[cfg(feature = "processes")]
 pub mod session;
 pub mod wire;

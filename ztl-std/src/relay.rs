@@ -270,3 +270,6 @@ impl std::fmt::Debug for RelayClient {
         f.debug_tuple("RelayClient").field(&self.endpoint).finish()
     }
 }
+
+#[cfg(test)]
+mod tests;

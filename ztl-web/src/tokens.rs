@@ -8,9 +8,6 @@ use ztl_std::files;
 
 /// The length of a token: 128 bits in hexadecimal.
 const LENGTH: usize = 32;
-/// Most bytes of their file.
-const LONGEST: u64 = 4096;
-
 /// The longest file with secrets, in bytes; one has 83.
 const LONGEST: u64 = 1024;
 

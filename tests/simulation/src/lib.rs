@@ -7,6 +7,7 @@
 
 pub mod explore;
 pub mod fingerprint;
+pub mod fleet_mutants;
 pub mod lab;
 pub mod plan;
 pub mod shrink;
@@ -16,9 +17,11 @@ pub mod shrink;
 pub mod real {
     /// The two ends of the link.
     pub(crate) mod ends {
+        pub(crate) use ztl_fleet as fleet;
         pub(crate) use ztl_link as link;
         pub(crate) use ztl_mcu as mcu;
     }
+    pub mod fleet;
     pub mod model;
 }
 
@@ -33,6 +36,7 @@ pub mod broken {
     pub mod ends {
         include!(concat!(env!("OUT_DIR"), "/ends.rs"));
     }
+    pub mod fleet;
     pub mod model;
 
     thread_local! {
@@ -57,7 +61,12 @@ pub mod broken {
     /// Names of the mutants whose code is not found.
     #[must_use]
     pub fn lost() -> Vec<&'static str> {
-        let name = |number: &usize| crate::mutants::MUTANTS[*number].name;
-        ends::LOST.iter().map(name).collect()
+        let all = || {
+            crate::mutants::MUTANTS
+                .iter()
+                .chain(crate::fleet_mutants::FLEET)
+        };
+        let name = |number: &usize| all().nth(*number).map(|mutant| mutant.name);
+        ends::LOST.iter().filter_map(name).collect()
     }
 }

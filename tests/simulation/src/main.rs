@@ -1,4 +1,4 @@
-//! `cargo xtask model` and `cargo xtask simulate`.
+//! `cargo xtask model` and `cargo xtask simulate`, and simulations of a fleet.
 
 #![expect(
     clippy::disallowed_types,
@@ -14,6 +14,7 @@ use std::time::Instant;
 use ztl_simulation::explore::{System, explore};
 use ztl_simulation::lab::Summary;
 use ztl_simulation::plan::Plan;
+use ztl_simulation::real::fleet;
 use ztl_simulation::real::model::{BUS_SCENARIOS, BusModel, LinkModel, SCENARIOS};
 use ztl_simulation::shrink::{attempt, report, shrink};
 
@@ -27,7 +28,8 @@ const TOLD: u64 = 3;
 const SEEDS: u64 = 2000;
 
 const USAGE: &str = "usage: ztl-simulation model [SCENARIO] [--depth FAULTS]\n       \
-                     ztl-simulation simulate [--bus] [--seeds NUMBER] [--first SEED] | --show SEED";
+                     ztl-simulation simulate [--bus] [--seeds NUMBER] [--first SEED] | --show SEED\n       \
+                     ztl-simulation fleet [--seeds NUMBER] [--first SEED]";
 
 fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -35,6 +37,7 @@ fn main() -> ExitCode {
     let done = match words.split_first() {
         Some((&"model", rest)) => model(rest),
         Some((&"simulate", rest)) => simulate(rest),
+        Some((&"fleet", rest)) => fleet(rest),
         _ => Err(USAGE.to_owned()),
     };
     match done {
@@ -183,5 +186,49 @@ fn simulate(words: &[&str]) -> Result<bool, String> {
     let seconds = begin.elapsed().as_secs_f32();
     let last = next.load(Ordering::Relaxed).min(first + seeds) - 1;
     println!("seeds {first} to {last}: {total}; {seconds:.1} s");
+    Ok(well)
+}
+
+fn fleet(words: &[&str]) -> Result<bool, String> {
+    let (mut seeds, mut first) = (SEEDS, 1);
+    let mut words = words.iter();
+    while let Some(word) = words.next() {
+        match *word {
+            "--seeds" => seeds = number(word, words.next())?,
+            "--first" => first = number(word, words.next())?,
+            _ => return Err(format!("what is `{word}`?\n{USAGE}")),
+        }
+    }
+    let begin = Instant::now();
+    let next = AtomicU64::new(first);
+    let failed = AtomicU64::new(0);
+    let total = Mutex::new(fleet::Figures::default());
+    let well = on_all_cores(|| {
+        let mut mine = fleet::Figures::default();
+        let mut well = true;
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= first.saturating_add(seeds) || failed.load(Ordering::Relaxed) >= TOLD {
+                break;
+            }
+            match fleet::play(seed, false) {
+                Ok(figures) => mine += figures,
+                Err((complaint, _)) => {
+                    well = false;
+                    failed.fetch_add(1, Ordering::Relaxed);
+                    let trace = fleet::play(seed, true).err().map(|(_, trace)| trace);
+                    let trace = trace.unwrap_or_default().join("\n");
+                    println!("{trace}\nseed {seed}: {complaint}");
+                }
+            }
+        }
+        if let Ok(mut total) = total.lock() {
+            *total += mine;
+        }
+        well
+    });
+    let total = total.into_inner().unwrap_or_default();
+    let seconds = begin.elapsed().as_secs_f32();
+    println!("{seeds} seeds from {first} on: {total:?}; {seconds:.1} s");
     Ok(well)
 }

@@ -45,27 +45,26 @@ impl Endpoint {
         let Some((name, robot_scope)) = split(scope).filter(|_| may_use(scope)) else {
             return answer(unknown());
         };
-        let Some(robot) = self.robots.get(name) else {
-            return answer(unknown());
-        };
         let is_init = kind == Some(Request::Init);
-        let Some(agent) = robot.agent.clone() else {
-            return match is_init {
-                // Nothing is sent, so nothing is started.
-                true => answer(rejection(
-                    scope,
-                    &format!("robot '{name}' is not connected"),
-                )),
-                false => vec![EndpointEffect::Silence { request }],
+        let silence = vec![EndpointEffect::Silence { request }];
+        let robot = self.robots.get(name);
+        let agent = robot.and_then(|robot| robot.agent.clone());
+        let refused = match (robot, &agent) {
+            (None, _) => Some(format!("No controller for scope: {scope}")),
+            (_, None) => Some(format!("robot '{name}' is not connected")),
+            _ if self.pending.len() >= MOST => {
+                Some("too many requests are waiting, try again".to_owned())
+            }
+            _ => None,
+        };
+        let (Some(robot), Some(agent), None) = (robot, agent, &refused) else {
+            // Nothing is sent, so nothing is started. An endpoint that has just started does not know all robots, and a
+            // task may run there.
+            return match refused {
+                Some(reason) if is_init => self.refuse(now, asked, scope, name, &reason),
+                _ => silence,
             };
         };
-        if self.pending.len() >= MOST {
-            let reason = "too many requests are waiting, try again";
-            return match is_init {
-                true => answer(rejection(scope, reason)),
-                false => vec![EndpointEffect::Silence { request }],
-            };
-        }
         let mut rules = None;
         if is_init {
             let (boot, clock_ms) = robot.clock(now);
@@ -76,15 +75,17 @@ impl Endpoint {
                 },
                 |Envelope { client, number, .. }| InitId { client, number },
             );
-            let new = InitRules {
+            let mut new = InitRules {
                 id,
                 boot,
                 until_ms: clock_ms.saturating_add(VALID_MS),
             };
-            if asked.envelope.is_some()
-                && let Err(reason) = self.note_init(now, name, &agent, new)
-            {
-                return answer(rejection(scope, reason));
+            if asked.envelope.is_some() {
+                match self.note_init(now, name, &agent, new) {
+                    // The robot's agent knows it, or its boot.
+                    Ok(first) => new = first.unwrap_or(new),
+                    Err(reason) => return answer(rejection(scope, reason)),
+                }
             }
             rules = Some(new);
         }
@@ -133,7 +134,7 @@ impl Endpoint {
         if last.is_some_and(|last| last.number > number) {
             return answer(about_server(2, "settled by a later INIT"));
         }
-        match last.filter(|last| last.number == number && !last.void) {
+        match last.filter(|last| last.number == number) {
             Some(LastInit {
                 answer: Some(body), ..
             }) => answer(with_any_scope(body, "$ztl")),
@@ -141,6 +142,7 @@ impl Endpoint {
                 robot,
                 agent,
                 rules: Some(rules),
+                void: false,
                 ..
             }) => {
                 let pending = Pending {
@@ -175,14 +177,44 @@ impl Endpoint {
         }
     }
 
-    /// Remembers an INIT that is about to be sent.
+    /// Refuses an INIT without sending it; never one that was sent.
+    fn refuse(
+        &mut self,
+        now: Instant,
+        asked: ClientRequest<'_>,
+        scope: &str,
+        robot: &str,
+        reason: &str,
+    ) -> Vec<EndpointEffect> {
+        let request = asked.request;
+        let mut body = rejection(scope, reason);
+        if let Some(Envelope { client, number, .. }) = asked.envelope {
+            let id = InitId { client, number };
+            let rules = InitRules {
+                id,
+                boot: 0,
+                until_ms: 0,
+            };
+            match self.note_init(now, robot, "", rules) {
+                Ok(Some(_)) => return vec![EndpointEffect::Silence { request }],
+                Ok(None) => {
+                    self.note_answer(now, id, &body);
+                    self.give_up(id);
+                }
+                Err(reason) => body = rejection(scope, reason),
+            }
+        }
+        vec![EndpointEffect::Answer { request, body }]
+    }
+
+    /// Remembers an INIT that is about to be sent. Returns the rules with which it was sent before.
     fn note_init(
         &mut self,
         now: Instant,
         robot: &str,
         agent: &str,
         rules: InitRules,
-    ) -> Result<(), &'static str> {
+    ) -> Result<Option<InitRules>, &'static str> {
         let id = rules.id;
         let last = self.inits.get(&id.client);
         if last.is_none() && self.inits.len() >= MOST {
@@ -196,8 +228,7 @@ impl Endpoint {
                 return Err("another INIT has this number");
             }
             if last.number == id.number {
-                // A repetition, which the robot's agent knows.
-                return Ok(());
+                return Ok(last.rules);
             }
         }
         let init = LastInit {
@@ -210,12 +241,24 @@ impl Endpoint {
             expires: now + KEEP,
         };
         self.inits.insert(id.client, init);
-        Ok(())
+        Ok(None)
     }
 
-    pub(super) fn note_rules(&mut self, id: InitId, rules: InitRules) {
-        if let Some(last) = self.last(id) {
-            last.rules = Some(rules);
+    /// The robot says that an INIT with these rules does not act. Returns the rules for the next try: `new`, or those with which
+    /// another copy of it was sent meanwhile.
+    pub(super) fn note_rules(&mut self, refused: InitRules, new: InitRules) -> InitRules {
+        match self.last(new.id).map(|last| &mut last.rules) {
+            Some(Some(latest)) if *latest != refused => *latest,
+            Some(rules) => *rules.insert(new),
+            None => new,
+        }
+    }
+
+    /// Whether no copy of an INIT was sent with later rules.
+    pub(super) fn is_latest(&mut self, id: InitId, what: &Ask) -> bool {
+        match (self.last(id), what) {
+            (Some(last), Ask::Request { rules, .. }) => last.rules == *rules,
+            _ => true,
         }
     }
 
