@@ -1,6 +1,6 @@
 //! Robots that do not answer, and clients that do not wait.
 
-use std::io::Read as _;
+use std::io::{Read as _, Write as _};
 use std::time::Duration;
 
 use ztl_std::State::{Completed, Failed};
@@ -52,4 +52,24 @@ fn a_request_without_an_answer_is_aborted() {
         "{state} {text}"
     );
     assert_eq!(web.asked("POST /halt").len(), 1);
+}
+
+#[test]
+fn a_flood_of_events_does_not_hide_that_the_robot_is_heard() {
+    let web = Web::start(|_, wire| {
+        let head =
+            "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nConnection: close\r\n\r\n";
+        // More at once than is kept, before anybody looks.
+        let flood = format!(
+            "{head}{}event: end\ndata: over\n\n",
+            "data\n\n".repeat(100_000)
+        );
+        let _ = wire.write_all(flood.as_bytes());
+        let _ = wire.read(&mut [0]);
+    });
+    let served = Served::new(
+        &web,
+        "wait: {http: {event: {get: 'http://{robot}/events', until: {event: end}}}}",
+    );
+    assert_eq!(served.run("p", "wait", ""), (Completed, "over".to_owned()));
 }

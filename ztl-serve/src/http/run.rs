@@ -242,7 +242,8 @@ impl Run {
                 return Err(StopReason::Client.before_start());
             }
             match (heard, &event.ready) {
-                (Some(Heard::Open), None) => return Ok(listening),
+                // A flood of events may have driven out that it is open.
+                (Some(Heard::Open | Heard::Event(_)), None) => return Ok(listening),
                 (Some(Heard::Event(heard)), Some(ready)) if ready.holds(&heard, &self.call) => {
                     return Ok(listening);
                 }
