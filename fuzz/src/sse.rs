@@ -2,8 +2,6 @@
 //!
 //! The first byte says how the rest is cut into pieces.
 
-use std::mem;
-
 use peak_alloc::PeakAlloc;
 
 #[path = "../../ztl-serve/src/http/sse.rs"]
@@ -50,7 +48,7 @@ fn read(
             events.push((name, data));
         })?;
     }
-    let listed = 2 * events.capacity() * mem::size_of::<(Option<String>, Vec<u8>)>();
+    let listed = 2 * events.capacity() * size_of::<(Option<String>, Vec<u8>)>();
     let peak = allocator.peak_usage().saturating_sub(before);
     assert!(peak <= MOST + kept + listed, "it takes {peak} bytes");
     Ok(events)

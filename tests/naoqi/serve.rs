@@ -376,6 +376,31 @@ fn an_abort_that_the_method_ignores_is_rejected_and_the_task_goes_on() {
 }
 
 #[test]
+fn an_abort_is_tried_again_after_a_late_answer_to_the_last() {
+    let mut robot = Robot::start(&["ALMotion", "ALTextToSpeech"]);
+    let nao = Served::of(
+        &robot,
+        "walk: {naoqi: ALMotion.moveTo, arguments: [2, 0, 0], grace: 100 ms,
+                abort: {naoqi: ALTextToSpeech.say, arguments: ['a long story']}},
+         hush: {naoqi: ALTextToSpeech.stopAll},
+         stop: {naoqi: ALMotion.stopMove}",
+    );
+    let mut remote = nao.remote();
+    let task = start(&mut remote, "p", "walk", "");
+    robot.line_with("move 2.0");
+    for _ in 0..3 {
+        // What aborts takes longer than the grace, and returns when nobody waits for it any more.
+        let answer = remote.abort(task).expect("an answer");
+        assert!(answer.is_abort_rejected(), "{answer:?}");
+        robot.line_with("say a long story");
+        assert_eq!(nao.run("p", "hush", ""), completed("None"));
+        robot.line_with("silent");
+    }
+    assert_eq!(nao.run("p", "stop", ""), completed("None"));
+    assert_eq!(end(&mut remote, task), completed("False"));
+}
+
+#[test]
 fn sigterm_stops_what_moves() {
     let mut robot = Robot::start(&["ALMotion"]);
     let nao = Served::of(

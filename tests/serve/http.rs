@@ -1,6 +1,7 @@
 //! `http`, against a server on a thread: requests, what their answers mean, and servers that misbehave.
 
 mod events;
+mod hostile;
 mod robots;
 mod tls;
 mod web;

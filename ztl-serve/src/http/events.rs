@@ -47,13 +47,14 @@ pub(super) enum Heard {
 }
 
 impl Heard {
-    /// Its size in bytes.
-    pub(super) const fn len(&self) -> usize {
-        match self {
-            Self::Open => 1,
+    /// Its size in bytes. An event without a text takes memory, too.
+    pub(super) fn len(&self) -> usize {
+        let text = match self {
+            Self::Open => 0,
             Self::Event(event) => event.len(),
             Self::Closed(reason) => reason.len(),
-        }
+        };
+        size_of::<Self>() + text
     }
 }
 

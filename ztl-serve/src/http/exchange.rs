@@ -57,9 +57,9 @@ impl Answer {
         }
     }
 
-    /// Its size in bytes.
-    pub(super) const fn len(&self) -> usize {
-        self.body.len()
+    /// The bytes of its texts.
+    pub(super) fn len(&self) -> usize {
+        self.body.len() + self.name.as_ref().map_or(0, String::len)
     }
 
     /// Its JSON; `None` if it is none.

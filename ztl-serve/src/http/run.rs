@@ -74,6 +74,8 @@ struct Shared {
     changed: Condvar,
     /// Whether the task's thread waits for an answer, so that it cannot abort.
     is_asking: AtomicBool,
+    /// Whether a thread aborts meanwhile. Clients may ask for an abort more often than a robot answers.
+    is_aborting: AtomicBool,
 }
 
 #[derive(Debug, Default)]
@@ -183,8 +185,8 @@ impl Run {
                 return Outcome::Rejected(format!("{}: {reason}", request.name()));
             }
             Err(NoAnswer { reason, .. }) => {
-                // What was sent before may have been overtaken.
-                let aborted = match self.is_aborted() && self.abort().is_ok() {
+                // The robot may still do it, and what was sent before may have been overtaken.
+                let aborted = match self.abort().is_ok() {
                     true => "an abort was sent, but ",
                     false => "",
                 };
@@ -240,7 +242,8 @@ impl Run {
                 return Err(StopReason::Client.before_start());
             }
             match (heard, &event.ready) {
-                (Some(Heard::Open), None) => return Ok(listening),
+                // A flood of events may have driven out that it is open.
+                (Some(Heard::Open | Heard::Event(_)), None) => return Ok(listening),
                 (Some(Heard::Event(heard)), Some(ready)) if ready.holds(&heard, &self.call) => {
                     return Ok(listening);
                 }
@@ -371,6 +374,7 @@ impl Run {
                     None => Outcome::Failed(format!("not over within {limit}; {stopped}")),
                 };
             }
+            let is_short = until.saturating_duration_since(Instant::now()) < QUESTION;
             let request = progress.request.fill(self.call());
             let answer = request
                 .map_err(|reason| NoAnswer {
@@ -391,6 +395,8 @@ impl Run {
                     let shown = show.and_then(|path| answer.field(path)?.to_text().ok());
                     shown.unwrap_or_else(|| answer.text())
                 }
+                // The task's limit has cut the last question short: that says nothing about the robot.
+                Err(_) if is_short && silent.is_none() && Instant::now() >= until => continue,
                 Err(error) => {
                     silent = Some(error.to_string());
                     format!("{UNKNOWN_OUTCOME}{error}")
@@ -487,7 +493,10 @@ impl Job for HttpJob {
         if needs_answer && self.run.answered.get().is_none() {
             return;
         }
-        if !self.run.shared.is_asking.load(Ordering::SeqCst) {
+        let shared = &self.run.shared;
+        if !shared.is_asking.load(Ordering::SeqCst)
+            || shared.is_aborting.swap(true, Ordering::SeqCst)
+        {
             return;
         }
         // The robot may act before it answers, and then stops at once. The task's thread aborts again after the answer,
@@ -498,8 +507,10 @@ impl Job for HttpJob {
                 let text = format!("cannot abort yet: {reason}");
                 run.task.effect(Effect::Progress(text));
             }
+            run.shared.is_aborting.store(false, Ordering::SeqCst);
         });
         if let Err(reason) = spawned {
+            self.run.shared.is_aborting.store(false, Ordering::SeqCst);
             effects.push(Effect::Progress(format!("cannot abort yet: {reason}")));
         }
     }
@@ -548,5 +559,26 @@ impl Shown {
         self.told.clone_from(&text);
         self.next = now.checked_add(SHOW_EVERY);
         Some(text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn events_without_a_text_are_bounded_too() {
+        let shared = Shared::default();
+        for name in [None, Some("n".repeat(1000))] {
+            for _ in 0..10_000 {
+                shared.hear(Heard::Event(Answer::of_event(name.clone(), b"")));
+            }
+            let waiting = shared.lock().heard.len();
+            assert!(waiting > 100 && waiting < 5000, "{waiting} events wait");
+        }
+        while !shared.lock().heard.is_empty() {
+            shared.wait_for_event(Instant::now());
+        }
+        assert_eq!(shared.lock().bytes, 0);
     }
 }

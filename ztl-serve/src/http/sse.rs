@@ -9,7 +9,7 @@ pub(super) struct SseEvent {
     pub(super) data: Vec<u8>,
 }
 
-/// Finds events in bytes. It takes at most twice `longest` bytes.
+/// Finds events in bytes. It keeps a line, a name and data, of at most `longest` bytes each.
 #[derive(Debug)]
 pub(super) struct SseReader {
     longest: usize,
@@ -21,12 +21,12 @@ pub(super) struct SseReader {
     data: Option<Vec<u8>>,
 }
 
-/// A line or the data of an event is too long.
+/// A line, or the name or the data of an event is too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TooLong;
 
 impl SseReader {
-    /// At the beginning of an answer. `longest`: most bytes of a line, and of the data of an event.
+    /// At the beginning of an answer. `longest`: most bytes of a line, and of the name and the data of an event.
     pub(super) const fn new(longest: usize) -> Self {
         Self {
             longest,
@@ -83,6 +83,10 @@ impl SseReader {
         match field {
             b"event" => {
                 let name = String::from_utf8_lossy(value);
+                // A byte that is not UTF-8 becomes three.
+                if name.len() > self.longest {
+                    return Err(TooLong);
+                }
                 self.name = Some(name.into_owned()).filter(|name| !name.is_empty());
             }
             b"data" => {
@@ -136,6 +140,10 @@ mod tests {
     #[test]
     fn what_is_too_long_ends_the_reader() {
         assert_eq!(events(&[b'x'; 21], 1), Err(TooLong));
+        assert_eq!(
+            events(b"event: \xff\xff\xff\xff\xff\xff\xff\n", 1),
+            Err(TooLong)
+        );
         assert_eq!(
             events(b"data: 12345678901\ndata: 12345678901\n\n", 9),
             Err(TooLong)

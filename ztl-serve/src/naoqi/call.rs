@@ -257,6 +257,8 @@ impl Job for CallJob {
         match event {
             Event::Described(about) => self.on_described(about, effects),
             Event::Ended(result) => effects.push(Effect::End(self.outcome(result))),
+            // The answer to an abort that was given up must not stand in the way of the next.
+            Event::AbortEnded(_) if self.abort != AbortStage::Calling => {}
             Event::AbortEnded(Ok(_)) => self.abort = AbortStage::Called,
             Event::AbortEnded(Err(error)) => {
                 effects.push(Effect::Progress(format!("cannot abort: {error}")));
