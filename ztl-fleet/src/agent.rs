@@ -382,6 +382,10 @@ impl Agent {
 
     fn forget(&mut self, now: Instant) {
         let clock = now.as_millis();
+        if clock >= KEEP_MS {
+            // Their INITs are forgotten, too.
+            self.known_boots.clear();
+        }
         let bytes = &mut self.bytes;
         self.records.retain(|_, record| {
             let stays = record.is_pending() || record.valid_ms.saturating_add(KEEP_MS) > clock;

@@ -185,8 +185,7 @@ impl Joined {
         shared.probe();
         shared.offer(&session)?;
         shared.spawn("ztl-fleet-tick", TICK, |shared| {
-            let effects = shared.rules().agent.handle_timeout(now());
-            shared.run(effects);
+            shared.run(|rules| rules.agent.handle_timeout(now()));
         })?;
         shared.spawn("ztl-fleet-probe", server::AGAIN, Shared::probe)?;
         let alive = session.liveliness().declare_token(key(&robot, id, "alive"));
@@ -340,11 +339,11 @@ impl Shared {
             info!(target: "fleet", "INIT {} for '{named}' by {}.", init.id.number, asked.who());
             let server = self.server_boot();
             let body = asked.body.clone();
-            let mut rules = self.rules();
-            let number = rules.take(asked);
-            let effects = rules.agent.handle_init(now(), number, init, &body, server);
-            drop(rules);
-            return self.run(effects);
+            return self.run(|rules| {
+                let number = rules.take(asked);
+                let agent = &mut rules.agent;
+                agent.handle_init(now(), number, init, &body, server)
+            });
         }
         if self.refuse_stale(&asked) {
             return;
@@ -366,13 +365,10 @@ impl Shared {
     /// What became of an INIT.
     fn on_outcome(self: &Arc<Self>, asked: Asked) {
         match InitRules::parse(&asked.parameters) {
-            Ok(Some(init)) => {
-                let mut rules = self.rules();
+            Ok(Some(init)) => self.run(|rules| {
                 let number = rules.take(asked);
-                let effects = rules.agent.handle_outcome(now(), number, init);
-                drop(rules);
-                self.run(effects);
-            }
+                rules.agent.handle_outcome(now(), number, init)
+            }),
             Ok(None) => asked.reply(&Verdict::Unknown("'client' is missing".to_owned())),
             Err(mistake) => asked.reply(&Verdict::Unknown(mistake)),
         }
@@ -455,54 +451,64 @@ impl Shared {
         }
     }
 
-    /// Carries out what the rules decided, in order.
-    fn run(&self, mut effects: Vec<AgentEffect>) {
+    /// Carries out what the rules decide, in order.
+    fn run(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
+        let (mut effects, mut unwritten) = self.decide(decide);
         while !effects.is_empty() {
             let mut next = Vec::new();
-            let mut unwritten = None;
-            for effect in effects {
-                match effect {
+            for effect in std::mem::take(&mut effects) {
+                let (following, error) = match effect {
                     AgentEffect::Reply { query, verdict } => {
                         let query = self.rules().queries.remove(&query);
                         if let Some(asked) = query {
                             asked.reply(&verdict);
                         }
+                        continue;
                     }
-                    AgentEffect::Record(entry) => {
-                        if let Err(error) = self.record(&entry) {
-                            error!(target: "fleet", "The journal cannot be written: {error}");
-                            unwritten = Some(format!(
-                                "the journal of its agent cannot be written: {error}"
-                            ));
-                        }
-                    }
+                    // Written when it was decided.
+                    AgentEffect::Record(_) => continue,
                     AgentEffect::Forward { id, body } => {
                         let said = match unwritten.take() {
                             Some(reason) => ServerSaid::NotSent(reason),
                             None => self.forward(id, &body),
                         };
-                        next.extend(self.rules().agent.handle_server(now(), id, said));
+                        self.decide(|rules| rules.agent.handle_server(now(), id, said))
                     }
                     AgentEffect::AskServer(id) => {
                         let answer = self.ask_outcome(id);
-                        let mut rules = self.rules();
                         let answer = answer.as_deref();
-                        next.extend(rules.agent.handle_server_outcome(now(), id, answer));
+                        let agent = |rules: &mut Rules| {
+                            rules.agent.handle_server_outcome(now(), id, answer)
+                        };
+                        self.decide(agent)
                     }
-                }
+                };
+                next.extend(following);
+                unwritten = error;
             }
             effects = next;
         }
     }
 
-    fn record(&self, entry: &Entry) -> std::io::Result<()> {
+    /// Lets the rules decide, and writes that into the journal before another thread can answer by it. Also returns why it
+    /// could not be written.
+    fn decide(
+        &self,
+        decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>,
+    ) -> (Vec<AgentEffect>, Option<String>) {
         let mut rules = self.rules();
-        let rules = &mut *rules;
-        rules.journal.append(entry)?;
-        if rules.journal.is_long() {
-            rules.journal.rewrite(&rules.agent.entries())?;
+        let effects = decide(&mut rules);
+        let mut unwritten = None;
+        for effect in &effects {
+            if let AgentEffect::Record(entry) = effect
+                && let Err(error) = rules.record(entry)
+            {
+                error!(target: "fleet", "The journal cannot be written: {error}");
+                let reason = format!("the journal of its agent cannot be written: {error}");
+                unwritten = Some(reason);
+            }
         }
-        Ok(())
+        (effects, unwritten)
     }
 
     fn forward(&self, id: InitId, body: &[u8]) -> ServerSaid {
@@ -528,6 +534,14 @@ impl Shared {
 }
 
 impl Rules {
+    fn record(&mut self, entry: &Entry) -> std::io::Result<()> {
+        self.journal.append(entry)?;
+        if self.journal.is_long() {
+            self.journal.rewrite(&self.agent.entries())?;
+        }
+        Ok(())
+    }
+
     /// Keeps a query until it is answered.
     fn take(&mut self, query: Asked) -> u64 {
         self.next += 1;

@@ -112,7 +112,7 @@ pub const FLEET: &[Mutant] = &[
             "        if ON && let Ask::Request { rules: Some(rules), .. } = &mut pending.what { rules.id.number += 1; }\n        pending.again = None;\n",
         )],
         caught_in: SEEDS,
-        complaint: TWICE,
+        complaint: "",
     },
     Mutant {
         name: "the endpoint sends a repeated INIT with new rules",
@@ -149,7 +149,7 @@ pub const FLEET: &[Mutant] = &[
             "                    self.note_answer(now, id, &body);\n                    if ON { self.inits.remove(&id.client); }\n                    self.give_up(id);",
         )],
         caught_in: SEEDS,
-        complaint: LATE,
+        complaint: "",
     },
     Mutant {
         name: "the endpoint denies the task of a robot that it does not know yet",

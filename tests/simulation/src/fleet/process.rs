@@ -248,9 +248,7 @@ impl World {
                     self.robots[robot].disk.entries.push(entry);
                 }
                 AgentEffect::Forward { id, body } => {
-                    let event =
-                        Event::Forward(robot, boot, FromAgent::Init(id), Some((id, false)), body);
-                    self.after(0, event);
+                    self.forward(robot, boot, FromAgent::Init(id), Some((id, false)), body);
                 }
                 AgentEffect::AskServer(id) => {
                     let body = format!("$ztl;2;-1;outcome {}", id.number).into_bytes();
