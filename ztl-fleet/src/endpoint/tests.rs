@@ -255,3 +255,25 @@ fn a_flood_of_names_and_agents_is_bounded_and_keeps_who_is_there() {
     });
     assert!(promoted.count() <= 16);
 }
+
+#[test]
+fn a_repeated_init_keeps_its_rules_and_is_not_refused_when_its_robot_is_gone() {
+    let mut endpoint = endpoint();
+    let (query, first) = asked(&ask(&mut endpoint, 0, 1, Some(3), "/arm/lab;1;-1;x"));
+    endpoint.handle_info(at(1), "arm", "a", info(8));
+    let (_, again) = asked(&ask(&mut endpoint, 2, 2, Some(3), "/arm/lab;1;-1;x"));
+    assert_eq!(again, first);
+    endpoint.handle_no_reply(at(3), query);
+    endpoint.handle_gone("arm", "a");
+    let gone = ask(&mut endpoint, 4, 3, Some(3), "/arm/lab;1;-1;x");
+    assert_eq!(gone, [EndpointEffect::Silence { request: 3 }]);
+    // One that was refused stays refused.
+    let refused = ask(&mut endpoint, 5, 4, Some(4), "/arm/lab;1;-1;x");
+    assert!(answered(&refused).contains("not connected"));
+    endpoint.handle_alive("arm", "a");
+    let again = ask(&mut endpoint, 6, 5, Some(4), "/arm/lab;1;-1;x");
+    assert!(answered(&again).contains("given up"));
+    // A robot that is not known may have tasks.
+    let unknown = ask(&mut endpoint, 7, 6, None, "/leg/lab;2;42;");
+    assert_eq!(unknown, [EndpointEffect::Silence { request: 6 }]);
+}

@@ -80,7 +80,7 @@ impl World {
                     self.send(person, last.desk, kind, number, last.body);
                 }
             }
-            _ if choice >= 4 && choice < 8 => {
+            _ if (4..8).contains(&choice) => {
                 self.ask_task(person, choice == 4);
             }
             _ => {
