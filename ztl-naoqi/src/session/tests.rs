@@ -158,6 +158,19 @@ impl Robot {
         self.answer(2, Kind::Reply, bytes(SPEECH, META));
     }
 
+    #[track_caller]
+    fn remove_speech(&mut self) {
+        let removed = Address {
+            service: 1,
+            object: 1,
+            action: 107,
+        };
+        let about = bytes("[2, ALTextToSpeech]", "(Is)");
+        self.send(Kind::Event, 0, removed, about);
+        let event = Event::ServiceRemoved("ALTextToSpeech".to_owned());
+        assert_eq!(self.session.poll_event(), Some(event));
+    }
+
     fn call(&mut self, method: &str, arguments: Vec<Value>) -> CallId {
         let call = Call::new("ALTextToSpeech", method, arguments);
         let begun = self.session.call(call, Duration::from_secs(3), self.now);
@@ -419,22 +432,32 @@ fn an_answer_that_overtakes_the_removal_of_its_service_counts() {
     let call = robot.say();
     robot.resolve_speech();
     let said = robot.hear();
-    let removed = Address {
-        service: 1,
-        object: 1,
-        action: 107,
-    };
-    robot.send(
-        Kind::Event,
-        0,
-        removed,
-        bytes("[2, ALTextToSpeech]", "(Is)"),
-    );
-    let event = Event::ServiceRemoved("ALTextToSpeech".to_owned());
-    assert_eq!(robot.session.poll_event(), Some(event));
+    robot.remove_speech();
     robot.wait(Duration::from_millis(400));
     robot.send(Kind::Reply, said.id, said.address, Vec::new());
     assert_eq!(robot.ended(call), Ok(Value::Nothing));
+}
+
+#[test]
+fn a_call_that_does_not_wait_is_sent_at_once_or_never() {
+    let mut robot = Robot::ready();
+    let first = robot.say();
+    robot.resolve_speech();
+    robot.hear();
+    let at_once = |robot: &mut Robot| {
+        let call = Call::new("ALTextToSpeech", "say", vec![Value::Text("x".to_owned())]);
+        let call = robot.session.call(call, Duration::ZERO, robot.now);
+        robot.wait(Duration::ZERO);
+        call.expect("a call")
+    };
+    let second = at_once(&mut robot);
+    let said = robot.hear();
+    robot.send(Kind::Reply, said.id, said.address, Vec::new());
+    assert_eq!(robot.ended(second), Ok(Value::Nothing));
+    robot.remove_speech();
+    let third = at_once(&mut robot);
+    assert!(matches!(robot.ended(third), Err(CallError::NotSent(_))));
+    assert_ne!(third, first);
 }
 
 #[test]

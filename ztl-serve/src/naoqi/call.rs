@@ -19,7 +19,7 @@ use crate::kind::{
 };
 use crate::reader::{ComponentContext, ConfigReader};
 
-/// How long a call waits for its service until it is sent.
+/// How long a call waits for the description of its service.
 const WAIT: Duration = Duration::from_secs(1);
 /// How long a method may take to end after an abort, where the file does not say it.
 const GRACE: Duration = Duration::from_secs(2);
@@ -311,7 +311,8 @@ impl CallJob {
             Err(reason) => return effects.push(Effect::End(Outcome::Rejected(reason))),
         };
         let task = self.task.clone();
-        let handle = self.client.call(call, WAIT, move |result| {
+        // A service that has gone meanwhile is not waited for: what aborts could be called before this.
+        let handle = self.client.call(call, Duration::ZERO, move |result| {
             task.event(JobEvent::Naoqi(Event::Ended(result)));
         });
         self.stage = Stage::Called(handle);
