@@ -55,6 +55,8 @@ impl<S: Socket, B: AsRef<[u8]> + AsMut<[u8]>> Connection<S, B> {
     }
 
     /// Takes bytes of a frame (RFC 37, Framing).
+    // Not inlined in firmware: that saves 144 bytes in `lm3s6965evb-zmtp`.
+    #[cfg_attr(target_os = "none", inline(never))]
     fn take_of_frame(&mut self, first: u8, bytes: &[u8]) -> usize {
         match self.next {
             Next::Flags => {
