@@ -6,6 +6,7 @@ use std::io::Write;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
+use ztl_core::link::LINK_TIMEOUT;
 use ztl_core::manifest::Version;
 use ztl_mcu::bus::OnBus;
 use ztl_mcu::parameters::{SaveError, Storage, Tunable, Tuned, Tuning};
@@ -21,6 +22,9 @@ use super::sensor::{self, Sensor};
 use super::slots::{SlotUpdater, Slots, Verify};
 use crate::random::random;
 use ztl_std::time::now;
+
+/// The link timeout of a node on a shared line.
+const SHARED_LINK_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// What is simulated, and how.
 #[derive(Debug, Clone)]
@@ -224,6 +228,11 @@ fn run_until_reset(
     let identity = Identity {
         // Its sensor sends as much as the line takes.
         reading_interval: Duration::ZERO,
+        link_timeout: match device.place {
+            // A turn of the line waits for all nodes, whose threads are late on a busy system.
+            Some(_) => SHARED_LINK_TIMEOUT,
+            None => LINK_TIMEOUT,
+        },
         ..Identity::new(name, version, random())
     };
     let components = Acting::new(component);
