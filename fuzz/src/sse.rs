@@ -14,6 +14,9 @@ const LONGEST: usize = 64;
 /// What the reader may take: a line, a name and data, each in a buffer that doubles.
 const MOST: usize = 16 * LONGEST;
 
+/// The name and the data of an event.
+type Found = (Option<String>, Vec<u8>);
+
 /// Any input. The allocator is that of the program.
 pub fn check(bytes: &[u8], allocator: &PeakAlloc) {
     let Some((cut, bytes)) = bytes.split_first() else {
@@ -29,11 +32,7 @@ pub fn check(bytes: &[u8], allocator: &PeakAlloc) {
 }
 
 /// The events, or that something is too long.
-fn read(
-    bytes: &[u8],
-    step: usize,
-    allocator: &PeakAlloc,
-) -> Result<Vec<(Option<String>, Vec<u8>)>, TooLong> {
+fn read(bytes: &[u8], step: usize, allocator: &PeakAlloc) -> Result<Vec<Found>, TooLong> {
     let mut reader = SseReader::new(LONGEST);
     let mut events = Vec::new();
     let before = allocator.current_usage();
@@ -48,14 +47,14 @@ fn read(
             events.push((name, data));
         })?;
     }
-    let listed = 2 * events.capacity() * size_of::<(Option<String>, Vec<u8>)>();
+    let listed = 2 * events.capacity() * size_of::<Found>();
     let peak = allocator.peak_usage().saturating_sub(before);
     assert!(peak <= MOST + kept + listed, "it takes {peak} bytes");
     Ok(events)
 }
 
 /// The same by the words of the standard: lines first, then fields.
-fn simple(bytes: &[u8]) -> Vec<(Option<String>, Vec<u8>)> {
+fn simple(bytes: &[u8]) -> Vec<Found> {
     let mut lines = vec![Vec::new()];
     let mut bytes = bytes.iter().peekable();
     while let Some(byte) = bytes.next() {

@@ -149,31 +149,4 @@ mod tests {
             Err(TooLong)
         );
     }
-
-    proptest::proptest! {
-        #[test]
-        fn any_bytes_give_the_same_events_however_they_are_cut(
-            pieces in proptest::collection::vec(
-                proptest::sample::select(vec![
-                    &b"data"[..], b"event", b"id", b":", b" ", b"\n", b"\r", b"\0", b"x", b"\xff", b"\xef\xbb\xbf",
-                ]),
-                0..80,
-            ),
-            step in 1_usize..9,
-        ) {
-            let bytes = pieces.concat();
-            let found = |step| {
-                let mut reader = SseReader::new(20);
-                let mut events = Vec::new();
-                let mut parts = bytes.chunks(step);
-                let ended = parts.try_for_each(|part| reader.push(part, |event| events.push(event)));
-                (events, ended)
-            };
-            let whole = found(bytes.len().max(1));
-            for event in &whole.0 {
-                proptest::prop_assert!(event.data.len() <= 20);
-            }
-            proptest::prop_assert_eq!(found(step), whole);
-        }
-    }
 }
