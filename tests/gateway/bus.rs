@@ -191,7 +191,11 @@ fn the_walk_of_the_documentation_works() {
     line.wait_for("Serve it with");
     let begin = "gateway --device arm=rs485:/tmp/arm ";
     let mut command = ztl();
-    command.args(of_walk(begin, &path, "0")).arg("--no-journal");
+    // Patient, since the threads of a busy system answer late.
+    let patient = format!("{path}?wait=100");
+    command
+        .args(of_walk(begin, &patient, "0"))
+        .arg("--no-journal");
     let gateway = Server::start(&mut command);
     let port = gateway.port.to_string();
     for node in ["arm.left", "arm.right", "arm.head"] {
@@ -259,8 +263,4 @@ fn boards_on_a_half_duplex_line_are_found_and_served() {
     }
     assert_eq!(left.count(" left.finger begins "), 1);
     assert_eq!(right.count(" right.finger begins "), 1);
-    // Both answer the first question of a search.
-    wires.signal("TERM");
-    let ended = wires.end(PATIENCE);
-    assert!(!ended.stdout.contains("\n0 bytes collided"), "{ended:?}");
 }

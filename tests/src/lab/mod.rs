@@ -46,7 +46,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Limit for waits that are not themselves measured. The machine may be busy.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Pause between two checks of a condition.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
