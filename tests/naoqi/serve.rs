@@ -194,7 +194,9 @@ fn check_tells_what_the_robot_lacks_and_what_its_methods_take() {
     e: {naoqi: ALMotion.moveTo, arguments: ['{goal}', 0, 0], goal: text},
     f: {naoqi: ALMotion.moveTo, arguments: ['{goal.x}', '{goal.y}', 0], abort: ALMotion.stop},
     g: {naoqi: ALTextToSpeech.say, arguments: ['{goal}'], goal: number},
-    h: {naoqi: ALLeds.fadeRGB, arguments: [FaceLeds, '{goal}', 1]}}}}
+    h: {naoqi: ALLeds.fadeRGB, arguments: [FaceLeds, '{goal}', 1]},
+    i: {naoqi: ALMotion.moveTo, arguments: [1, 0, 0], abort: ALTextToSpeech.say},
+    j: {naoqi: 'ALLeds.fadeRGB::(sff)', arguments: [FaceLeds, 1, 1]}}}}
 streams: {/test: {s: {naoqi-signal: ALMotion.stifness}, t: {naoqi-event: FrontTactilTouched}}}";
     let ended = check(&robot.endpoint, text);
     assert_eq!(ended.code, Some(0), "{ended:?}");
@@ -216,14 +218,24 @@ streams: {/test: {s: {naoqi-signal: ALMotion.stifness}, t: {naoqi-event: FrontTa
         ),
         (
             ":5:16: ",
-            "ALTextToSpeech.say::(s) takes 1 arguments, not 2",
+            "ALTextToSpeech.say::(s) takes 1 argument, not 2",
             "",
         ),
         (":6:16: ", "argument 2 of ALMotion.moveTo", "must be"),
         (":7:16: ", "argument 1 of ALMotion.moveTo", "must be"),
         (":8:80: ", "no method ALMotion.stop", "stopMove"),
         (
-            ":11:37: ",
+            ":11:62: ",
+            "ALTextToSpeech.say::(s) takes 1 argument, not 0",
+            "as an abort: {naoqi: ALTextToSpeech.say, arguments: […]}",
+        ),
+        (
+            ":12:16: ",
+            "no method ALLeds.fadeRGB::(sff); its signature is (",
+            "",
+        ),
+        (
+            ":13:37: ",
             "ALMotion has no signal or property stifness",
             "did you mean 'ALMotion.stiffness'?",
         ),
@@ -237,6 +249,13 @@ streams: {/test: {s: {naoqi-signal: ALMotion.stifness}, t: {naoqi-event: FrontTa
         );
     }
     drop(robot);
+    let ended = check("tcp://127.0.0.1:1", text);
+    let place = ended.stderr.lines().find(|it| it.contains("warning: "));
+    // Not each of its methods is wrong, but its address.
+    assert!(
+        place.is_some_and(|it| it.contains(":1:8: warning: not connected to")),
+        "{ended:?}"
+    );
 }
 
 #[test]
@@ -245,20 +264,23 @@ fn mistakes_of_the_file_have_their_places() {
     a: {naoqi: say},
     b: {naoqi: ALMotion.moveTo, arguments: ['{gaol}']},
     c: {naoqi: ALMotion.moveTo, abort: no, grace: 1 s},
-    d: {naoqi: ALMotion.moveTo, abort: {naoqi: stop}}}}}
-streams: {/test: {s: {naoqi-signal: stiffness}, t: {naoqi-event: x, frame: line}, u: {naoqi-event: x, naoqi-signal: A.x}}}";
+    d: {naoqi: ALMotion.moveTo, abort: {naoqi: stop}},
+    e: {naoqi-wait: FrontTactilTouched, abort: no}}}}
+streams: {/test: {s: {naoqi-signal: stiffness}, t: {naoqi-event: x, frame: line}, u: {naoqi-event: x, naoqi-signal: A.x}, v: {naoqi-evnt: x}}}";
     let ended = check("{directory: tcp://nao.local, user: nao}", text);
     assert_eq!(ended.code, Some(2), "{ended:?}");
     for part in [
-        ":1:20: 'tcp://nao.local' is not an address",
+        ":1:20: 'tcp://nao.local' has no port, as tcp://nao.local:9559",
         ":1:43: give both: user: nao, token: token.txt",
         ":3:16: 'say' is not a service and its method, as ALTextToSpeech.say",
         ":4:45: unknown placeholder '{gaol}'",
         ":5:51: grace has no effect with abort: no",
         ":6:48: 'stop' is not a service and its method",
-        ":7:37: 'stiffness' is not a service and its signal",
-        ":7:76: each message is a frame; leave this out",
-        ":7:117: give only one of: ros1-topic, naoqi-event, naoqi-signal",
+        ":7:48: a wait ends at once when it is aborted; leave abort out",
+        ":8:37: 'stiffness' is not a service and its signal",
+        ":8:76: each message is a frame; leave this out",
+        ":8:117: give only one of: ros1-topic, naoqi-event, naoqi-signal",
+        ":8:127: unknown key 'naoqi-evnt'; did you mean 'naoqi-event'?",
     ] {
         assert!(ended.stderr.contains(part), "{part}: {ended:?}");
     }
@@ -371,6 +393,8 @@ fn an_abort_that_the_method_ignores_is_rejected_and_the_task_goes_on() {
     let status = remote.status(task).expect("a status");
     let expected = "ALTextToSpeech.say goes on: it has not ended within 100 ms after an abort";
     assert_eq!(status.text, expected);
+    let logged = format!("p:say, goes on in spite of an abort: {expected}");
+    nao.server.process.wait_for(&logged);
     assert_eq!(nao.run("p", "hush", ""), completed("None"));
     assert_eq!(end(&mut remote, task), completed("None"));
 }
@@ -414,6 +438,25 @@ fn sigterm_stops_what_moves() {
     server.process.signal("TERM");
     robot.line_with("stopped");
     assert_eq!(server.process.end(PATIENCE).code, Some(143));
+}
+
+#[test]
+fn sigterm_also_cancels_what_does_not_stop() {
+    let mut robot = Robot::start(&["ALAnimationPlayer", "ALMotion"]);
+    let nao = Served::of(
+        &robot,
+        "play: {naoqi: ALAnimationPlayer.run, arguments: ['{goal}'], abort: ALMotion.stopMove}",
+    );
+    assert_eq!(nao.run("p", "play", "short"), completed("over"));
+    start(&mut nao.remote(), "p", "play", "long");
+    robot.line_with("run long");
+    let process = nao.server.process;
+    process.signal("TERM");
+    robot.line_with("stopped");
+    // After the grace.
+    robot.line_with("cancelled");
+    process.wait_for("p:play, has ended as ABORTED: the server was stopped");
+    assert_eq!(process.end(PATIENCE).code, Some(143));
 }
 
 #[test]

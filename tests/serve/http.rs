@@ -132,7 +132,7 @@ fn redirects_endless_answers_and_closed_connections_are_bounded_and_clear() {
         ("get", "far", "leads to 'http://127.0.0.1:"),
         ("get", "round", "it was redirected more than 3 times"),
         ("get", "drip", "unknown: whether GET http://127.0.0.1:"),
-        ("post", "moved", "status 302"),
+        ("post", "moved", "status 302, which leads to '/there' and is not followed: "),
         ("post", "silent", "was done: no answer in time"),
         ("post", "half", "unknown: whether POST http://127.0.0.1:"),
         ("post", "close", "unknown: whether POST http://127.0.0.1:"),
@@ -187,8 +187,12 @@ fn what_may_be_repeated_is_and_progress_is_asked_until_it_is_over() {
                         progress: {get: 'http://{robot}/state', every: 10 ms, until: {field: state, is: idle}, show: percent}}},
          never: {http: {post: 'http://{robot}/begin', limit: 300 ms, abort: {post: 'http://{robot}/halt'},
                         progress: {get: 'http://{robot}/never', every: 10 ms, until: {field: state, is: idle}}}},
-         wrong: {http: {post: 'http://{robot}/begin', done: 200}}",
+         wrong: {http: {post: 'http://{robot}/begin', done: 200}},
+         lacks: {http: {get: 'http://{robot}/never', result: stat}}",
     );
+    let whole = (Completed, "{'state': 'busy'}".to_owned());
+    assert_eq!(served.run("p", "lacks", ""), whole);
+    served.server.process.wait_for("no field 'stat'");
     assert_eq!(served.run("p", "shaky", ""), (Completed, "7".to_owned()));
     assert_eq!(web.asked("POST /shaky").len(), 3);
     assert_eq!(served.run("p", "begin", ""), (Completed, "100".to_owned()));
@@ -215,6 +219,7 @@ fn an_abort_reaches_a_robot_that_has_not_answered_and_again_after_its_answer() {
     let served = Served::new(
         &web,
         "drive: {http: {post: 'http://{robot}/drive', abort: {post: 'http://{robot}/halt'}}},
+         nap: {http: {post: 'http://{robot}/nap', for: 1 h, abort: {post: 'http://{robot}/halt'}}},
          fixed: {http: {post: 'http://{robot}/drive'}}",
     );
     let (mut remote, task) = served.trigger("p", "drive", "");
@@ -226,6 +231,11 @@ fn an_abort_reaches_a_robot_that_has_not_answered_and_again_after_its_answer() {
     assert_eq!(web.asked("POST /halt").len(), 2);
     let fixed = served.run("p", "fixed", "");
     assert_eq!(fixed.0, Completed);
+    let stopped = "p:nap, has ended as ABORTED: the server was stopped";
+    served.trigger("p", "nap", "");
+    web.wait_for("POST /nap");
+    served.server.process.signal("TERM");
+    served.server.process.wait_for(stopped);
 }
 
 #[test]
@@ -246,7 +256,8 @@ scopes: {/test: {p: {
     i: {http: {post: 'ws://10.0.0.7/', json: '{answer.id}', event: {post: 'ws://10.0.0.7/', until: 200}}},
     j: {http: {event: {get: 'http://10.0.0.7/', send: 1, until: {event: x}, ready: {has: ''}}}},
     k: {http: {for: 1 s, event: {get: 'wss://{safe}:x/', until: {event: x}}}},
-    l: {http: {get: 'http://{safe}/', event: {get: 'ws://{safe}/'}}}}}}
+    l: {http: {get: 'http://{safe}/', event: {get: 'ws://{safe}/'}}},
+    m: {http: {psot: 'http://10.0.0.7/'}, abort: {post: 'http://10.0.0.7/'}}}}}
 streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event: 1, x: 1}, frame: line}}}";
     std::fs::write(&path, text).expect("to write");
     let mut command = ztl();
@@ -259,7 +270,7 @@ streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event:
         ":4:22: 'ftp://10.0.0.7/x' is not an address",
         ":5:21: unknown placeholder '{gaol}'",
         ":5:53: get has no body",
-        ":6:15: no request; write post:",
+        ":6:15: no request; write post: \"http://{robot}/api/halt\"",
         ":7:22: no host is called 'goal'; a client cannot choose the host",
         ":8:47: give only one of: get, post, put, patch, delete",
         ":8:73: '99' is not a status code",
@@ -276,10 +287,14 @@ streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event:
         ":12:90: '' is not a field of the answer",
         ":13:33: give only one of: for, progress, event",
         ":14:46: 'until' is missing",
-        ":15:41: no goal has 'x': it is nothing",
-        ":15:85: unknown key 'x'",
-        ":15:99: each message is a frame; leave this out",
+        ":15:16: unknown key 'psot'; did you mean 'post'?",
+        ":15:50: this stands beside http; write it inside: http: {…, abort: …}",
+        ":16:41: no goal has 'x': it is nothing",
+        ":16:85: unknown key 'x'",
+        ":16:99: each message is a frame; leave this out",
     ] {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }
+    // Each mistake is told once.
+    assert_eq!(ended.stderr.matches("yaml:15:").count(), 2, "{}", ended.stderr);
 }

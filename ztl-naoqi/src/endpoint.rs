@@ -21,10 +21,11 @@ impl Endpoint {
                 "'{text}' is encrypted, which is not supported yet: expected tcp://"
             ));
         }
-        let (host, port) = text
-            .strip_prefix("tcp://")
-            .and_then(|rest| rest.rsplit_once(':'))
-            .ok_or_else(wrong)?;
+        let rest = text.strip_prefix("tcp://").ok_or_else(wrong)?;
+        let (host, port) = rest
+            .rsplit_once(':')
+            .filter(|(_, port)| !port.ends_with(']'))
+            .ok_or_else(|| format!("'{text}' has no port, as tcp://nao.local:9559"))?;
         let bare = host
             .strip_prefix('[')
             .and_then(|host| host.strip_suffix(']'));

@@ -145,6 +145,14 @@ impl MetaObject {
         })
     }
 
+    /// The signatures of all methods of this name, also if it has a signature itself.
+    fn signatures(&self, name: &str) -> Option<String> {
+        let bare = name.split_once("::").map_or(name, |(bare, _)| bare);
+        let overloads = self.overloads(bare);
+        let signatures: Vec<&str> = overloads.map(|it| it.parameters.as_str()).collect();
+        (!signatures.is_empty()).then(|| signatures.join(" or "))
+    }
+
     /// Checks that a method takes the arguments; `service` is for messages.
     ///
     /// # Errors
@@ -191,12 +199,12 @@ impl MetaObject {
         Err(error(match mistake {
             Some(mistake) if tried == 1 => mistake,
             Some(ArgumentErrorKind::Argument { .. } | ArgumentErrorKind::Count { .. }) => {
-                let overloads = self
-                    .overloads(method)
-                    .map(|method| method.parameters.as_str());
-                ArgumentErrorKind::Overloads(overloads.collect::<Vec<_>>().join(" or "))
+                ArgumentErrorKind::Overloads(self.signatures(method).unwrap_or_default())
             }
             Some(mistake) => mistake,
+            None if let Some(signatures) = self.signatures(method) => {
+                ArgumentErrorKind::NoOverload(signatures)
+            }
             None => {
                 let own = self.methods.iter().filter(|method| method.id >= FIRST_OWN);
                 let mut names: Vec<&str> = own.map(|method| method.name.as_str()).collect();
@@ -271,6 +279,8 @@ pub struct ArgumentError {
 pub enum ArgumentErrorKind {
     /// The service has no method of this name; these are the names of its methods.
     NoMethod(String),
+    /// The method has no such signature; these are those that it has.
+    NoOverload(String),
     /// Too many or too few arguments.
     Count {
         /// How many the method takes.
@@ -307,8 +317,12 @@ impl fmt::Display for ArgumentError {
                     more => write!(f, " and {more} more"),
                 }
             }
+            ArgumentErrorKind::NoOverload(signatures) => {
+                write!(f, "no method {method}; its signature is {signatures}")
+            }
             ArgumentErrorKind::Count { expected, found } => {
-                write!(f, "{method} takes {expected} arguments, not {found}")
+                let plural = if *expected == 1 { "" } else { "s" };
+                write!(f, "{method} takes {expected} argument{plural}, not {found}")
             }
             ArgumentErrorKind::Argument { number, mismatch } => {
                 write!(f, "argument {number} of {method} {mismatch}")

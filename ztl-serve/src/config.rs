@@ -49,7 +49,7 @@ pub struct Config {
     /// The node of ROS 1, and the names there that the file uses.
     ros1: (Arc<Connection>, Vec<UsedName>),
     /// The robot with NAOqi, and what of it the file uses.
-    naoqi: (Arc<naoqi::connection::Robot>, Vec<naoqi::names::Used>),
+    naoqi: Arc<naoqi::connection::Naoqi>,
 }
 
 /// A scope and its handlers.
@@ -141,8 +141,7 @@ impl Config {
     pub fn missing_names(&self) -> Vec<Diagnostic> {
         let (connection, names) = &self.ros1;
         let mut missing = missing(connection, names);
-        let (robot, used) = &self.naoqi;
-        missing.extend(naoqi::names::missing(robot, used));
+        missing.extend(naoqi::names::missing(&self.naoqi));
         missing
     }
 
@@ -234,10 +233,7 @@ impl<'d> ConfigReader<'d> {
                 Arc::clone(&self.ros1.connection),
                 std::mem::take(&mut self.ros1.names),
             ),
-            naoqi: (
-                Arc::clone(&self.naoqi.robot),
-                std::mem::take(&mut self.naoqi.used),
-            ),
+            naoqi: Arc::new(std::mem::take(&mut self.naoqi)),
             at_once: at_once.unwrap_or(AT_ONCE),
         })
     }
@@ -321,8 +317,8 @@ impl<'d> ConfigReader<'d> {
                 read(self, value, Some(&mut fields), context)
             }
             None => {
-                let message = "nothing does this task; write run: [PROGRAM, ARGUMENT]";
-                self.yaml.wrong(node, message);
+                let keys = KINDS.map(|(key, _)| key);
+                fields.lacks_one_of(keys, "nothing does this task", "run: [PROGRAM, ARGUMENT]");
                 None
             }
         };

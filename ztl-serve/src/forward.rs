@@ -179,7 +179,8 @@ impl Forward {
                 Ok(status) if status.state.is_final() => return outcome(status),
                 Ok(status) if status.is_abort_rejected() => {
                     abort.store(false, Ordering::Relaxed);
-                    task.effect(Effect::RejectAbort);
+                    let reason = format!("{to} has rejected it");
+                    task.effect(Effect::RejectAbort(reason));
                 }
                 Ok(_) => abort_sent = true,
                 // The next status says how it ended.

@@ -22,6 +22,9 @@ use crate::{naoqi, ros1};
 /// How long an abort may take on a thread or in another server once this server stops.
 pub(crate) const STOP_TIME: Duration = Duration::from_millis(1500);
 
+/// The reason of a kind whose tasks clients cannot abort.
+pub(crate) const CANNOT_ABORT: &str = "it cannot be aborted";
+
 /// One kind of handler, with the settings of one component.
 pub(crate) trait Kind: Any + fmt::Debug + Send + Sync {
     /// The rule for goals where the file has none.
@@ -116,8 +119,8 @@ pub(crate) enum Effect {
     Progress(String),
     /// The program of a stream has written this.
     Output(Vec<u8>),
-    /// Answers an abort: the task continues.
-    RejectAbort,
+    /// Answers an abort: the task continues. The reason is for the log.
+    RejectAbort(String),
     /// Runs another job, which may outlive the task.
     Background(Box<dyn Job>),
     End(Outcome),
@@ -152,11 +155,17 @@ pub(crate) enum StopReason {
 impl StopReason {
     /// The outcome of a task that is stopped before it has started.
     pub(crate) fn before_start(self) -> Outcome {
-        Outcome::Aborted(match self {
-            Self::Server => "the server was stopped before it began".to_owned(),
-            Self::Replaced(by) => format!("replaced by task {by} before it began"),
-            Self::Client | Self::Limit | Self::Closed => "aborted before it began".to_owned(),
-        })
+        Outcome::Aborted(format!("{self} before it began"))
+    }
+}
+
+impl fmt::Display for StopReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Server => f.write_str("the server was stopped"),
+            Self::Replaced(by) => write!(f, "replaced by task {by}"),
+            Self::Client | Self::Limit | Self::Closed => f.write_str("aborted"),
+        }
     }
 }
 

@@ -25,7 +25,8 @@ use tracing::{debug, warn};
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{
-    Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start, StopReason,
+    CANNOT_ABORT, Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start,
+    StopReason,
 };
 use crate::log::LOG;
 use assignment::Assignment;
@@ -125,7 +126,7 @@ impl Job for ProgramJob {
             State::Announced { .. } => effects.push(Effect::End(why.before_start())),
             State::Starting(stop) => *stop = stop.or(Some(why)),
             State::Running(_) if why == StopReason::Client && !self.program.abort.allowed => {
-                effects.push(Effect::RejectAbort);
+                effects.push(Effect::RejectAbort(CANNOT_ABORT.to_owned()));
             }
             State::Running(running) => running.run.stop(now, why, &mut actions),
             State::Ended => {}

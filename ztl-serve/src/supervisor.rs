@@ -28,6 +28,8 @@ struct Task {
     call: Arc<Call>,
     component_index: usize,
     accepted: bool,
+    /// Whether an abort was rejected.
+    abort_rejected: bool,
     /// `None` while the task waits for others.
     job: Option<Box<dyn Job>>,
 }
@@ -178,6 +180,7 @@ impl Supervisor {
             }),
             component_index,
             accepted: false,
+            abort_rejected: false,
             job: None,
         };
         let waits_for = match admitted {
@@ -258,7 +261,13 @@ impl Supervisor {
             Effect::Accept => task.accept(),
             Effect::Progress(text) => task.reporter.progress(text),
             Effect::Output(_) => {}
-            Effect::RejectAbort => task.reporter.abort_rejected(),
+            Effect::RejectAbort(reason) => {
+                // A client may ask again and again.
+                if !std::mem::replace(&mut task.abort_rejected, true) {
+                    warn!(target: LOG, "Task {id}, {}, goes on in spite of an abort: {reason}", task.name());
+                }
+                task.reporter.abort_rejected();
+            }
             Effect::Background(job) => self.background.push(job),
             Effect::End(outcome) => self.finish(id, outcome),
             Effect::Leave => {

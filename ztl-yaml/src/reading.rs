@@ -168,8 +168,17 @@ pub struct Fields<'d> {
     node: &'d Node,
     pairs: &'d [(Node, Node)],
     known: Vec<&'static str>,
-    /// Missing keys, and how to write them.
-    missing: Vec<(&'static str, &'static str)>,
+    missing: Vec<Missing>,
+}
+
+/// A required key that is not there.
+#[derive(Debug)]
+struct Missing {
+    /// The key, or several, of which one is enough.
+    keys: Vec<&'static str>,
+    message: String,
+    /// How to write it.
+    example: String,
 }
 
 impl<'d> Fields<'d> {
@@ -205,9 +214,33 @@ impl<'d> Fields<'d> {
     pub fn required(&mut self, key: &'static str, example: &'static str) -> Option<&'d Node> {
         let found = self.optional(key);
         if found.is_none() {
-            self.missing.push((key, example));
+            self.missing.push(Missing {
+                keys: vec![key],
+                message: format!("'{key}' is missing"),
+                example: example.to_owned(),
+            });
         }
         found
+    }
+
+    /// Whether one of these keys is there, without asking for it.
+    #[must_use]
+    pub fn has_one_of(&self, keys: &[&str]) -> bool {
+        keys.iter().any(|key| self.key(key).is_some())
+    }
+
+    /// None of these keys is there, and one is required. The message is left out if an unknown key seems to be one of them.
+    pub fn lacks_one_of(
+        &mut self,
+        keys: impl IntoIterator<Item = &'static str>,
+        message: &str,
+        example: &str,
+    ) {
+        self.missing.push(Missing {
+            keys: keys.into_iter().collect(),
+            message: message.to_owned(),
+            example: example.to_owned(),
+        });
     }
 
     /// Reports missing and unknown keys, and what was probably meant.
@@ -225,23 +258,27 @@ impl<'d> Fields<'d> {
             let help = match closest(text, open) {
                 Some(key) => {
                     // The unknown key stands in its place.
-                    self.missing.retain(|(missing, _)| *missing != key);
+                    self.missing.retain(|missing| !missing.keys.contains(&key));
                     format!("did you mean '{key}'?")
                 }
                 None => format!("there are: {}", self.known.join(", ")),
             };
             reading.wrong_with(name, format!("unknown key '{text}'"), Some(help));
         }
-        for (key, example) in &self.missing {
-            let help = Some(format!("write {example}"));
-            match self.key(key) {
-                Some(name) => reading.wrong_with(name, format!("'{key}' has no value"), help),
+        for missing in &self.missing {
+            let help = Some(format!("write {}", missing.example));
+            let mut present = missing
+                .keys
+                .iter()
+                .filter_map(|key| Some((key, self.key(key)?)));
+            match present.next() {
+                Some((key, name)) => {
+                    reading.wrong_with(name, format!("'{key}' has no value"), help);
+                }
                 None => {
                     let start = self.node.span.start;
                     let begin = Span { start, end: start };
-                    let mut mistake = reading
-                        .document
-                        .mistake(begin, format!("'{key}' is missing"));
+                    let mut mistake = reading.document.mistake(begin, missing.message.as_str());
                     mistake.help = help;
                     reading.mistakes.push(mistake);
                 }

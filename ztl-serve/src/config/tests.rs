@@ -224,6 +224,7 @@ scopes:
       thirteen: {run: [sh], abort: no, busy: replace}
       fourteen: {run: [sh], abort: no, needs-client: 5 s}
       fifteen: {built-in: sleep, needs-client: 5 ms}
+      sixteen: {goal: number}
       'a:b': echo
 ";
     let mistakes = parse(text).expect_err("mistakes").to_string();
@@ -234,7 +235,6 @@ scopes:
     let expected = [
         "robot.yaml:1:1: unknown key 'prot'; did you mean 'port'?",
         "robot.yaml:3:3: the scope 'a;b' contains ';', so no client can reach it; write it as /lab",
-        "robot.yaml:6:12: nothing does this task; write run: [PROGRAM, ARGUMENT]",
         "robot.yaml:6:13: unknown key 'rnu'; did you mean 'run'?",
         "robot.yaml:7:23: unknown placeholder '{gaol}'; did you mean '{goal}'?",
         "robot.yaml:7:41: 'soon' is not a time, as 30 s, 300 ms or 5 min",
@@ -257,7 +257,8 @@ scopes:
         "robot.yaml:18:46: busy: replace aborts tasks; remove abort: no",
         "robot.yaml:19:54: needs-client aborts tasks; remove abort: no",
         "robot.yaml:20:48: this must be at least 1s: a client that waits asks every second; better 5s",
-        "robot.yaml:21:7: invalid name 'a:b' for a component: expected no ':' and no control characters",
+        "robot.yaml:21:16: nothing does this task; write run: [PROGRAM, ARGUMENT]",
+        "robot.yaml:22:7: invalid name 'a:b' for a component: expected no ':' and no control characters",
     ];
     assert_eq!(first, expected, "{mistakes}");
     let none = parse("port: 1").expect_err("no scopes").to_string();

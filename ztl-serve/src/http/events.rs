@@ -78,7 +78,7 @@ impl<'d> ConfigReader<'d> {
     ) -> Option<EventSource> {
         let send_node = fields.optional("send");
         let silence = fields.optional("silence");
-        let request = self.http_request(node, fields, rule, Schemes::Events);
+        let request = self.http_request(fields, rule, Schemes::Events);
         let send = send_node.map(|node| self.value_template(node, rule));
         let silence = silence.map(|node| self.time(node, LONGEST_SILENCE));
         let request = request?;

@@ -28,6 +28,8 @@ pub(super) struct Answer {
     body: Vec<u8>,
     /// Whether it goes on after `body`.
     cut: bool,
+    /// Where a redirect leads that was not followed.
+    location: Option<String>,
     value: Option<GoalValue>,
 }
 
@@ -53,6 +55,7 @@ impl Answer {
             name,
             body: body.to_vec(),
             cut: false,
+            location: None,
             value: serde_json::from_slice(body).ok(),
         }
     }
@@ -73,6 +76,17 @@ impl Answer {
         value
             .and_then(|value| path.iter().try_fold(value, |value, key| value.part(key)))
             .cloned()
+    }
+
+    /// What it was, for a task that fails of it.
+    pub(super) fn failure(&self) -> String {
+        let (status, text) = (self.status, self.text());
+        match &self.location {
+            Some(location) if (300..400).contains(&status) => {
+                format!("status {status}, which leads to '{location}' and is not followed: {text}")
+            }
+            _ => format!("status {status}: {text}"),
+        }
     }
 
     /// The whole answer: JSON as the original writes values, or its text.
@@ -100,10 +114,11 @@ pub(super) fn exchange(request: &Filled, until: Instant) -> Result<Answer, NoAns
             || (request.method == Method::GET && matches!(status, 301..=303));
         let location = answer.headers().get("location");
         let location = location.and_then(|location| location.to_str().ok());
-        if !(same_method && location.is_some()) {
-            return read(status, answer.body_mut(), until);
-        }
-        let location = location.unwrap_or_default().to_owned();
+        let location = location.map(str::to_owned);
+        let Some(location) = location.clone().filter(|_| same_method) else {
+            let answer = read(status, answer.body_mut(), until)?;
+            return Ok(Answer { location, ..answer });
+        };
         uri = redirected(&uri, &location).ok_or_else(|| NoAnswer {
             reason: format!("status {status} leads to '{location}', which is not on the same host"),
             sent: false,
@@ -200,6 +215,7 @@ fn read(status: u16, body: &mut Body, until: Instant) -> Result<Answer, NoAnswer
         name: None,
         body: bytes,
         cut,
+        location: None,
         value,
     })
 }

@@ -8,7 +8,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ureq::http::{HeaderName, HeaderValue, Method, Uri};
 use ztl_std::describe::{GoalRule, GoalValue};
-use ztl_yaml::{Fields, Node, NodeValue, closest};
+use ztl_yaml::{Fields, Node, closest};
 
 use super::hosts::{Host, mistake};
 use super::tls::Trust;
@@ -250,7 +250,7 @@ pub(super) enum Schemes {
     Events,
 }
 
-const METHODS: [(&str, Method); 5] = [
+pub(super) const METHODS: [(&str, Method); 5] = [
     ("get", Method::GET),
     ("post", Method::POST),
     ("put", Method::PUT),
@@ -258,25 +258,10 @@ const METHODS: [(&str, Method); 5] = [
     ("delete", Method::DELETE),
 ];
 
-/// Whether a mapping has the address of a request.
-pub(super) fn has_method(node: &Node) -> bool {
-    METHODS.iter().any(|(key, _)| has_key(node, key))
-}
-
-/// Whether a mapping has this key.
-pub(super) fn has_key(node: &Node, key: &str) -> bool {
-    let NodeValue::Map(pairs) = &node.value else {
-        return false;
-    };
-    let mut keys = pairs.iter().map(|(key, _)| &key.value);
-    keys.any(|it| matches!(it, NodeValue::Scalar { text, .. } if text == key))
-}
-
 impl<'d> ConfigReader<'d> {
-    /// Reads the keys of a request. `node` is their mapping.
+    /// Reads the keys of a request.
     pub(super) fn http_request(
         &mut self,
-        node: &'d Node,
         fields: &mut Fields<'d>,
         rule: &GoalRule,
         schemes: Schemes,
@@ -287,8 +272,8 @@ impl<'d> ConfigReader<'d> {
         let headers = fields.optional("headers");
         let (bearer, basic) = (fields.optional("bearer"), fields.optional("basic"));
         let Some((address, method)) = given.next() else {
-            let message = "no request; write post: \"http://{robot}/api/halt\"";
-            self.yaml.wrong(node, message);
+            let keys = METHODS.map(|(key, _)| key);
+            fields.lacks_one_of(keys, "no request", "post: \"http://{robot}/api/halt\"");
             return None;
         };
         for (second, what) in [

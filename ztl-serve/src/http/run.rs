@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use tracing::warn;
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
 use super::condition::Condition;
@@ -14,7 +15,10 @@ use super::request::{Filled, RequestTemplate};
 use super::task::{After, EndEvent, HttpTask, Progress};
 use crate::call::Call;
 use crate::human::human_time;
-use crate::kind::{Effect, Job, JobContext, Kind as _, Outcome, STOP_TIME, Start, StopReason};
+use crate::kind::{
+    CANNOT_ABORT, Effect, Job, JobContext, Kind as _, Outcome, STOP_TIME, Start, StopReason,
+};
+use crate::log::LOG;
 
 /// How long a question after progress may take.
 const QUESTION: Duration = Duration::from_secs(5);
@@ -80,8 +84,8 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Whether it is to be aborted.
-    abort: bool,
+    /// Why it is to be aborted, if it is.
+    abort: Option<StopReason>,
     /// Events that the task's thread has not looked at.
     heard: VecDeque<Heard>,
     /// The bytes of these.
@@ -93,8 +97,8 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn set_abort(&self, value: bool) {
-        self.lock().abort = value;
+    fn abort(&self, why: StopReason) {
+        self.lock().abort.get_or_insert(why);
         self.changed.notify_all();
     }
 
@@ -114,13 +118,17 @@ impl Shared {
 
     /// Waits until this time, or until the task is to be aborted. Returns whether it is.
     fn wait_until(&self, until: Instant) -> bool {
-        self.wait(until, |state| state.abort).abort
+        self.wait(until, |state| state.abort.is_some())
+            .abort
+            .is_some()
     }
 
-    /// Waits until this time, until the task is to be aborted, or until an event comes. Returns whether it is to be
+    /// Waits until this time, until the task is to be aborted, or until an event comes. Returns why it is to be
     /// aborted, and the event.
-    fn wait_for_event(&self, until: Instant) -> (bool, Option<Heard>) {
-        let mut state = self.wait(until, |state| state.abort || !state.heard.is_empty());
+    fn wait_for_event(&self, until: Instant) -> (Option<StopReason>, Option<Heard>) {
+        let mut state = self.wait(until, |state| {
+            state.abort.is_some() || !state.heard.is_empty()
+        });
         let heard = state.heard.pop_front();
         state.bytes -= heard.as_ref().map_or(0, Heard::len);
         (state.abort, heard)
@@ -175,14 +183,14 @@ impl Run {
         };
         let answer = match self.ask(request, until) {
             Ok(answer) => answer,
-            Err(NoAnswer { sent: false, .. }) if self.is_aborted() => {
-                return StopReason::Client.before_start();
-            }
             Err(NoAnswer {
                 reason,
                 sent: false,
             }) => {
-                return Outcome::Rejected(format!("{}: {reason}", request.name()));
+                let rejected = || Outcome::Rejected(format!("{}: {reason}", request.name()));
+                return self
+                    .abort_reason()
+                    .map_or_else(rejected, StopReason::before_start);
             }
             Err(NoAnswer { reason, .. }) => {
                 // The robot may still do it, and what was sent before may have been overtaken.
@@ -204,7 +212,7 @@ impl Run {
             return outcome;
         }
         if !kind.done.holds(&answer, self.call()) {
-            return Outcome::Failed(format!("status {}: {}", answer.status, answer.text()));
+            return Outcome::Failed(answer.failure());
         }
         let result = self.result(&answer);
         match (&kind.after, event) {
@@ -238,8 +246,8 @@ impl Run {
         let until = until.min(Instant::now() + READY);
         loop {
             let (abort, heard) = self.shared.wait_for_event(until);
-            if abort {
-                return Err(StopReason::Client.before_start());
+            if let Some(why) = abort {
+                return Err(why.before_start());
             }
             match (heard, &event.ready) {
                 // A flood of events may have driven out that it is open.
@@ -275,7 +283,9 @@ impl Run {
         loop {
             let next = shown.due().unwrap_or(until).min(until);
             let (abort, heard) = self.shared.wait_for_event(next);
-            if abort && let Some(outcome) = self.aborted() {
+            if abort.is_some()
+                && let Some(outcome) = self.aborted()
+            {
                 return outcome;
             }
             match heard {
@@ -329,7 +339,7 @@ impl Run {
         let mut sent = false;
         // An abort that comes now is sent besides, or seen here.
         self.shared.is_asking.store(true, Ordering::SeqCst);
-        if self.is_aborted() {
+        if self.abort_reason().is_some() {
             let reason = String::new();
             return Err(NoAnswer { reason, sent });
         }
@@ -409,10 +419,17 @@ impl Run {
         }
     }
 
+    /// The field that is the result, or the whole answer.
     fn result(&self, answer: &Answer) -> String {
-        let path = self.kind.result.as_deref();
-        let field = path.and_then(|path| answer.field(path)?.to_text().ok());
-        field.unwrap_or_else(|| answer.text())
+        let Some(path) = &self.kind.result else {
+            return answer.text();
+        };
+        let field = answer.field(path).and_then(|field| field.to_text().ok());
+        field.unwrap_or_else(|| {
+            let (id, path) = (self.task.id, path.join("."));
+            warn!(target: LOG, "Task {id}: the answer has no field '{path}', so that all of it is the result.");
+            answer.text()
+        })
     }
 
     fn exchange(&self, request: &Filled, until: Instant) -> Result<Answer, NoAnswer> {
@@ -423,22 +440,20 @@ impl Run {
         answer
     }
 
-    fn is_aborted(&self) -> bool {
-        self.shared.wait_until(Instant::now())
+    fn abort_reason(&self) -> Option<StopReason> {
+        self.shared.lock().abort
     }
 
     /// Aborts the task, if it is to be aborted; nothing if that is not possible, so that it goes on.
     fn aborted(&self) -> Option<Outcome> {
-        if !self.is_aborted() {
-            return None;
-        }
+        let why = self.abort_reason()?;
         match self.abort() {
-            Ok(()) => Some(Outcome::Aborted("aborted".to_owned())),
+            Ok(()) => Some(Outcome::Aborted(why.to_string())),
             Err(reason) => {
-                self.shared.set_abort(false);
+                self.shared.lock().abort = None;
                 let text = format!("cannot abort: {reason}");
                 self.task.effect(Effect::Progress(text));
-                self.task.effect(Effect::RejectAbort);
+                self.task.effect(Effect::RejectAbort(reason));
                 None
             }
         }
@@ -463,7 +478,7 @@ impl Run {
             }
             match exchange(&filled, until) {
                 Ok(answer) if done.holds(&answer, self.call()) => return Ok(()),
-                Ok(answer) => reason = format!("status {}: {}", answer.status, answer.text()),
+                Ok(answer) => reason = answer.failure(),
                 Err(error) => reason = error.to_string(),
             }
         }
@@ -485,9 +500,9 @@ impl Job for HttpJob {
             self.leave_at = now.checked_add(STOP_TIME);
         }
         if !self.run.kind.can_abort() {
-            return effects.push(Effect::RejectAbort);
+            return effects.push(Effect::RejectAbort(CANNOT_ABORT.to_owned()));
         }
-        self.run.shared.set_abort(true);
+        self.run.shared.abort(why);
         let request = self.run.kind.abort.as_ref().map(|(request, _)| request);
         let needs_answer = request.is_none_or(RequestTemplate::uses_answer);
         if needs_answer && self.run.answered.get().is_none() {

@@ -9,7 +9,7 @@ use ztl_yaml::{Fields, Node};
 
 use super::condition::{Condition, Of};
 use super::events::EventSource;
-use super::request::{RequestTemplate, Schemes, has_key, has_method};
+use super::request::{METHODS, RequestTemplate, Schemes};
 use super::run::start;
 use crate::call::Call;
 use crate::kind::{JobContext, Kind, Outcome, Services, Start};
@@ -75,16 +75,18 @@ pub(super) struct EndEvent {
 pub(crate) fn read<'d>(
     reader: &mut ConfigReader<'d>,
     node: &'d Node,
-    _: Option<&mut Fields<'d>>,
+    beside: Option<&mut Fields<'d>>,
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let rule = context.rule;
+    reader.http_keys_beside(beside?);
     let what = "post: \"http://{robot}/api/halt\"";
     let mut fields = reader.yaml.fields(node, what)?;
-    let request = match !has_method(node) && has_key(node, "event") {
+    let methods = METHODS.map(|(key, _)| key);
+    let request = match !fields.has_one_of(&methods) && fields.has_one_of(&["event"]) {
         true => Some(None),
         false => reader
-            .http_request(node, &mut fields, rule, Schemes::Requests)
+            .http_request(&mut fields, rule, Schemes::Requests)
             .map(Some),
     };
     let done = fields.optional("done");
@@ -144,6 +146,20 @@ impl<T> TransposeOr<T> for Option<Option<T>> {
 }
 
 impl<'d> ConfigReader<'d> {
+    /// Tells of keys that belong into `http` and stand beside it.
+    fn http_keys_beside(&mut self, fields: &mut Fields<'d>) {
+        for key in [
+            "json", "form", "headers", "bearer", "basic", "done", "result", "limit", "repeat",
+            "for", "progress", "event", "abort",
+        ] {
+            if let Some(node) = fields.optional(key) {
+                let message =
+                    format!("this stands beside http; write it inside: http: {{…, {key}: …}}");
+                self.yaml.wrong(node, message);
+            }
+        }
+    }
+
     /// Reads what is used after the answer.
     fn with_answer<T>(&mut self, read: impl FnOnce(&mut Self) -> T) -> T {
         self.knows_answer = true;
@@ -159,7 +175,7 @@ impl<'d> ConfigReader<'d> {
     ) -> Option<(RequestTemplate, Condition)> {
         let what = "post: \"http://{robot}/api/halt\"";
         let mut fields = self.yaml.fields(node, what)?;
-        let request = self.http_request(node, &mut fields, rule, Schemes::Requests);
+        let request = self.http_request(&mut fields, rule, Schemes::Requests);
         let done = fields.optional("done");
         let done = done.map_or(Some(Condition::Success), |node| {
             self.http_condition(node, rule, Of::Answer)
@@ -172,7 +188,7 @@ impl<'d> ConfigReader<'d> {
         let what =
             "get: \"http://{robot}/api/state\", every: 500 ms, until: {field: state, is: idle}";
         let mut fields = self.yaml.fields(node, what)?;
-        let request = self.http_request(node, &mut fields, rule, Schemes::Requests);
+        let request = self.http_request(&mut fields, rule, Schemes::Requests);
         let every = fields.optional("every");
         let every = every.map_or(Some(EVERY), |node| self.time(node, LONGEST_EVERY));
         let until = fields.required("until", "until: {field: state, is: idle}");

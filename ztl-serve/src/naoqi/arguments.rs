@@ -44,6 +44,10 @@ impl Arguments {
         }
     }
 
+    pub(super) const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     pub(super) fn needs_fields(&self) -> bool {
         self.0.iter().any(ValueTemplate::needs_fields)
     }

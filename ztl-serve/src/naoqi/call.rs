@@ -15,7 +15,8 @@ use super::names::What;
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{
-    Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start, StopReason,
+    CANNOT_ABORT, Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start,
+    StopReason,
 };
 use crate::reader::{ComponentContext, ConfigReader};
 
@@ -164,6 +165,16 @@ impl Kind for MethodCall {
         !matches!(self.abort, Abort::No)
     }
 
+    /// What ends it has its time first, then the cancellation.
+    fn stop_time(&self) -> Duration {
+        let grace = match self.abort {
+            Abort::Call(_) => self.grace * 2,
+            Abort::Cancel => self.grace,
+            Abort::No => Duration::ZERO,
+        };
+        STOP_TIME.max(grace)
+    }
+
     fn check(&self, call: &Call) -> Result<(), String> {
         self.target.arguments.fill(call).map(drop)
     }
@@ -239,10 +250,10 @@ impl Job for CallJob {
             return effects.push(Effect::End(why.before_start()));
         };
         if why == StopReason::Server {
-            self.leave_at = now.checked_add(STOP_TIME);
+            self.leave_at = now.checked_add(self.method.stop_time());
         }
         if let Abort::No = self.method.abort {
-            return effects.push(Effect::RejectAbort);
+            return effects.push(Effect::RejectAbort(CANNOT_ABORT.to_owned()));
         }
         self.asked.get_or_insert(why);
         if self.abort == AbortStage::Idle {
@@ -368,16 +379,14 @@ impl CallJob {
         self.abort = AbortStage::Idle;
         self.stop_by = None;
         let text = format!("{name} goes on: it has not ended within {grace} after an abort");
-        effects.push(Effect::Progress(text));
-        effects.push(Effect::RejectAbort);
+        effects.push(Effect::Progress(text.clone()));
+        effects.push(Effect::RejectAbort(text));
     }
 
     fn outcome(&self, result: Result<Value, CallError>) -> Outcome {
-        let aborted = || match self.asked {
-            Some(StopReason::Replaced(by)) => format!("replaced by task {by}"),
-            Some(StopReason::Server) => "the server was stopped".to_owned(),
-            Some(_) => "aborted".to_owned(),
-            None => "cancelled by the robot".to_owned(),
+        let aborted = || {
+            let by_robot = || "cancelled by the robot".to_owned();
+            self.asked.map_or_else(by_robot, |why| why.to_string())
         };
         // A method that was told to end by another one returns as if nothing had happened.
         let was_told = self.asked.is_some()

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tracing::{info, warn};
 use ztl_naoqi::{Client, Credentials, Endpoint, Event, Limits, Options};
-use ztl_yaml::{Node, NodeValue};
+use ztl_yaml::{Diagnostic, Node, NodeValue};
 
 use super::names::Used;
 use crate::log::LOG;
@@ -34,6 +34,8 @@ pub(crate) struct Robot {
 #[derive(Debug)]
 pub(crate) struct Naoqi {
     pub(crate) robot: Arc<Robot>,
+    /// Where the file names it, if it does.
+    pub(crate) place: Option<Diagnostic>,
     /// What of the robot the file uses.
     pub(crate) used: Vec<Used>,
 }
@@ -42,6 +44,7 @@ impl Default for Naoqi {
     fn default() -> Self {
         Self {
             robot: Robot::new(DIRECTORY.to_owned(), None),
+            place: None,
             used: Vec::new(),
         }
     }
@@ -156,6 +159,7 @@ impl<'d> ConfigReader<'d> {
             }
             _ => Some(node),
         };
+        self.naoqi.place = directory.map(|node| self.yaml.mistake(node, ""));
         let directory = directory.and_then(|node| {
             let parsed = |text: &str| Endpoint::parse(text).map(|endpoint| endpoint.to_string());
             self.yaml.parsed(node, what, parsed)

@@ -9,7 +9,7 @@ use ztl_naoqi::{CallError, MetaObject};
 use ztl_yaml::{Diagnostic, Node, closest};
 
 use super::arguments::Arguments;
-use super::connection::Robot;
+use super::connection::Naoqi;
 use crate::reader::ConfigReader;
 
 /// How long the robot may take to answer.
@@ -45,13 +45,16 @@ impl<'d> ConfigReader<'d> {
 }
 
 /// Asks the robot for what the file uses. Returns what is not there or does not fit, or why nobody can tell.
-pub(crate) fn missing(robot: &Arc<Robot>, used: &[Used]) -> Vec<Diagnostic> {
+pub(crate) fn missing(naoqi: &Naoqi) -> Vec<Diagnostic> {
+    let Naoqi { robot, place, used } = naoqi;
     let Some(first) = used.first() else {
         return Vec::new();
     };
+    // What is wrong with the connection, is not wrong with what uses it.
+    let at = place.as_ref().unwrap_or(&first.place);
     let client = match robot.client() {
         Ok(client) => client,
-        Err(error) => return vec![first.warning(error, None)],
+        Err(error) => return vec![warning(at, error, None)],
     };
     let mut services: BTreeMap<&str, Result<Arc<MetaObject>, CallError>> = BTreeMap::new();
     let mut warnings = Vec::new();
@@ -67,25 +70,25 @@ pub(crate) fn missing(robot: &Arc<Robot>, used: &[Used]) -> Vec<Diagnostic> {
                 if known.is_empty() {
                     // Not connected: so are all others.
                     let help = "start the robot to have its methods checked, too".to_owned();
-                    return vec![used.warning(error.to_string(), Some(help))];
+                    return vec![warning(at, error.to_string(), Some(help))];
                 }
                 let known = known.iter().map(String::as_str);
                 let help = closest(service, known).map(|it| format!("did you mean '{it}'?"));
-                warnings.push(used.warning(error.to_string(), help));
+                warnings.push(warning(&used.place, error.to_string(), help));
             }
         }
     }
     warnings
 }
 
-impl Used {
-    fn warning(&self, message: String, help: Option<String>) -> Diagnostic {
-        let mut warning = self.place.clone();
-        warning.message = format!("warning: {message}");
-        warning.help = help;
-        warning
-    }
+fn warning(place: &Diagnostic, message: String, help: Option<String>) -> Diagnostic {
+    let mut warning = place.clone();
+    warning.message = format!("warning: {message}");
+    warning.help = help;
+    warning
+}
 
+impl Used {
     /// What is wrong with it.
     fn mistake(&self, meta: &MetaObject) -> Option<Diagnostic> {
         let service = &self.service;
@@ -98,12 +101,15 @@ impl Used {
                     .map_or(method.as_str(), |(name, _)| name);
                 let names = || meta.methods.iter().map(|method| method.name.as_str());
                 let help = match names().any(|name| name == bare) {
+                    true if arguments.is_empty() => Some(format!(
+                        "write arguments: […] beside it; as an abort: {{naoqi: {service}.{bare}, arguments: […]}}"
+                    )),
                     true => None,
                     false => {
                         closest(bare, names()).map(|it| format!("did you mean '{service}.{it}'?"))
                     }
                 };
-                Some(self.warning(mistake, help))
+                Some(warning(&self.place, mistake, help))
             }
             What::Signal(name) => {
                 let members = meta.signals.iter().chain(&meta.properties);
@@ -113,7 +119,8 @@ impl Used {
                 }
                 let help = closest(name, names.iter().copied());
                 let help = help.map(|it| format!("did you mean '{service}.{it}'?"));
-                Some(self.warning(format!("{service} has no signal or property {name}"), help))
+                let mistake = format!("{service} has no signal or property {name}");
+                Some(warning(&self.place, mistake, help))
             }
         }
     }

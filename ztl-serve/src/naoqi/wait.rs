@@ -26,7 +26,14 @@ pub(crate) fn read<'d>(
     fields: Option<&mut Fields<'d>>,
     _: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
-    let is = fields.and_then(|fields| fields.optional("is"));
+    let fields = fields?;
+    let is = fields.optional("is");
+    for key in ["abort", "grace"] {
+        if let Some(node) = fields.optional(key) {
+            let message = format!("a wait ends at once when it is aborted; leave {key} out");
+            reader.yaml.wrong(node, message);
+        }
+    }
     let event = reader.naoqi_signal("naoqi-event", node);
     let is = is.map(|node| reader.yaml.text(node, "a value, as 1"));
     Some(Arc::new(Wait {

@@ -64,7 +64,6 @@ pub(crate) fn read_shell<'d>(
 /// Reads the program of a stream: `run` or `shell`, where it runs and how it is stopped.
 pub(crate) fn read_stream<'d>(
     reader: &mut ConfigReader<'d>,
-    node: &'d Node,
     fields: &mut Fields<'d>,
 ) -> Option<Program> {
     let (run, shell) = (fields.optional("run"), fields.optional("shell"));
@@ -78,8 +77,19 @@ pub(crate) fn read_stream<'d>(
         (Some(node), None) => reader.invocation(node),
         (None, Some(node)) => reader.shell(node),
         (None, None) => {
-            let message = "nothing writes this stream; write run: [PROGRAM, ARGUMENT]";
-            reader.wrong(node, message);
+            let keys = [
+                "run",
+                "shell",
+                "ros1-topic",
+                "naoqi-event",
+                "naoqi-signal",
+                "http-event",
+            ];
+            fields.lacks_one_of(
+                keys,
+                "nothing writes this stream",
+                "run: [PROGRAM, ARGUMENT]",
+            );
             None
         }
     };

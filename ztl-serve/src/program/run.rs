@@ -219,8 +219,7 @@ impl Run {
                 let last = Some(self.out.kept().text).filter(|text| !text.trim().is_empty());
                 last.unwrap_or_else(|| "aborted".to_owned())
             }
-            StopReason::Replaced(by) => format!("replaced by task {by}"),
-            StopReason::Server => "the server was stopped".to_owned(),
+            why @ (StopReason::Replaced(_) | StopReason::Server) => why.to_string(),
             StopReason::Closed => "it closed its output, ran on and was stopped".to_owned(),
             StopReason::Limit => format!(
                 "not done within {}",

@@ -132,9 +132,7 @@ impl Action {
             (text, _) => text.to_owned(),
         };
         let preempted = match asked {
-            Some(StopReason::Replaced(by)) => format!("replaced by task {by}"),
-            Some(StopReason::Server) => "the server was stopped".to_owned(),
-            Some(_) => "aborted".to_owned(),
+            Some(why) => why.to_string(),
             None => "cancelled or replaced by another client of the action".to_owned(),
         };
         match state {

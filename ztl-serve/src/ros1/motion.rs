@@ -89,12 +89,7 @@ impl Motion {
         match self.phase {
             Phase::Waiting { .. } => self.end(why.before_start(), actions),
             Phase::Moving { .. } => {
-                let text = match why {
-                    StopReason::Replaced(by) => format!("replaced by task {by}"),
-                    StopReason::Server => "the server was stopped".to_owned(),
-                    _ => "aborted".to_owned(),
-                };
-                self.begin_stop(now, Outcome::Aborted(text));
+                self.begin_stop(now, Outcome::Aborted(why.to_string()));
             }
             Phase::Stopping { .. } | Phase::Ended => {}
         }

@@ -412,17 +412,12 @@ impl PublishJob {
 
 impl Job for PublishJob {
     fn stop(&mut self, now: Instant, why: StopReason, effects: &mut Vec<Effect>) {
-        let text = match why {
-            StopReason::Replaced(by) => format!("replaced by task {by}"),
-            StopReason::Server => "the server was stopped".to_owned(),
-            _ => "aborted".to_owned(),
-        };
         match self.phase {
             Phase::Waiting { .. } => {
                 self.phase = Phase::Ended;
                 effects.push(Effect::End(why.before_start()));
             }
-            Phase::Running { .. } => self.begin_stop(now, Outcome::Aborted(text)),
+            Phase::Running { .. } => self.begin_stop(now, Outcome::Aborted(why.to_string())),
             Phase::Stopping { .. } | Phase::Ended => {}
         }
         self.handle_timeout(now, effects);

@@ -15,7 +15,8 @@ use super::shown::ShownMessage;
 use super::{Event, Refusal};
 use crate::call::Call;
 use crate::kind::{
-    Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start, StopReason,
+    CANNOT_ABORT, Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start,
+    StopReason,
 };
 use crate::reader::{ComponentContext, ConfigReader};
 
@@ -162,7 +163,7 @@ impl Job for ServiceJob {
     fn stop(&mut self, now: Instant, why: StopReason, effects: &mut Vec<Effect>) {
         match why {
             StopReason::Server => self.leave_at = now.checked_add(STOP_TIME),
-            _ => effects.push(Effect::RejectAbort),
+            _ => effects.push(Effect::RejectAbort(CANNOT_ABORT.to_owned())),
         }
     }
 

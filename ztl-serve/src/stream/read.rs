@@ -114,9 +114,9 @@ impl<'d> ConfigReader<'d> {
             let message = "give only one of: ros1-topic, naoqi-event, naoqi-signal, http-event";
             self.yaml.wrong(second, message);
         }
-        let frame = match message_node {
-            Some(_) => fields.optional("frame"),
-            None => fields.required("frame", "frame: line"),
+        let frame = match fields.has_one_of(&["run", "shell"]) {
+            true => fields.required("frame", "frame: line"),
+            false => fields.optional("frame"),
         };
         let framing = frame.and_then(|node| self.framing(node));
         if let (Some(_), Some(node)) = (message_node, frame) {
@@ -151,7 +151,7 @@ impl<'d> ConfigReader<'d> {
                 .map(Arc::new)
                 .map(Origin::Event),
             (None, None, None) => {
-                let program = program::read::read_stream(self, node, &mut fields);
+                let program = program::read::read_stream(self, &mut fields);
                 program.map(Arc::new).map(Origin::Program)
             }
         };
