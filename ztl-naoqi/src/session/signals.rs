@@ -168,6 +168,9 @@ impl Session {
             });
         let handle = match shared {
             Some(handle) => {
+                if let Some(wish) = self.subscriptions.get_mut(&id) {
+                    wish.told = false;
+                }
                 self.events.push_back(Event::Subscribed(id));
                 handle
             }
@@ -184,7 +187,6 @@ impl Session {
             }
         };
         if let Some(wish) = self.subscriptions.get_mut(&id) {
-            wish.told = false;
             wish.stage = Stage::Active {
                 link,
                 address,
@@ -213,6 +215,7 @@ impl Session {
             self.stop(&stage);
             return self.not_subscribed(id, &error.to_string());
         }
+        wish.told = false;
         self.events.push_back(Event::Subscribed(id));
     }
 

@@ -97,3 +97,31 @@ fn a_token_that_is_not_one_line_is_not_taken() {
         );
     }
 }
+
+#[test]
+fn a_robot_that_refuses_a_subscription_again_and_again_is_told_once() {
+    let mut robot = Robot::ready();
+    let level = SignalOf::service("ALTextToSpeech", "level");
+    robot.session.subscribe(level);
+    let mut told = 0;
+    for _ in 0..10 {
+        robot.resolve_speech();
+        let refusal = [text(0), vec![0; 4]].concat();
+        robot.answer(0, Kind::Error, refusal);
+        // It is unregistered nevertheless.
+        assert_eq!(robot.hear().address.action, 1);
+        let about = |action| Address {
+            service: 1,
+            object: 1,
+            action,
+        };
+        for action in [107, 106] {
+            let speech = bytes("[2, ALTextToSpeech]", "(Is)");
+            robot.send(Kind::Event, 0, about(action), speech);
+        }
+        while let Some(event) = robot.session.poll_event() {
+            told += usize::from(matches!(event, Event::Unsubscribed { .. }));
+        }
+    }
+    assert_eq!(told, 1);
+}
