@@ -112,14 +112,31 @@ fn goal_part(call: &Call, path: &[String], rule: &GoalRule) -> Result<GoalValue,
             (Some(fields), _) => Some(fields.clone()),
             (None, false) => GoalValue::parse(text).ok(),
         };
-        return Ok(parsed.unwrap_or_else(|| GoalValue::Text(text.clone())));
+        return finite(parsed.unwrap_or_else(|| GoalValue::Text(text.clone())));
     }
     let fields = call.goal.fields.as_ref();
     let part = fields.and_then(|fields| path.iter().try_fold(fields, |value, key| value.part(key)));
-    part.cloned().ok_or_else(|| {
+    let part = part.cloned().ok_or_else(|| {
         let path = path.join(".");
         format!("the goal has no '{path}'; this task needs a goal with that field or item")
-    })
+    });
+    finite(part?)
+}
+
+/// A value whose numbers are finite: no robot moves to infinity.
+fn finite(value: GoalValue) -> Result<GoalValue, String> {
+    fn is_finite(value: &GoalValue) -> bool {
+        match value {
+            GoalValue::Float(number) => number.is_finite(),
+            GoalValue::List(items) => items.iter().all(is_finite),
+            GoalValue::Map(pairs) => pairs.iter().all(|(_, value)| is_finite(value)),
+            _ => true,
+        }
+    }
+    match is_finite(&value) {
+        true => Ok(value),
+        false => Err("the goal has a number that is infinite or not a number".to_owned()),
+    }
 }
 
 impl<'d> ConfigReader<'d> {
@@ -203,11 +220,11 @@ fn fixed(value: PythonValue) -> Result<GoalValue, String> {
             let number = number.filter(|number| range.contains(number));
             GoalValue::Integer(number.ok_or("this number has more than 64 bits")?)
         }
-        PythonValue::Float(number) => GoalValue::Float(number),
+        PythonValue::Float(number) if number.is_finite() => GoalValue::Float(number),
         PythonValue::Text(text) => GoalValue::Text(text),
         other => {
             return Err(format!(
-                "'{other}' is no number, text, or truth value; as a text, put it in quotes"
+                "'{other}' is no finite number, text, or truth value; as a text, put it in quotes"
             ));
         }
     })
@@ -271,6 +288,15 @@ mod tests {
                 "{template}"
             );
         }
+        for goal in ["nan", "{x: -inf}", "{x: [0, nan]}"] {
+            let odd = "the goal has a number that is infinite or not a number";
+            let template = if goal.starts_with('{') {
+                "'{goal.x}'"
+            } else {
+                "'{goal}'"
+            };
+            assert_eq!(filled(template, any, goal), Err(odd.to_owned()), "{goal}");
+        }
         assert_eq!(
             filled("['{goal.y}']", any, "{x: 1}"),
             Err("the goal has no 'y'; this task needs a goal with that field or item".to_owned())
@@ -279,9 +305,11 @@ mod tests {
 
     #[test]
     fn mistakes_have_their_places() {
-        let said = filled("[2020-01-01, '{gaol}']", &GoalRule::Any, "").expect_err("mistakes");
+        let said =
+            filled("[2020-01-01, '{gaol}', .inf]", &GoalRule::Any, "").expect_err("mistakes");
         for part in [
-            "1:2: '2020-01-01' is no number",
+            "1:2: '2020-01-01' is no finite number",
+            "1:24: 'inf' is no finite number",
             "1:14: unknown placeholder '{gaol}'",
         ] {
             assert!(said.contains(part), "{said}");

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ureq::http::{HeaderName, HeaderValue, Method, Uri};
-use ztl_std::describe::{GoalRule, GoalValue};
+use ztl_std::describe::GoalRule;
 use ztl_yaml::{Fields, Node, closest};
 
 use super::hosts::{Host, mistake};
@@ -172,9 +172,6 @@ impl BodyTemplate {
         match self {
             Self::Json(template) => {
                 let value = template.fill(call)?;
-                if has_odd_number(&value) {
-                    return Err("JSON has no numbers that are infinite or not numbers".to_owned());
-                }
                 let json = serde_json::to_vec(&value).map_err(|error| error.to_string());
                 Ok(("application/json", json?))
             }
@@ -188,15 +185,6 @@ impl BodyTemplate {
                 Ok(("application/x-www-form-urlencoded", form.into_bytes()))
             }
         }
-    }
-}
-
-fn has_odd_number(value: &GoalValue) -> bool {
-    match value {
-        GoalValue::Float(number) => !number.is_finite(),
-        GoalValue::List(items) => items.iter().any(has_odd_number),
-        GoalValue::Map(pairs) => pairs.iter().any(|(_, value)| has_odd_number(value)),
-        _ => false,
     }
 }
 
