@@ -192,6 +192,33 @@ class ALTabletService:
         said("no page")
 
 
+@qi.multiThreaded()
+class ALSpeechRecognition:
+    @qi.bind(returnType=qi.Void, paramsType=(qi.List(qi.String), qi.Bool))
+    def setVocabulary(self, words, spotting):
+        said("words %s %s" % (words, spotting))
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def subscribe(self, name):
+        said("hears " + name)
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String, qi.Int32, qi.Float), methodName="subscribe")
+    def subscribe_often(self, name, period, precision):
+        said("hears %s often" % name)
+
+    @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
+    def unsubscribe(self, name):
+        said("deaf to " + name)
+
+
+class ALSonar(ALSpeechRecognition):
+    pass
+
+
+class ALPeoplePerception(ALSpeechRecognition):
+    pass
+
+
 class Subscriber:
     def __init__(self):
         self.signal = qi.Signal("m")
@@ -243,7 +270,10 @@ KINDS = {
         ALLeds,
         ALMemory,
         ALMotion,
+        ALPeoplePerception,
         ALRobotPosture,
+        ALSonar,
+        ALSpeechRecognition,
         ALTabletService,
         ALTextToSpeech,
         Odd,

@@ -11,7 +11,7 @@ use ztl_tests::lab::{
 use crate::robot::Robot;
 
 /// What the examples use.
-const ALL: [&str; 10] = [
+const ALL: [&str; 13] = [
     "ALAnimatedSpeech",
     "ALAnimationPlayer",
     "ALAutonomousLife",
@@ -19,7 +19,10 @@ const ALL: [&str; 10] = [
     "ALLeds",
     "ALMemory",
     "ALMotion",
+    "ALPeoplePerception",
     "ALRobotPosture",
+    "ALSonar",
+    "ALSpeechRecognition",
     "ALTabletService",
     "ALTextToSpeech",
 ];
@@ -126,6 +129,16 @@ fn the_example_for_nao_speaks_moves_and_shows_colors() {
             "number 255",
             "",
         ),
+        (
+            "hearing",
+            "words",
+            "{words: [yes, '1']}",
+            "None",
+            "words ['yes', '1'] False",
+        ),
+        ("hearing", "start", "", "None", "hears ztl"),
+        ("hearing", "stop", "", "None", "deaf to ztl"),
+        ("sonar", "start", "", "None", "hears ztl"),
         ("motion", "wake-up", "", "None", "awake"),
         ("motion", "rest", "", "None", "rests"),
     ] {

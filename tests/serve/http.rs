@@ -132,7 +132,11 @@ fn redirects_endless_answers_and_closed_connections_are_bounded_and_clear() {
         ("get", "far", "leads to 'http://127.0.0.1:"),
         ("get", "round", "it was redirected more than 3 times"),
         ("get", "drip", "unknown: whether GET http://127.0.0.1:"),
-        ("post", "moved", "status 302, which leads to '/there' and is not followed: "),
+        (
+            "post",
+            "moved",
+            "status 302, which leads to '/there' and is not followed: ",
+        ),
         ("post", "silent", "was done: no answer in time"),
         ("post", "half", "unknown: whether POST http://127.0.0.1:"),
         ("post", "close", "unknown: whether POST http://127.0.0.1:"),
@@ -296,5 +300,10 @@ streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event:
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }
     // Each mistake is told once.
-    assert_eq!(ended.stderr.matches("yaml:15:").count(), 2, "{}", ended.stderr);
+    assert_eq!(
+        ended.stderr.matches("yaml:15:").count(),
+        2,
+        "{}",
+        ended.stderr
+    );
 }
