@@ -21,6 +21,8 @@ pub use search::Found;
 
 /// How long after a question the answer may begin, by default: a node takes at most 4 ms, an adapter on USB some more.
 pub const TURNAROUND: Duration = Duration::from_millis(8);
+/// How long after a question a node begins its answer at the latest.
+const BEGINS: Duration = Duration::from_millis(4);
 /// Pause before the next question, so that the last speaker has switched its transceiver off.
 const GAP: Duration = Duration::from_micros(300);
 /// A search waits at most this long for other questions, if they leave time for it.
@@ -159,11 +161,10 @@ impl Bus {
         }
         // A node is sending: asks no other node before there is a pause.
         self.quiet_at = self.quiet_at.max(now + GAP);
+        // Within an answer, only the adapter pauses, so that a damaged one costs little more time than none.
+        let pause = (self.turnaround.saturating_sub(BEGINS)).max(self.turnaround / 2);
         if let Some(question) = &mut self.question {
-            question.deadline = question
-                .deadline
-                .max(now + self.turnaround)
-                .min(question.limit);
+            question.deadline = question.deadline.max(now + pause).min(question.limit);
         }
     }
 
