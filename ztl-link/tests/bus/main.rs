@@ -212,3 +212,21 @@ fn the_answer_to_a_poll_keeps_a_command_that_is_repeated() {
     let asked = bus.poll_transmit(Instant::from_millis(320)).unwrap();
     assert!(asked.ends_with(&command), "{asked:?}");
 }
+
+#[test]
+fn damaged_answers_of_a_search_take_no_longer_than_none() {
+    let none = |bus: &mut Bus| {
+        bus.search(Instant::ZERO);
+        bus.poll_transmit(Instant::ZERO).unwrap();
+        bus.poll_timeout().unwrap()
+    };
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    let silent = none(&mut bus);
+    // Two nodes answer at once, half a millisecond after the question, and no byte is a delimiter.
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    none(&mut bus);
+    for millis in 3..6 {
+        bus.handle_bytes(Instant::from_millis(millis), &[0x55; 10]);
+    }
+    assert_eq!(bus.poll_timeout().unwrap(), silent);
+}
