@@ -221,7 +221,8 @@ pub(crate) fn bench(project: &Project) -> Result<()> {
     install::qemu(&project.sh)?;
     let board = board(&project.sh, MEASURED)?;
     let image = format!("{MEASURED}-bench");
-    let image = build_image(project, &board, &image, &["--no-default-features"])?;
+    let features = ["--no-default-features", "--features", BOOT];
+    let image = build_image(project, &board, &image, &features)?;
     cycles::check(project, &image)
 }
 

@@ -60,6 +60,8 @@ pub(crate) struct Rig {
     stops_at_writes: bool,
     /// The bytes of the old and the new image.
     pub(crate) images: [Vec<u8>; 2],
+    /// Where the stack may be, for all images.
+    stack: std::ops::Range<usize>,
     /// The file for the update to the new one.
     pub(crate) file: Vec<u8>,
     /// The flash as it is in the beginning.
@@ -110,6 +112,9 @@ impl Rig {
             });
             function.to_vec()
         };
+        let begin = [&boot, &old, &new].map(|image| image.symbol("__sheap"));
+        let begin = begin.into_iter().max().expect("images");
+        let stack = begin as usize..old.symbol("_stack_start") as usize;
         let images = [&old, &new].map(|image| image.bytes().1);
         let mut rig = Self {
             board: DebuggedBoard::start(),
@@ -119,6 +124,7 @@ impl Rig {
             file: signed(&images[1], NEW, "microbit"),
             images,
             first,
+            stack,
             resumed: None,
             talk: Talk::new(),
         };
@@ -256,6 +262,13 @@ impl Rig {
         let mut known = self.images.iter().zip([OLD, NEW]);
         let found = known.find(|(image, _)| active.starts_with(image));
         found.map(|(_, version)| version)
+    }
+
+    /// Bytes of RAM that the stack has never reached. In QEMU they are zeros in the beginning.
+    #[track_caller]
+    pub(crate) fn stack_left(&mut self) -> usize {
+        let ram = self.board.read_memory(self.stack.clone());
+        ram.iter().take_while(|byte| **byte == 0).count()
     }
 
     /// Runs the halted board without stops, until it serves. The version that it says is the image that it has.

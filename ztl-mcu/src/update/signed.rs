@@ -20,6 +20,8 @@ pub(super) struct Check {
 
 impl Check {
     /// `None` if the key is not a point of the curve. Takes about as long as 10 [steps](Self::step).
+    // Apart, like `step`: its points would be part of the main loop's stack for ever.
+    #[inline(never)]
     pub(super) fn new(
         key: &[u8; 32],
         signature: &[u8; SIGNATURE_LEN],
@@ -39,6 +41,7 @@ impl Check {
 
     /// At most three additions of points, or what compares the sum in the end. Returns whether the signature is valid, once
     /// that is known.
+    #[inline(never)]
     pub(super) fn step(&mut self) -> Option<bool> {
         let Some(bit) = self.bits.checked_sub(1) else {
             return Some(self.sum.compressed() == self.r);

@@ -19,8 +19,8 @@ use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
 use ztl_mcu::update::{Image, SelfTest, Slots, Updatable, Updater};
 use ztl_mcu::{Identity, Node};
 
-/// Longer than the verification of a signature, in which the node answers nothing.
-const LINK_TIMEOUT: Duration = Duration::from_secs(20);
+/// Longer than the longest part of a verification: 1.1 s, in which the node answers nothing.
+const LINK_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Runs the node for ever, with room for this many tasks.
 pub(crate) fn run<const TASKS: usize>(version: &'static str) -> ! {
