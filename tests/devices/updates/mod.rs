@@ -3,6 +3,7 @@
 mod cuts;
 mod rig;
 mod talk;
+mod watchdog;
 
 use ztl_core::link::update::UpdateError;
 use ztl_core::manifest::MANIFEST_LEN;

@@ -15,6 +15,7 @@ use embedded_io::Write;
 use microbit::flash::WHOLE;
 use microbit::random;
 use microbit::uart::Uart;
+use microbit::watchdog::watchdog_feed;
 use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
 use ztl_mcu::update::{Image, SelfTest, Slots, Updatable, Updater};
 use ztl_mcu::{Identity, Node};
@@ -47,6 +48,7 @@ pub(crate) fn run<const TASKS: usize>(version: &'static str) -> ! {
     let mut clock = SysTick::<16_000>::start(core.SYST);
     let mut received = [0; 32];
     loop {
+        watchdog_feed();
         let now = clock.now();
         let count = app::RECEIVED.take(&mut received);
         node.handle_bytes(now, received.get(..count).unwrap_or_default());
