@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::Instant;
 
 use ztl_core::link::update::{UpdateCommand, UpdateError, UpdatePhase};
-use ztl_tests::lab::{DebuggedBoard, FlashImage, PATIENCE, Process, Scratch, microbit, ztl};
+use ztl_tests::lab::{DebuggedBoard, FlashImage, PATIENCE, Process, Scratch, microbit, until, ztl};
 
 use super::talk::{Said, Talk};
 
@@ -196,6 +196,29 @@ impl Rig {
                 self.board.halt();
                 return end;
             }
+        }
+    }
+
+    /// Goes on with an update that was stopped, until the node has said so many times that it verifies. The board runs one turn
+    /// of its main loop after the other; each calls the function at this address.
+    #[track_caller]
+    pub(crate) fn verify_by_turns(&mut self, turn: u64, times: usize) {
+        self.board.set_stops(&BTreeSet::from([turn]));
+        let mut answers = 0;
+        while answers < times {
+            self.board.run();
+            until("a turn", PATIENCE, || self.board.wait(20).then_some(()));
+            let Some(said) = self.talk.hear(&mut self.board.serial) else {
+                self.talk.retry(&mut self.board.serial);
+                continue;
+            };
+            match said {
+                Said::Phase(UpdatePhase::Verifying) => answers += 1,
+                said if answers > 0 => panic!("after {answers} answers {said:?}"),
+                _ => {}
+            }
+            let end = self.answer(Script::Update, said, &mut false);
+            assert_eq!(end, None);
         }
     }
 

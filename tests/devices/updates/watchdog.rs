@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use ztl_tests::lab::{FlashImage, PATIENCE, until};
 
-use super::rig::{ACTIVE, End, NEW, OLD, PARTITIONS, Rig, Script, signed};
+use super::rig::{ACTIVE, End, NEW, OLD, PAGE, PARTITIONS, Rig, Script, signed};
 
 /// Where a function of an image is.
 #[track_caller]
@@ -34,6 +34,20 @@ fn the_bootloader_starts_the_watchdog_before_the_main_loop_feeds_it() {
     rig.board.set_stops(&BTreeSet::from([start, feed]));
     let stops = [(); 4].map(|()| next_stop(&mut rig));
     assert_eq!(stops, [start, feed, feed, feed]);
+}
+
+#[test]
+fn the_main_loop_turns_and_the_node_answers_while_it_verifies() {
+    let mut rig = Rig::start();
+    // The last change of what is received marks its last page as complete.
+    let pages = rig.file.len().div_ceil(PAGE);
+    let mark = PARTITIONS.end - PAGE + 128 + 4 * (pages - 1);
+    rig.set_stops(true, true);
+    let end = rig.run(Script::Update, |_, change| change.address != mark);
+    assert_eq!(end, End::Stopped);
+    let (_, [feed, _]) = places();
+    // A turn verifies 128 bytes or a bit; all of it would take hundreds.
+    rig.verify_by_turns(feed, 5);
 }
 
 #[test]
