@@ -46,8 +46,8 @@ fn the_main_loop_turns_and_the_node_answers_while_it_verifies() {
     let end = rig.run(Script::Update, |_, change| change.address != mark);
     assert_eq!(end, End::Stopped);
     let (_, [feed, _]) = places();
-    // A turn verifies 128 bytes or a bit; all of it would take hundreds.
-    rig.verify_by_turns(feed, 5);
+    // A turn verifies 128 bytes or a bit, and nothing while an answer is sent. All of it would take hundreds.
+    rig.verify_by_turns(feed, 20);
 }
 
 #[test]
