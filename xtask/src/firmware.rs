@@ -216,12 +216,18 @@ fn build_image(
     Ok(built.join("release").join(image))
 }
 
+/// Builds the images of the board that is measured, and whose power is cut.
+pub(crate) fn build_measured(project: &Project) -> Result<()> {
+    build(project, &board(&project.sh, MEASURED)?).map(drop)
+}
+
 /// Counts the cycles that a Cortex-M0 needs for a byte and for a task, and compares them with the README.
 pub(crate) fn bench(project: &Project) -> Result<()> {
     install::qemu(&project.sh)?;
     let board = board(&project.sh, MEASURED)?;
     let image = format!("{MEASURED}-bench");
-    let image = build_image(project, &board, &image, &["--no-default-features"])?;
+    let features = ["--no-default-features", "--features", BOOT];
+    let image = build_image(project, &board, &image, &features)?;
     cycles::check(project, &image)
 }
 

@@ -65,6 +65,37 @@ impl Soak {
     }
 }
 
+/// How many power cuts `cargo xtask cuts` runs.
+#[derive(clap::Args)]
+pub(crate) struct Cuts {
+    /// Minutes; the run says where the next one goes on.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    minutes: u32,
+    /// Unit of changes to begin with.
+    #[arg(long, default_value_t = 0)]
+    unit: u32,
+    /// Change of this unit to begin with.
+    #[arg(long, default_value_t = 0)]
+    change: u32,
+}
+
+impl Cuts {
+    /// Cuts the power of a board in QEMU at each change of its flash during an update.
+    pub(crate) fn run(&self, project: &Project) -> Result<()> {
+        install::qemu(&project.sh)?;
+        firmware::build_measured(project)?;
+        project.cargo("build --package ztl").run()?;
+        let test = project.cargo("test --package ztl-tests --test devices --");
+        test.args(["--nocapture", "--test-threads", "1", "updates::cuts::"])
+            .env("ZTL_CUTS", "0")
+            .env("ZTL_CUT_MINUTES", self.minutes.to_string())
+            .env("ZTL_CUT_UNIT", self.unit.to_string())
+            .env("ZTL_CUT_CHANGE", self.change.to_string())
+            .run()?;
+        Ok(())
+    }
+}
+
 /// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, actions of ROS 1, calls of NAOqi, and parts of the server comparison.
 pub(crate) const PARTS: [&str; 14] = [
     "firmware",

@@ -111,6 +111,8 @@ enum XtaskCommand {
     },
     /// Run many tasks and resets with real processes.
     Soak(long_runs::Soak),
+    /// Cut the power of a board at each change of its flash during an update, a part of them in each run.
+    Cuts(long_runs::Cuts),
     /// Compare performance with the original.
     Bench {
         /// `firmware`, or parts of the server comparison; otherwise all.
@@ -154,6 +156,7 @@ fn run(command: XtaskCommand) -> anyhow::Result<()> {
         XtaskCommand::Model { args } => long_runs::simulation(project, "model", &args),
         XtaskCommand::Simulate { args } => long_runs::simulation(project, "simulate", &args),
         XtaskCommand::Soak(soak) => soak.run(project),
+        XtaskCommand::Cuts(cuts) => cuts.run(project),
         XtaskCommand::Bench { parts } => long_runs::bench(project, &parts),
     }
 }

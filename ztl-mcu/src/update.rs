@@ -1,6 +1,8 @@
 //! Firmware updates over the link: what the firmware provides, and how a node uses it (`docs/link.md`, section 16).
 
 #[cfg(feature = "embassy-boot")]
+mod signed;
+#[cfg(feature = "embassy-boot")]
 mod slots;
 
 use ztl_core::Instant;

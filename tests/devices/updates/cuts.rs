@@ -3,6 +3,8 @@
 //! An update is recorded once: the flash as it is at each erase. For a cut, the board gets the flash of one of them, so that it
 //! goes on with exactly this erase, and runs to the change at which its power fails. All images that it may run serve then.
 
+use std::time::Instant;
+
 use ztl_tests::lab::{Random, number, seed};
 
 use super::rig::{Change, End, NEW, OLD, PAGE, PARTITIONS, Rig, Script};
@@ -139,7 +141,30 @@ fn cut(rig: &mut Rig, units: &[Unit], unit: usize, change: usize) -> Option<&'st
     Some(version)
 }
 
-/// The power fails at so many changes, chosen by a seed (`ZTL_SEED`), or at each one (`ZTL_CUTS=0`, which takes hours).
+/// Cuts the power at each change from `ZTL_CUT_CHANGE` of the unit `ZTL_CUT_UNIT` on, for `ZTL_CUT_MINUTES` if that is not 0.
+/// Says where the next run goes on. Returns how many there were.
+#[track_caller]
+fn cut_all(rig: &mut Rig, units: &[Unit]) -> usize {
+    let minutes = number("ZTL_CUT_MINUTES", 0);
+    let first = number("ZTL_CUT_UNIT", 0) as usize;
+    let mut change = number("ZTL_CUT_CHANGE", 0) as usize;
+    let (begun, mut done) = (Instant::now(), 0);
+    for unit in first..units.len() {
+        while change < MOST_CHANGES && cut(rig, units, unit, change).is_some() {
+            (done, change) = (done + 1, change + 1);
+            if minutes > 0 && begun.elapsed().as_secs() >= 60 * minutes {
+                println!("next: cargo xtask cuts --unit {unit} --change {change}");
+                return done;
+            }
+        }
+        change = 0;
+    }
+    println!("these were the last ones");
+    done
+}
+
+/// The power fails at so many changes, chosen by a seed (`ZTL_SEED`), or at each one (`ZTL_CUTS=0`, which takes hours:
+/// `cargo xtask cuts`).
 #[test]
 fn a_power_cut_at_any_change_of_the_flash_leaves_the_old_or_the_new_image() {
     let cuts = number("ZTL_CUTS", 120) as usize;
@@ -159,11 +184,7 @@ fn a_power_cut_at_any_change_of_the_flash_leaves_the_old_or_the_new_image() {
     assert_eq!(of(Phase::Revert).len(), 2 * pages + 1);
     let mut done = 0;
     if cuts == 0 {
-        for unit in 0..units.len() {
-            let changes = (0..MOST_CHANGES)
-                .take_while(|change| cut(&mut rig, &units, unit, *change).is_some());
-            done += changes.count();
-        }
+        done = cut_all(&mut rig, &units);
     } else {
         // These have few changes; all are cut.
         for unit in [of(Phase::Mark), of(Phase::Confirm)].concat() {

@@ -3,6 +3,7 @@
 mod cuts;
 mod rig;
 mod talk;
+mod watchdog;
 
 use ztl_core::link::update::UpdateError;
 use ztl_core::manifest::MANIFEST_LEN;
@@ -21,6 +22,8 @@ fn an_update_runs_the_new_image_and_stays_when_it_is_confirmed() {
     assert_eq!(rig.run(Script::Confirm, |_, _| true), End::Confirmed);
     rig.board.cut_power();
     assert_eq!(rig.assert_serves("confirmed"), NEW);
+    // The verification needs the most. Beyond these bytes the stack would overwrite what is static.
+    assert!(rig.stack_left() > 2 << 10, "{} bytes", rig.stack_left());
 }
 
 #[test]

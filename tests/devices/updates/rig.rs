@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::Instant;
 
 use ztl_core::link::update::{UpdateCommand, UpdateError, UpdatePhase};
-use ztl_tests::lab::{DebuggedBoard, FlashImage, PATIENCE, Process, Scratch, microbit, ztl};
+use ztl_tests::lab::{DebuggedBoard, FlashImage, PATIENCE, Process, Scratch, microbit, until, ztl};
 
 use super::talk::{Said, Talk};
 
@@ -60,6 +60,8 @@ pub(crate) struct Rig {
     stops_at_writes: bool,
     /// The bytes of the old and the new image.
     pub(crate) images: [Vec<u8>; 2],
+    /// Where the stack may be, for all images.
+    stack: std::ops::Range<usize>,
     /// The file for the update to the new one.
     pub(crate) file: Vec<u8>,
     /// The flash as it is in the beginning.
@@ -110,6 +112,9 @@ impl Rig {
             });
             function.to_vec()
         };
+        let begin = [&boot, &old, &new].map(|image| image.symbol("__sheap"));
+        let begin = begin.into_iter().max().expect("images");
+        let stack = begin as usize..old.symbol("_stack_start") as usize;
         let images = [&old, &new].map(|image| image.bytes().1);
         let mut rig = Self {
             board: DebuggedBoard::start(),
@@ -119,6 +124,7 @@ impl Rig {
             file: signed(&images[1], NEW, "microbit"),
             images,
             first,
+            stack,
             resumed: None,
             talk: Talk::new(),
         };
@@ -155,6 +161,7 @@ impl Rig {
     ) -> End {
         let begun = Instant::now();
         let mut is_restarted = false;
+        let mut last = None;
         self.talk.greet(&mut self.board.serial);
         self.board.run();
         loop {
@@ -172,7 +179,9 @@ impl Rig {
                 };
                 // The other image has its functions elsewhere.
                 let is_write = self.stops_at_writes && self.writes.contains(&here);
-                if !change.is_erase && !is_write {
+                // QEMU sometimes stops twice for one change. No firmware repeats one without another in between.
+                let again = last.replace(change) == Some(change);
+                if again || !change.is_erase && !is_write {
                     self.board.run();
                     continue;
                 }
@@ -190,6 +199,29 @@ impl Rig {
                 self.board.halt();
                 return end;
             }
+        }
+    }
+
+    /// Goes on with an update that was stopped, until the node has said so many times that it verifies. The board runs one turn
+    /// of its main loop after the other; each calls the function at this address.
+    #[track_caller]
+    pub(crate) fn verify_by_turns(&mut self, turn: u64, times: usize) {
+        self.board.set_stops(&BTreeSet::from([turn]));
+        let mut answers = 0;
+        while answers < times {
+            self.board.run();
+            until("a turn", PATIENCE, || self.board.wait(20).then_some(()));
+            let Some(said) = self.talk.hear(&mut self.board.serial) else {
+                self.talk.retry(&mut self.board.serial);
+                continue;
+            };
+            match said {
+                Said::Phase(UpdatePhase::Verifying) => answers += 1,
+                said if answers > 0 => panic!("after {answers} answers {said:?}"),
+                _ => {}
+            }
+            let end = self.answer(Script::Update, said, &mut false);
+            assert_eq!(end, None);
         }
     }
 
@@ -256,6 +288,13 @@ impl Rig {
         let mut known = self.images.iter().zip([OLD, NEW]);
         let found = known.find(|(image, _)| active.starts_with(image));
         found.map(|(_, version)| version)
+    }
+
+    /// Bytes of RAM that the stack has never reached. In QEMU they are zeros in the beginning.
+    #[track_caller]
+    pub(crate) fn stack_left(&mut self) -> usize {
+        let ram = self.board.read_memory(self.stack.clone());
+        ram.iter().take_while(|byte| **byte == 0).count()
     }
 
     /// Runs the halted board without stops, until it serves. The version that it says is the image that it has.

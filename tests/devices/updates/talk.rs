@@ -108,7 +108,8 @@ impl Talk {
         let answers = frame.seq == self.seq;
         match frame.body {
             Body::Awake { .. } => Some(Said::Awake),
-            Body::Welcome(welcome) => {
+            // Not the answer to a `Hello` that was sent again.
+            Body::Welcome(welcome) if self.session == NO_SESSION => {
                 self.session = session_key(self.hello, welcome.boot);
                 Some(Said::Welcome(welcome.firmware.to_owned()))
             }

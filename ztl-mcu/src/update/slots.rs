@@ -5,13 +5,17 @@ use core::fmt;
 use core::time::Duration;
 
 use embassy_boot::{
-    AlignedBuffer, BlockingFirmwareState, BlockingFirmwareUpdater, FirmwareUpdaterConfig,
-    FirmwareUpdaterError, State,
+    AlignedBuffer, BlockingFirmwareState, FirmwareUpdaterConfig, FirmwareUpdaterError, State,
 };
 use embedded_storage::nor_flash::NorFlash;
+use salty::Sha512;
 use ztl_core::manifest::{HEAD_LEN, IMAGE_UNIT, MANIFEST_LEN, Manifest, SIGNATURE_LEN, Version};
 
+use super::signed::Check;
 use super::{Firmware, Receiving, SelfTest, UpdateError, Updater, Verification};
+
+#[cfg(test)]
+mod tests;
 
 /// What the firmware says of itself, and whose images it takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,8 +38,8 @@ pub struct Image {
 /// and how many pages are complete, so that an update goes on after a power cut. An image has at most the length of the active
 /// partition less 64 bytes: its manifest stands behind it.
 ///
-/// The signature is verified in one call of [`verify`](Updater::verify). The node answers nothing meanwhile,
-/// which can take seconds on a slow processor; nothing moves then. Choose a [link timeout](crate::Identity::link_timeout) that is longer.
+/// A call of [`verify`](Updater::verify) hashes 128 bytes, or checks one of the 256 bits of the signature. How far it is stays in
+/// RAM: after a reset, the verification begins from its beginning. `docs/update.md` says how long each call takes.
 pub struct Slots<DFU, STATE> {
     dfu: DFU,
     state: STATE,
@@ -51,7 +55,24 @@ struct Incoming {
     head: [u8; HEAD_LEN],
     signature: [u8; SIGNATURE_LEN],
     length: u32,
+    /// The bytes before it are stored.
+    offset: u32,
+    stage: Stage,
 }
+
+/// What the verification does.
+#[expect(clippy::large_enum_variant, reason = "there is no heap")]
+enum Stage {
+    /// Hashes the image and the head of its manifest. The bytes before `at` are hashed.
+    Hash {
+        at: u32,
+        hash: Sha512,
+    },
+    Signature(Check),
+}
+
+/// Bytes that are hashed at a time: a block of SHA-512.
+const BLOCK: usize = 128;
 
 /// Bytes behind the image: the head of its manifest, in whole words of the flash.
 const TAIL: usize = HEAD_LEN.next_multiple_of(IMAGE_UNIT);
@@ -149,6 +170,30 @@ impl<DFU: NorFlash, STATE: NorFlash> Slots<DFU, STATE> {
         Ok(stored)
     }
 
+    fn write_piece(&mut self, offset: u32, bytes: &[u8]) -> Result<(), UpdateError> {
+        let Some(incoming) = &self.incoming else {
+            return Err(UpdateError::Storage);
+        };
+        let (head, length) = (incoming.head, incoming.length);
+        let count = u32::try_from(bytes.len()).map_err(|_| UpdateError::Storage)?;
+        let fits = |end: &u32| *end <= length && count.is_multiple_of(IMAGE_UNIT as u32);
+        let end = offset.checked_add(count).filter(fits);
+        let end = end.ok_or(UpdateError::Storage)?;
+        if offset != incoming.offset {
+            return Err(UpdateError::Storage);
+        }
+        if count > 0 {
+            self.store(offset, bytes, false)?;
+            if end == length {
+                self.store(end, &head, true)?;
+            }
+        }
+        if let Some(incoming) = &mut self.incoming {
+            incoming.offset = end;
+        }
+        Ok(())
+    }
+
     /// Writes whole words, and erases each page before its first one; marks a page that they complete.
     fn store(&mut self, offset: u32, bytes: &[u8], is_last: bool) -> Result<(), UpdateError> {
         let size = DFU::ERASE_SIZE as u32;
@@ -171,6 +216,39 @@ impl<DFU: NorFlash, STATE: NorFlash> Slots<DFU, STATE> {
             self.complete(at / size)?;
         }
         Ok(())
+    }
+
+    /// Verifies the next part.
+    fn verify_part(&mut self) -> Result<Verification, UpdateError> {
+        let Some(incoming) = &mut self.incoming else {
+            return Err(UpdateError::Storage);
+        };
+        if incoming.offset != incoming.length {
+            return Err(UpdateError::Storage);
+        }
+        match &mut incoming.stage {
+            Stage::Hash { at, hash } => {
+                let left = incoming.length + HEAD_LEN as u32 - *at;
+                let count = left.min(BLOCK as u32) as usize;
+                let mut block = AlignedBuffer([0; BLOCK]);
+                let words = block.0.get_mut(..count.next_multiple_of(IMAGE_UNIT));
+                let read = self.dfu.read(*at, words.unwrap_or_default());
+                read.map_err(|_| UpdateError::Storage)?;
+                hash.update(block.0.get(..count).unwrap_or_default());
+                *at += count as u32;
+                if count as u32 == left {
+                    let digest = core::mem::take(hash).finalize();
+                    let check = Check::new(self.image.key, &incoming.signature, &digest);
+                    incoming.stage = Stage::Signature(check.ok_or(UpdateError::Signature)?);
+                }
+                Ok(Verification::Continues)
+            }
+            Stage::Signature(check) => match check.step() {
+                None => Ok(Verification::Continues),
+                Some(true) => Ok(Verification::Done),
+                Some(false) => Err(UpdateError::Signature),
+            },
+        }
     }
 
     fn complete(&mut self, page: u32) -> Result<(), UpdateError> {
@@ -246,52 +324,45 @@ impl<DFU: NorFlash, STATE: NorFlash> Updater for Slots<DFU, STATE> {
             head: *parsed.head,
             signature: *parsed.signature,
             length,
+            offset,
+            stage: Stage::Hash {
+                at: 0,
+                hash: Sha512::new(),
+            },
         });
         Ok(Receiving { length, offset })
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), UpdateError> {
-        let Some(Incoming { head, length, .. }) = &self.incoming else {
-            return Err(UpdateError::Storage);
-        };
-        let (head, length) = (*head, *length);
-        let count = u32::try_from(bytes.len()).map_err(|_| UpdateError::Storage)?;
-        let end = offset.checked_add(count).filter(|end| *end <= length);
-        let end = end.ok_or(UpdateError::Storage)?;
-        let unit = IMAGE_UNIT as u32;
-        if !offset.is_multiple_of(unit) || !count.is_multiple_of(unit) {
-            return Err(UpdateError::Storage);
+        let written = self.write_piece(offset, bytes);
+        if written.is_err() {
+            // The update goes on with the first page that is not complete.
+            self.incoming = None;
         }
-        self.store(offset, bytes, false)?;
-        if end == length {
-            self.store(end, &head, true)?;
-        }
-        Ok(())
+        written
     }
 
     fn verify(&mut self) -> Result<Verification, UpdateError> {
-        let incoming = self.incoming.take().ok_or(UpdateError::Storage)?;
-        let mut word = AlignedBuffer([0; IMAGE_UNIT]);
-        let word = word.0.get_mut(..STATE::WRITE_SIZE).unwrap_or_default();
-        let partitions = FirmwareUpdaterConfig {
-            dfu: &mut self.dfu,
-            state: &mut self.state,
-        };
-        let mut updater = BlockingFirmwareUpdater::new(partitions, word);
-        let Incoming {
-            signature, length, ..
-        } = incoming;
-        let signed = length + HEAD_LEN as u32;
-        match updater.verify_and_mark_updated(self.image.key, &signature, signed) {
-            Ok(()) => Ok(Verification::Done),
-            Err(FirmwareUpdaterError::Signature(_)) => {
+        let verified = self.verify_part();
+        match verified {
+            Ok(Verification::Continues) => return verified,
+            Ok(Verification::Done) => {
+                self.incoming = None;
+                // The bootloader must not be in the middle of a swap.
+                if self.with_state(|state| state.get_state())? == State::Swap {
+                    return Err(UpdateError::Storage);
+                }
+                self.with_state(|state| state.mark_updated())?;
+            }
+            Err(UpdateError::Signature) => {
+                self.incoming = None;
                 // The next update with this manifest begins from the beginning.
                 let last = self.last_page();
                 self.erase(last)?;
-                Err(UpdateError::Signature)
             }
-            Err(_) => Err(UpdateError::Storage),
+            Err(_) => self.incoming = None,
         }
+        verified
     }
 
     fn restart(&mut self) {

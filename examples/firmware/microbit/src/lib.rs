@@ -5,3 +5,5 @@
 pub mod flash;
 pub mod random;
 pub mod uart;
+#[cfg(feature = "boot")]
+pub mod watchdog;

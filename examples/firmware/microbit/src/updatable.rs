@@ -15,12 +15,13 @@ use embedded_io::Write;
 use microbit::flash::WHOLE;
 use microbit::random;
 use microbit::uart::Uart;
+use microbit::watchdog::watchdog_feed;
 use ztl_mcu::components::{DigitalOutput, DigitalOutputConfig};
 use ztl_mcu::update::{Image, SelfTest, Slots, Updatable, Updater};
 use ztl_mcu::{Identity, Node};
 
-/// Longer than the verification of a signature, in which the node answers nothing.
-const LINK_TIMEOUT: Duration = Duration::from_secs(20);
+/// Longer than the longest part of a verification: 1.1 s, in which the node answers nothing.
+const LINK_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Runs the node for ever, with room for this many tasks.
 pub(crate) fn run<const TASKS: usize>(version: &'static str) -> ! {
@@ -47,6 +48,7 @@ pub(crate) fn run<const TASKS: usize>(version: &'static str) -> ! {
     let mut clock = SysTick::<16_000>::start(core.SYST);
     let mut received = [0; 32];
     loop {
+        watchdog_feed();
         let now = clock.now();
         let count = app::RECEIVED.take(&mut received);
         node.handle_bytes(now, received.get(..count).unwrap_or_default());

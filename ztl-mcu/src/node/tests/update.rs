@@ -232,6 +232,37 @@ fn while_it_receives_pings_and_aborts_are_served_and_starts_are_refused() {
 }
 
 #[test]
+fn pings_and_aborts_are_served_between_the_parts_of_a_verification_and_cancel_ends_it() {
+    let memory = Memory {
+        verifies: 200,
+        ..Memory::default()
+    };
+    with_updates(memory, |desk, memory, _| {
+        begun(desk, &[1, 32]);
+        assert!(desk.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+        assert_eq!(desk.phase(4, UpdateCommand::Finish), "Verifying");
+        for part in 0..30 {
+            let seq = 5 + 3 * part;
+            desk.pass(0);
+            assert_eq!(memory.borrow().verifies, 199 - part);
+            let pong = desk.command(seq, Body::Ping);
+            assert_eq!(pong[0], format!("{seq} Pong 0"));
+            let aborting = desk.command(seq + 1, Body::Abort { task: LinkId(1) });
+            assert!(
+                aborting[0].starts_with(&format!("{} ", seq + 1)),
+                "{aborting:?}"
+            );
+            assert_eq!(desk.phase(seq + 2, UpdateCommand::Ask), "Verifying");
+        }
+        assert_eq!(desk.phase(95, UpdateCommand::Cancel), "Idle");
+        let left = memory.borrow().verifies;
+        desk.pass(0);
+        assert_eq!(memory.borrow().verifies, left);
+        assert_eq!(desk.start(96, 2, 0, "5")[0], "96 Started 2");
+    });
+}
+
+#[test]
 fn an_update_that_does_not_go_on_is_over_and_goes_on_where_it_ended() {
     with_updates(Memory::default(), |desk, _, _| {
         begun(desk, &[1, 64]);

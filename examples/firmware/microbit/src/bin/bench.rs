@@ -15,6 +15,7 @@ use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
 use critical_section::Mutex;
 use embedded_io::Write;
 use microbit::uart::Uart;
+use salty::{EdwardsPoint, FieldElement, FieldImplementation, Sha512};
 use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Frame, Hello, LinkId, NO_SEQ, NO_SESSION, VERSION, encode, session_key,
 };
@@ -120,6 +121,8 @@ fn main() -> ! {
     slide.abort(NOW);
     slide.make_safe(NOW);
 
+    verify(&mut uart);
+
     // Its progress, so that nothing is left to be said.
     node.handle_timeout(NOW);
     send(&mut node, NOW.after(40_000));
@@ -136,6 +139,25 @@ fn main() -> ! {
     );
     debug::exit(EXIT_SUCCESS);
     SCB::sys_reset()
+}
+
+/// Measures what the verification of an image consists of.
+// Apart, so that its points do not stay on the stack.
+#[inline(never)]
+fn verify(uart: &mut Uart) {
+    let mut hash = Sha512::new();
+    counted(|| hash.update(black_box(&[7; 128])));
+    say(uart, 1, "an update: 128 bytes into the hash of the image");
+    let factor = FieldElement::D;
+    counted(|| {
+        let _ = black_box(black_box(&factor) * black_box(&factor));
+    });
+    say(uart, 1, "an update: a multiplication of its signature");
+    let point = EdwardsPoint::basepoint();
+    counted(|| {
+        let _ = black_box(black_box(&point) + black_box(&point));
+    });
+    say(uart, 1, "an update: an addition of points of its signature");
 }
 
 /// Encodes a frame and measures how the node handles it. Returns its length.

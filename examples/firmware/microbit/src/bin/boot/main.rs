@@ -9,6 +9,9 @@
 #[expect(dead_code, unreachable_pub, reason = "the library has more users")]
 #[path = "../../flash.rs"]
 mod flash;
+#[expect(dead_code, unreachable_pub, reason = "the library has more users")]
+#[path = "../../watchdog.rs"]
+mod watchdog;
 
 use core::arch::global_asm;
 use core::cell::RefCell;
@@ -27,6 +30,8 @@ unsafe extern "C" {
 
 #[entry]
 fn main() -> ! {
+    // An image that hangs is reset by it, and goes back if it was on trial.
+    watchdog::watchdog_start();
     let flash = Mutex::new(RefCell::new(WHOLE));
     let partitions = BootLoaderConfig::from_linkerfile_blocking(&flash, &flash, &flash);
     let mut page = AlignedBuffer([0; PAGE]);
