@@ -18,7 +18,7 @@ use ztl_core::envelope::Envelope;
 use ztl_std::relay::{NotRelayed, RelayClient};
 use ztl_std::time::now;
 
-use crate::agent::{Agent, AgentEffect, Entry, ServerSaid};
+use crate::agent::{Agent, AgentEffect, ServerSaid};
 use crate::caller::Caller;
 use crate::config::AgentConfig;
 use crate::journal::Journal;
@@ -453,11 +453,11 @@ impl Shared {
 
     /// Carries out what the rules decide, in order.
     fn run(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
-        let (mut effects, mut unwritten) = self.decide(decide);
+        let mut effects = self.decide(decide);
         while !effects.is_empty() {
             let mut next = Vec::new();
-            for effect in std::mem::take(&mut effects) {
-                let (following, error) = match effect {
+            for effect in effects {
+                next.extend(match effect {
                     AgentEffect::Reply { query, verdict } => {
                         let query = self.rules().queries.remove(&query);
                         if let Some(asked) = query {
@@ -468,10 +468,7 @@ impl Shared {
                     // Written when it was decided.
                     AgentEffect::Record(_) => continue,
                     AgentEffect::Forward { id, body } => {
-                        let said = match unwritten.take() {
-                            Some(reason) => ServerSaid::NotSent(reason),
-                            None => self.forward(id, &body),
-                        };
+                        let said = self.forward(id, &body);
                         self.decide(|rules| rules.agent.handle_server(now(), id, said))
                     }
                     AgentEffect::AskServer(id) => {
@@ -482,33 +479,17 @@ impl Shared {
                         };
                         self.decide(agent)
                     }
-                };
-                next.extend(following);
-                unwritten = error;
+                });
             }
             effects = next;
         }
     }
 
-    /// Lets the rules decide, and writes that into the journal before another thread can answer by it. Also returns why it
-    /// could not be written.
-    fn decide(
-        &self,
-        decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>,
-    ) -> (Vec<AgentEffect>, Option<String>) {
+    /// Lets the rules decide, and writes that into the journal before another thread can answer by it.
+    fn decide(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) -> Vec<AgentEffect> {
         let mut rules = self.rules();
         let effects = decide(&mut rules);
-        let mut unwritten = None;
-        for effect in &effects {
-            if let AgentEffect::Record(entry) = effect
-                && let Err(error) = rules.record(entry)
-            {
-                error!(target: "fleet", "The journal cannot be written: {error}");
-                let reason = format!("the journal of its agent cannot be written: {error}");
-                unwritten = Some(reason);
-            }
-        }
-        (effects, unwritten)
+        rules.write(effects)
     }
 
     fn forward(&self, id: InitId, body: &[u8]) -> ServerSaid {
@@ -534,12 +515,34 @@ impl Shared {
 }
 
 impl Rules {
-    fn record(&mut self, entry: &Entry) -> std::io::Result<()> {
-        self.journal.append(entry)?;
-        if self.journal.is_long() {
-            self.journal.rewrite(&self.agent.entries())?;
+    /// Writes the entries of effects. Returns what to carry out.
+    fn write(&mut self, effects: Vec<AgentEffect>) -> Vec<AgentEffect> {
+        let mut all = Vec::new();
+        let mut effects = effects.into_iter();
+        while let Some(effect) = effects.next() {
+            if let AgentEffect::Record(entry) = &effect
+                && let Err(error) = self.journal.append(entry)
+            {
+                error!(target: "fleet", "The journal cannot be written: {error}");
+                let marked = self.journal.mark();
+                if let Err(error) = &marked {
+                    error!(target: "fleet", "Nor can it be marked: {error}");
+                }
+                let following = effects.collect();
+                let agent = &mut self.agent;
+                effects = agent
+                    .handle_unwritten(entry, marked.is_ok(), following)
+                    .into_iter();
+                continue;
+            }
+            all.push(effect);
         }
-        Ok(())
+        if self.journal.is_long()
+            && let Err(error) = self.journal.rewrite(&self.agent.entries())
+        {
+            warn!(target: "fleet", "The journal cannot be shortened: {error}");
+        }
+        all
     }
 
     /// Keeps a query until it is answered.
