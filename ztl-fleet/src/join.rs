@@ -26,7 +26,7 @@ use crate::random;
 use crate::seal;
 use crate::seldom::{Seldom, brief};
 use crate::session::{self, ZenohError, key};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex, is_abort};
 use asked::{Asked, Clients, Seen};
 use server::ServerState;
 use stop::Started;
@@ -35,7 +35,10 @@ pub use stop::Stopped;
 /// Longest wait for the server's answer: as long as a client waits.
 const ANSWER: Duration = Duration::from_secs(2);
 /// Most queries at a time; each has a thread.
-const MOST: usize = 128;
+const MOST: usize = 192;
+/// Most of them that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
+const MOST_WAITING: usize = 128;
+const TOO_MANY: &str = "too many requests are waiting, try again";
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
 /// How long the fleet is asked who has the name.
@@ -93,6 +96,7 @@ struct Shared {
     server: Mutex<ServerState>,
     started: Mutex<Started>,
     busy: AtomicUsize,
+    waiting: AtomicUsize,
     ends: Mutex<Sender<JoinEnd>>,
 }
 
@@ -157,6 +161,7 @@ impl Joined {
             server: Mutex::default(),
             started: Mutex::default(),
             busy: AtomicUsize::new(0),
+            waiting: AtomicUsize::new(0),
             ends: Mutex::new(sender),
             config,
         });
@@ -301,7 +306,7 @@ impl Shared {
                 let refused = query.clone();
                 if !shared.spawn_busy(move |shared| answer(shared, query)) {
                     // An earlier copy may have acted. (A client with a key believes a sealed answer only.)
-                    let reason = "unknown: too many requests are waiting, try again";
+                    let reason = Verdict::Unknown(TOO_MANY.to_owned()).to_string();
                     let _ = refused.reply_err(reason).wait();
                 }
             });
@@ -331,7 +336,11 @@ impl Shared {
             return refuse("the robot's 'client-keys' do not allow this");
         }
         let code = message.code().ok().and_then(|code| code.value());
-        let is_abort = code == Some(3);
+        let is_abort = is_abort(&asked.body);
+        let place = Place::take(&self.waiting);
+        if place.is_none() && !is_abort {
+            return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
+        }
         if code == Some(1) {
             let Some(init) = rules else {
                 return refuse("an INIT needs client, number, boot and until");
@@ -364,6 +373,9 @@ impl Shared {
 
     /// What became of an INIT.
     fn on_outcome(self: &Arc<Self>, asked: Asked) {
+        let Some(_place) = Place::take(&self.waiting) else {
+            return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
+        };
         match InitRules::parse(&asked.parameters) {
             Ok(Some(init)) => self.run(|rules| {
                 let number = rules.take(asked);
@@ -511,6 +523,23 @@ impl Shared {
         let answer = answer.ok()?;
         self.started().note(&answer);
         Some(answer)
+    }
+}
+
+/// The place of a query that may wait for the robot's server.
+struct Place<'a>(&'a AtomicUsize);
+
+impl<'a> Place<'a> {
+    fn take(taken: &'a AtomicUsize) -> Option<Self> {
+        let place = Self(taken);
+        // It is given back if there was none.
+        (taken.fetch_add(1, Ordering::SeqCst) < MOST_WAITING).then_some(place)
+    }
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
     }
 }
 
