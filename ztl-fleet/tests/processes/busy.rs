@@ -127,9 +127,6 @@ fn a_flood_of_requests_that_wait_holds_up_neither_an_abort_nor_stop_all() {
                     (_, "3") => robot.answers.send(request.path, b"/test;4;7;".to_vec()),
                     _ => drop(waiting.fetch_add(1, Ordering::SeqCst)),
                 }
-                if ends.load(Ordering::SeqCst) {
-                    break;
-                }
             }
         });
         let _agent = fleet.join_by(&mut self::fleet(&["join"], &file));
@@ -150,6 +147,7 @@ fn a_flood_of_requests_that_wait_holds_up_neither_an_abort_nor_stop_all() {
         let file = fleet.scratch.path("endpoint.yaml");
         let stopped = Process::run(&mut self::fleet(&["stop-all"], &file)).stdout;
         ends.store(true, Ordering::SeqCst);
+        robot.answers.stop();
         assert_eq!(told, Ok(b"/arm/test;4;7;".to_vec()));
         assert!(stopped.starts_with("arm  stopped: 0 tasks\n"), "{stopped}");
     });
@@ -160,16 +158,13 @@ fn a_status_is_held_at_the_robot_until_its_task_ends() {
     const HELD: Duration = Duration::from_millis(1500);
     let (fleet, robot, server) = (Fleet::new(), Robot::new(), Server::naps());
     let file = fleet.agent_file("arm", &robot.endpoint, "");
-    let (asked, ended) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let asked = AtomicUsize::new(0);
     let (arrived, arrival) = channel();
     scope(|threads| {
         // The robot's server, with somebody on its line who counts.
         threads.spawn(|| {
             scope(|each| {
-                while !ended.load(Ordering::SeqCst) {
-                    let Some(request) = robot.next() else {
-                        break;
-                    };
+                while let Some(request) = robot.next() {
                     let is_held = request.body.as_deref().unwrap().ends_with(b";wait 1500");
                     if is_held {
                         assert_eq!(code(&request), "2");
@@ -214,6 +209,6 @@ fn a_status_is_held_at_the_robot_until_its_task_ends() {
         assert_eq!(state, State::Aborted.code().to_string());
         assert_eq!(asked.load(Ordering::SeqCst), times);
         assert_eq!(end(&mut remote, id).0, State::Aborted);
-        ended.store(true, Ordering::SeqCst);
+        robot.answers.stop();
     });
 }
