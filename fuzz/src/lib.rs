@@ -19,6 +19,7 @@ pub mod pickle;
 pub mod recording;
 pub mod ros1;
 mod script;
+pub mod seal;
 pub mod spec;
 pub mod sse;
 pub mod zmtp;

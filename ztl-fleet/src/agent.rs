@@ -4,9 +4,13 @@
 //! copy that was held up, repeated or recorded never acts, also after a restart. STATUS and ABORT may be repeated; they do not
 //! pass through here.
 //!
+//! What the journal does not hold is neither done nor promised: an INIT that cannot be written is not forwarded, and answered
+//! *not started* only if the journal tells the next agent that it lacks entries ([`Entry::Lacks`]). That one lets nothing act
+//! until all of them would have been forgotten.
+//!
 //! *Inputs*: [`handle_init`](Agent::handle_init), [`handle_outcome`](Agent::handle_outcome),
 //! [`handle_server`](Agent::handle_server), [`handle_server_outcome`](Agent::handle_server_outcome),
-//! [`handle_timeout`](Agent::handle_timeout). Each returns [`AgentEffect`]s, to be carried out in this order.
+//! [`handle_timeout`](Agent::handle_timeout), [`handle_unwritten`](Agent::handle_unwritten). Each returns [`AgentEffect`]s, to be carried out in this order.
 
 mod record;
 
@@ -36,6 +40,8 @@ const MOST_WAITERS: usize = 8;
 const MOST_BOOTS: usize = 16;
 
 const GIVEN_UP: &str = "this INIT was given up by its client";
+const FULL: &str = "too many clients at a time, try again in a minute";
+const UNWRITTEN: &str = "the journal of the robot's agent cannot be written";
 
 /// What the shell has to do.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,7 +53,7 @@ pub enum AgentEffect {
         /// The answer.
         verdict: Verdict,
     },
-    /// Write to the journal before anything that follows.
+    /// Write to the journal before anything that follows; if that fails, call [`Agent::handle_unwritten`].
     Record(Entry),
     /// Send an INIT to the server, then call [`Agent::handle_server`].
     Forward {
@@ -91,8 +97,12 @@ pub enum Entry {
         /// Why.
         reason: String,
     },
-    /// Its client gave it up before it arrived.
+    /// Its client gave it up before it arrived, or it was refused.
     GivenUp(InitId),
+    /// Entries could not be written: some INIT may have been answered *not started* that is not here.
+    Lacks,
+    /// What it lacked would have been forgotten.
+    Whole,
 }
 
 /// What the server did with an INIT.
@@ -112,6 +122,8 @@ pub struct Agent {
     boot: u32,
     /// Boots whose INITs are all in the journal.
     known_boots: Vec<u32>,
+    /// Until when nothing acts, since the journal lacks entries.
+    lacks_until: Option<Instant>,
     records: BTreeMap<ClientId, Record>,
     bytes: usize,
 }
@@ -124,6 +136,7 @@ impl Agent {
         let mut agent = Self {
             boot,
             known_boots: Vec::new(),
+            lacks_until: None,
             records: BTreeMap::new(),
             bytes: 0,
         };
@@ -147,6 +160,8 @@ impl Agent {
                     agent.settle(now, *id, Stage::NotStarted(reason.clone()));
                 }
                 Entry::GivenUp(id) => agent.put(now, id.client, Record::void(id.number)),
+                Entry::Lacks => agent.lacks_until = Some(now + Duration::from_millis(KEEP_MS)),
+                Entry::Whole => agent.lacks_until = None,
             }
         }
         let spare = agent.known_boots.len().saturating_sub(MOST_BOOTS);
@@ -168,6 +183,7 @@ impl Agent {
         for (client, record) in &self.records {
             record.entries(*client, &mut entries);
         }
+        entries.extend(self.lacks_until.map(|_| Entry::Lacks));
         entries
     }
 
@@ -187,6 +203,9 @@ impl Agent {
         if let Some(record) = self.records.get_mut(&id.client)
             && record.number >= id.number
         {
+            if record.stage == Stage::Unwritten {
+                return reply(record.verdict());
+            }
             if record.number > id.number || record.stage == Stage::Void {
                 return reply(Verdict::NotStarted(GIVEN_UP.to_owned()));
             }
@@ -197,21 +216,33 @@ impl Agent {
             }
             return record.tell(now, query, id);
         }
-        let clock = now.as_millis();
-        let is_fresh = rules.boot == self.boot
-            && (clock..=clock.saturating_add(LONGEST_VALID_MS)).contains(&rules.until_ms);
-        if !is_fresh {
-            return reply(self.stale(now, &rules));
-        }
-        if self.records.len() >= MOST_CLIENTS && !self.records.contains_key(&id.client)
-            || self.bytes >= MOST_BYTES
-        {
-            let reason = "too many clients at a time, try again in a minute";
-            return reply(Verdict::NotStarted(reason.to_owned()));
-        }
         let Ok(message) = Message::parse(body) else {
             return reply(Verdict::NotStarted("this is not a request".to_owned()));
         };
+        let clock = now.as_millis();
+        let is_fresh = rules.boot == self.boot && rules.until_ms >= clock;
+        if !is_fresh {
+            return reply(self.stale(now, &rules));
+        }
+        if self.is_full(id.client) || self.bytes >= MOST_BYTES {
+            // It is not remembered, so that a copy of it may act.
+            return reply(Verdict::Unknown(FULL.to_owned()));
+        }
+        if rules.until_ms > clock.saturating_add(LONGEST_VALID_MS) {
+            // A copy of it could come when it is not too far ahead any more.
+            let reason = format!(
+                "'until' is {} ms ahead of the agent's clock, at most {LONGEST_VALID_MS} ms are allowed",
+                rules.until_ms - clock
+            );
+            return self.refuse(now, query, id, reason);
+        }
+        if let Some(until) = self.lacks_until.filter(|until| now < *until) {
+            let seconds = until.since(now).as_secs() + 1;
+            let reason = format!(
+                "the journal of the robot's agent could not be written before its restart, try again in {seconds} s"
+            );
+            return self.refuse(now, query, id, reason);
+        }
         let scope = message.scope.to_owned();
         let mut record = Record::new(id.number, hash, &scope, server, Stage::Forwarded);
         record.valid_ms = rules.until_ms;
@@ -251,13 +282,49 @@ impl Agent {
         if matches!(verdict, Verdict::Unknown(_)) {
             return vec![reply(verdict)];
         }
-        if self.records.len() >= MOST_CLIENTS && !self.records.contains_key(&id.client) {
-            let reason = "too many clients at a time, try again in a minute".to_owned();
-            return vec![reply(Verdict::Unknown(reason))];
+        if self.is_full(id.client) {
+            return vec![reply(Verdict::Unknown(FULL.to_owned()))];
         }
-        let mut effects = self.replace(now, id.client, Record::void(id.number));
-        effects.push(AgentEffect::Record(Entry::GivenUp(id)));
-        effects.push(reply(Verdict::NotStarted("never seen".to_owned())));
+        self.refuse(now, query, id, "never seen".to_owned())
+    }
+
+    /// An [`AgentEffect::Record`] could not be written. `marked` tells that a later agent will read [`Entry::Lacks`] in the
+    /// journal; `following` is what followed the effect. Returns what to carry out instead.
+    pub fn handle_unwritten(
+        &mut self,
+        entry: &Entry,
+        marked: bool,
+        following: Vec<AgentEffect>,
+    ) -> Vec<AgentEffect> {
+        let (Entry::Asked { id, .. } | Entry::GivenUp(id)) = entry else {
+            // A later agent asks the server.
+            return following;
+        };
+        let Some(record) = self.of(*id) else {
+            return following;
+        };
+        let before = record.bytes();
+        if !marked {
+            record.stage = Stage::Unwritten;
+        } else if record.stage != Stage::Void {
+            record.stage = Stage::NotStarted(UNWRITTEN.to_owned());
+        }
+        let told = record.verdict();
+        let mut effects = Vec::new();
+        record.release(&told, &mut effects);
+        let after = record.bytes();
+        self.bytes = self.bytes - before + after;
+        for effect in following {
+            match effect {
+                AgentEffect::Reply { query, verdict } => {
+                    let verdict = if marked { verdict } else { told.clone() };
+                    effects.push(AgentEffect::Reply { query, verdict });
+                }
+                AgentEffect::Record(_)
+                | AgentEffect::Forward { .. }
+                | AgentEffect::AskServer(_) => {}
+            }
+        }
         effects
     }
 
@@ -302,6 +369,9 @@ impl Agent {
     pub fn handle_timeout(&mut self, now: Instant) -> Vec<AgentEffect> {
         self.forget(now);
         let mut effects = Vec::new();
+        if self.lacks_until.take_if(|until| *until <= now).is_some() {
+            effects.push(AgentEffect::Record(Entry::Whole));
+        }
         for record in self.records.values_mut() {
             record.release_late(now, &mut effects);
         }
@@ -312,7 +382,22 @@ impl Agent {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let waiters = self.records.values().flat_map(|record| &record.waiters);
-        waiters.map(|(_, deadline)| *deadline).min()
+        let waiters = waiters.map(|(_, deadline)| *deadline);
+        waiters.chain(self.lacks_until).min()
+    }
+
+    /// Whether there is no room for another client.
+    fn is_full(&self, client: ClientId) -> bool {
+        self.records.len() >= MOST_CLIENTS && !self.records.contains_key(&client)
+    }
+
+    /// Refuses an INIT that was not seen, from now on.
+    fn refuse(&mut self, now: Instant, query: u64, id: InitId, reason: String) -> Vec<AgentEffect> {
+        let mut effects = self.replace(now, id.client, Record::void(id.number));
+        effects.push(AgentEffect::Record(Entry::GivenUp(id)));
+        let verdict = Verdict::NotStarted(reason);
+        effects.push(AgentEffect::Reply { query, verdict });
+        effects
     }
 
     /// What is answered about an INIT that does not act and was not seen.

@@ -1,12 +1,14 @@
 //! Asks robots, in plain queries or in sealed ones, which only the robot's key can answer.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tracing::{error, warn};
 use zenoh::handlers::CallbackDrop;
+use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::{Session, Wait as _};
 use ztl_std::keys::KeyPair;
@@ -16,7 +18,7 @@ use crate::random;
 use crate::seal::{Request, Shared, agent_of};
 use crate::seldom::{Seldom, brief};
 use crate::session::{ZenohError, key, verdict};
-use crate::wire::{RobotInfo, Verdict, fresh};
+use crate::wire::{RobotInfo, Verdict, fresh, is_abort};
 
 /// How long a question may act after it was sent, by the robot's clock.
 const VALID_MS: u64 = 2500;
@@ -118,18 +120,31 @@ impl Caller {
         on_reply: impl Fn(Verdict) + Send + Sync + 'static,
         on_end: impl FnMut() + Send + Sync + 'static,
     ) -> Result<(), ZenohError> {
+        // Routers and links pass it on before what waits there.
+        let priority = match request.what == "stop" || is_abort(request.body) {
+            true => Priority::RealTime,
+            false => Priority::DEFAULT,
+        };
         let Some(identity) = &self.identity else {
             let mut selector = key(request.robot, agent, request.what);
             // Without keys, a clock is for INITs only.
             if request.parameters.contains("client=") {
                 selector = format!("{selector}?{}", request.parameters);
             }
+            let answered = AtomicBool::new(false);
+            let callback = move |reply: Reply| {
+                // Whoever answers more often is not heard.
+                if !answered.swap(true, Ordering::Relaxed) {
+                    on_reply(verdict(&reply));
+                }
+            };
             let handler = CallbackDrop {
-                callback: move |reply: Reply| on_reply(verdict(&reply)),
+                callback,
                 drop: on_end,
             };
-            let query = self.session.get(selector).payload(request.body);
-            return query.timeout(limit).with(handler).wait();
+            let query = self.session.get(selector).priority(priority);
+            let query = query.payload(request.body).timeout(limit);
+            return query.with(handler).wait();
         };
         let robot = request.robot.to_owned();
         let known = identity.robots.get(&robot);
@@ -178,6 +193,7 @@ impl Caller {
         // Each reply counts by itself: none may take the place of the robot's.
         let query = self.session.get(key(request.robot, agent, "sealed"));
         let query = query
+            .priority(priority)
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None);
         query.payload(sealed).timeout(limit).with(handler).wait()

@@ -18,7 +18,7 @@ use ztl_core::envelope::Envelope;
 use ztl_std::relay::{NotRelayed, RelayClient};
 use ztl_std::time::now;
 
-use crate::agent::{Agent, AgentEffect, Entry, ServerSaid};
+use crate::agent::{Agent, AgentEffect, ServerSaid};
 use crate::caller::Caller;
 use crate::config::AgentConfig;
 use crate::journal::Journal;
@@ -26,7 +26,7 @@ use crate::random;
 use crate::seal;
 use crate::seldom::{Seldom, brief};
 use crate::session::{self, ZenohError, key};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex, is_abort};
 use asked::{Asked, Clients, Seen};
 use server::ServerState;
 use stop::Started;
@@ -35,7 +35,10 @@ pub use stop::Stopped;
 /// Longest wait for the server's answer: as long as a client waits.
 const ANSWER: Duration = Duration::from_secs(2);
 /// Most queries at a time; each has a thread.
-const MOST: usize = 128;
+const MOST: usize = 192;
+/// Most of them that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
+const MOST_WAITING: usize = 128;
+const TOO_MANY: &str = "too many requests are waiting, try again";
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
 /// How long the fleet is asked who has the name.
@@ -93,6 +96,7 @@ struct Shared {
     server: Mutex<ServerState>,
     started: Mutex<Started>,
     busy: AtomicUsize,
+    waiting: AtomicUsize,
     ends: Mutex<Sender<JoinEnd>>,
 }
 
@@ -157,6 +161,7 @@ impl Joined {
             server: Mutex::default(),
             started: Mutex::default(),
             busy: AtomicUsize::new(0),
+            waiting: AtomicUsize::new(0),
             ends: Mutex::new(sender),
             config,
         });
@@ -301,7 +306,7 @@ impl Shared {
                 let refused = query.clone();
                 if !shared.spawn_busy(move |shared| answer(shared, query)) {
                     // An earlier copy may have acted. (A client with a key believes a sealed answer only.)
-                    let reason = "unknown: too many requests are waiting, try again";
+                    let reason = Verdict::Unknown(TOO_MANY.to_owned()).to_string();
                     let _ = refused.reply_err(reason).wait();
                 }
             });
@@ -331,7 +336,11 @@ impl Shared {
             return refuse("the robot's 'client-keys' do not allow this");
         }
         let code = message.code().ok().and_then(|code| code.value());
-        let is_abort = code == Some(3);
+        let is_abort = is_abort(&asked.body);
+        let place = Place::take(&self.waiting);
+        if place.is_none() && !is_abort {
+            return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
+        }
         if code == Some(1) {
             let Some(init) = rules else {
                 return refuse("an INIT needs client, number, boot and until");
@@ -364,6 +373,9 @@ impl Shared {
 
     /// What became of an INIT.
     fn on_outcome(self: &Arc<Self>, asked: Asked) {
+        let Some(_place) = Place::take(&self.waiting) else {
+            return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
+        };
         match InitRules::parse(&asked.parameters) {
             Ok(Some(init)) => self.run(|rules| {
                 let number = rules.take(asked);
@@ -453,11 +465,11 @@ impl Shared {
 
     /// Carries out what the rules decide, in order.
     fn run(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
-        let (mut effects, mut unwritten) = self.decide(decide);
+        let mut effects = self.decide(decide);
         while !effects.is_empty() {
             let mut next = Vec::new();
-            for effect in std::mem::take(&mut effects) {
-                let (following, error) = match effect {
+            for effect in effects {
+                next.extend(match effect {
                     AgentEffect::Reply { query, verdict } => {
                         let query = self.rules().queries.remove(&query);
                         if let Some(asked) = query {
@@ -468,10 +480,7 @@ impl Shared {
                     // Written when it was decided.
                     AgentEffect::Record(_) => continue,
                     AgentEffect::Forward { id, body } => {
-                        let said = match unwritten.take() {
-                            Some(reason) => ServerSaid::NotSent(reason),
-                            None => self.forward(id, &body),
-                        };
+                        let said = self.forward(id, &body);
                         self.decide(|rules| rules.agent.handle_server(now(), id, said))
                     }
                     AgentEffect::AskServer(id) => {
@@ -482,33 +491,17 @@ impl Shared {
                         };
                         self.decide(agent)
                     }
-                };
-                next.extend(following);
-                unwritten = error;
+                });
             }
             effects = next;
         }
     }
 
-    /// Lets the rules decide, and writes that into the journal before another thread can answer by it. Also returns why it
-    /// could not be written.
-    fn decide(
-        &self,
-        decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>,
-    ) -> (Vec<AgentEffect>, Option<String>) {
+    /// Lets the rules decide, and writes that into the journal before another thread can answer by it.
+    fn decide(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) -> Vec<AgentEffect> {
         let mut rules = self.rules();
         let effects = decide(&mut rules);
-        let mut unwritten = None;
-        for effect in &effects {
-            if let AgentEffect::Record(entry) = effect
-                && let Err(error) = rules.record(entry)
-            {
-                error!(target: "fleet", "The journal cannot be written: {error}");
-                let reason = format!("the journal of its agent cannot be written: {error}");
-                unwritten = Some(reason);
-            }
-        }
-        (effects, unwritten)
+        rules.write(effects)
     }
 
     fn forward(&self, id: InitId, body: &[u8]) -> ServerSaid {
@@ -533,13 +526,52 @@ impl Shared {
     }
 }
 
+/// The place of a query that may wait for the robot's server.
+struct Place<'a>(&'a AtomicUsize);
+
+impl<'a> Place<'a> {
+    fn take(taken: &'a AtomicUsize) -> Option<Self> {
+        let place = Self(taken);
+        // It is given back if there was none.
+        (taken.fetch_add(1, Ordering::SeqCst) < MOST_WAITING).then_some(place)
+    }
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
 impl Rules {
-    fn record(&mut self, entry: &Entry) -> std::io::Result<()> {
-        self.journal.append(entry)?;
-        if self.journal.is_long() {
-            self.journal.rewrite(&self.agent.entries())?;
+    /// Writes the entries of effects. Returns what to carry out.
+    fn write(&mut self, effects: Vec<AgentEffect>) -> Vec<AgentEffect> {
+        let mut all = Vec::new();
+        let mut effects = effects.into_iter();
+        while let Some(effect) = effects.next() {
+            if let AgentEffect::Record(entry) = &effect
+                && let Err(error) = self.journal.append(entry)
+            {
+                error!(target: "fleet", "The journal cannot be written: {error}");
+                let marked = self.journal.mark();
+                if let Err(error) = &marked {
+                    error!(target: "fleet", "Nor can it be marked: {error}");
+                }
+                let following = effects.collect();
+                let agent = &mut self.agent;
+                effects = agent
+                    .handle_unwritten(entry, marked.is_ok(), following)
+                    .into_iter();
+                continue;
+            }
+            all.push(effect);
         }
-        Ok(())
+        if self.journal.is_long()
+            && let Err(error) = self.journal.rewrite(&self.agent.entries())
+        {
+            warn!(target: "fleet", "The journal cannot be shortened: {error}");
+        }
+        all
     }
 
     /// Keeps a query until it is answered.

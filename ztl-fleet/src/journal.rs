@@ -10,6 +10,12 @@ use ztl_core::envelope::ClientId;
 
 /// A journal that is longer is written anew, in bytes.
 const LONGEST: u64 = 4 << 20;
+/// After a failure, that is tried again when it is longer by so many bytes.
+const AGAIN: u64 = 64 << 10;
+/// Begins the first line of a journal that lacks entries. It takes the place of [`WHOLE`], for which a full disk has room.
+const LACKS: char = '!';
+/// Begins the first line of every other journal.
+const WHOLE: char = '=';
 
 /// An agent's directory.
 #[derive(Debug)]
@@ -18,6 +24,8 @@ pub struct Journal {
     file: File,
     written: u64,
     longest: u64,
+    /// The last entry may have been written in part.
+    torn: bool,
     /// Held for as long as the agent runs.
     _lock: File,
 }
@@ -66,13 +74,15 @@ impl Journal {
         let text = String::from_utf8_lossy(&text);
         let mut lines = text.split_inclusive('\n');
         let system = lines.next().unwrap_or_default().trim_end();
+        let lacks = system.starts_with(LACKS);
+        let system = system.strip_prefix(WHOLE).unwrap_or_default();
         let complete = !system.is_empty() && system == system_boot();
         // The last line may be incomplete: it was being written when the agent was killed, so it was not acted on.
         let whole = lines.filter(|line| line.ends_with('\n'));
         let entries = whole.filter_map(|line| serde_json::from_str(line).ok());
         let found = Found {
             agent,
-            entries: entries.collect(),
+            entries: entries.chain(lacks.then_some(Entry::Lacks)).collect(),
             complete,
         };
         let file = OpenOptions::new().create(true).append(true).open(&path)?;
@@ -81,41 +91,60 @@ impl Journal {
             file,
             written: 0,
             longest: LONGEST,
+            torn: false,
             _lock: lock,
         };
         Ok((journal, found))
     }
 
-    /// Replaces all entries.
+    /// Replaces all entries, also what it lacked.
     ///
     /// # Errors
-    /// The system's; the entries before are still there then.
+    /// The system's, with the path. The journal is as before then.
     pub fn rewrite(&mut self, entries: &[Entry]) -> io::Result<()> {
-        let mut bytes = format!("{}\n", system_boot()).into_bytes();
+        let mut bytes = format!("{WHOLE}{}\n", system_boot()).into_bytes();
         for entry in entries {
             line(entry, &mut bytes)?;
         }
-        write_whole(&self.path, &bytes)?;
-        self.file = OpenOptions::new().append(true).open(&self.path)?;
+        match write_whole(&self.path, &bytes) {
+            Ok(file) => self.file = file,
+            Err(error) => {
+                self.longest = self.written + AGAIN;
+                let message = format!("{}: {error}", self.path.display());
+                return Err(io::Error::new(error.kind(), message));
+            }
+        }
         self.written = bytes.len() as u64;
         self.longest = LONGEST.max(2 * self.written);
+        self.torn = false;
         Ok(())
     }
 
     /// Appends an entry. It survives the end of this process; [`Found::complete`] tells whether the system was restarted.
     ///
     /// # Errors
-    /// The system's.
+    /// The system's. The entry may be found later nevertheless.
     pub fn append(&mut self, entry: &Entry) -> io::Result<()> {
         let mut bytes = Vec::new();
-        line(entry, &mut bytes)?;
-        if let Err(error) = self.file.write_all(&bytes) {
-            // What follows must not be read as a part of this line.
-            self.file.set_len(self.written)?;
-            return Err(error);
+        if self.torn {
+            bytes.push(b'\n');
         }
+        line(entry, &mut bytes)?;
+        self.torn = true;
+        self.file.write_all(&bytes)?;
+        self.torn = false;
         self.written += bytes.len() as u64;
         Ok(())
+    }
+
+    /// Writes down that an entry is missing, until the journal is rewritten: [`Entry::Lacks`] is found then.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn mark(&mut self) -> io::Result<()> {
+        self.longest = 0;
+        let mut file = OpenOptions::new().write(true).open(&self.path)?;
+        file.write_all(&[LACKS as u8])
     }
 
     /// Whether it is time to [`rewrite`](Self::rewrite) it.
@@ -131,13 +160,21 @@ fn line(entry: &Entry, bytes: &mut Vec<u8>) -> io::Result<()> {
     Ok(())
 }
 
-/// Replaces a file at once.
-fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+/// Replaces a file at once. Returns the new one, to append to it.
+fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<File> {
     let new = path.with_extension("new");
-    let mut file = File::create(&new)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    fs::rename(new, path)
+    let write = || {
+        let mut file = OpenOptions::new().create(true).append(true).open(&new)?;
+        file.set_len(0)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&new, path)?;
+        Ok(file)
+    };
+    write().inspect_err(|_| {
+        // A full disk needs the room.
+        let _ = fs::remove_file(&new);
+    })
 }
 
 /// Identifies the start of the system; empty where it cannot be told.
@@ -158,10 +195,52 @@ mod tests {
         })
     }
 
+    fn directory(name: &str) -> PathBuf {
+        let name = format!("ztl-fleet-{name}-{}", std::process::id());
+        std::env::temp_dir().join(name)
+    }
+
+    #[test]
+    fn a_journal_that_cannot_be_written_says_so_until_it_is_rewritten() {
+        let directory = directory("lacks");
+        let (mut journal, _) = Journal::open(&directory, ClientId([1; 16])).unwrap();
+        journal.rewrite(&[Entry::Boot(7)]).unwrap();
+        // A file that is open for reading cannot be appended to, as one on a full disk.
+        let file = File::open(&journal.path).unwrap();
+        let file = std::mem::replace(&mut journal.file, file);
+        journal.append(&given_up(1)).unwrap_err();
+        journal.mark().unwrap();
+        journal.file = file;
+        // The rest of an entry that was written in part does not spoil the next one.
+        journal.file.write_all(b"{\"given_up\":[\"03").unwrap();
+        journal.append(&given_up(2)).unwrap();
+        assert!(journal.is_long());
+        drop(journal);
+        let (mut journal, found) = Journal::open(&directory, ClientId([1; 16])).unwrap();
+        let expected = [Entry::Boot(7), given_up(2), Entry::Lacks];
+        assert_eq!((&found.entries[..], found.complete), (&expected[..], false));
+        // A directory in its place keeps it from being rewritten, and it stays as it is.
+        let new = journal.path.with_extension("new");
+        fs::create_dir(&new).unwrap();
+        journal.rewrite(&[]).unwrap_err();
+        fs::remove_dir(&new).unwrap();
+        journal.append(&given_up(3)).unwrap();
+        assert_eq!(
+            fs::read_to_string(&journal.path).unwrap().lines().count(),
+            5
+        );
+        journal.rewrite(&[Entry::Boot(7)]).unwrap();
+        journal.append(&given_up(4)).unwrap();
+        drop(journal);
+        let (_journal, found) = Journal::open(&directory, ClientId([1; 16])).unwrap();
+        assert_eq!(found.entries, [Entry::Boot(7), given_up(4)]);
+        assert!(found.complete);
+        fs::remove_dir_all(directory).unwrap();
+    }
+
     #[test]
     fn entries_and_the_id_survive_and_a_torn_line_is_dropped() {
-        let name = format!("ztl-fleet-journal-{}", std::process::id());
-        let directory = std::env::temp_dir().join(name);
+        let directory = directory("journal");
         let (mut journal, found) = Journal::open(&directory, ClientId([1; 16])).unwrap();
         assert_eq!((found.entries.len(), found.complete), (0, false));
         assert_eq!(found.agent, "01".repeat(16));

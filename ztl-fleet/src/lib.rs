@@ -1,7 +1,7 @@
 //! Fleets: robots of many rooms and buildings behind one ZTL endpoint, over Eclipse Zenoh.
 //!
 //! [`agent`] and [`endpoint`] are the rules, without I/O and without Zenoh; [`wire`] is what they say to each other, and
-//! [`seal`] how they know each other (docs/fleet.md). The rest needs the feature `processes`.
+//! `seal` how they know each other (docs/fleet.md). It needs the feature of its name, and the rest `processes`.
 
 pub mod agent;
 #[cfg(feature = "processes")]
@@ -15,7 +15,7 @@ pub mod join;
 pub mod journal;
 #[cfg(feature = "processes")]
 pub mod random;
-#[cfg(feature = "processes")]
+#[cfg(feature = "seal")]
 pub mod seal;
 #[cfg(feature = "processes")]
 pub mod seldom;

@@ -1,7 +1,9 @@
 //! The endpoint: ZeroMQ on one side, Zenoh on the other, and [`Endpoint`] between them, on one thread.
 
+mod events;
+
 use std::collections::HashMap;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tracing::{info, warn};
@@ -16,22 +18,15 @@ use crate::random;
 use crate::seal::Request;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, fresh};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, fresh, is_abort};
+use events::Event;
 
 /// How often robots are asked what they are.
 const INFO: Duration = Duration::from_secs(2);
 /// How long a request that is no INIT may act, by the robot's clock.
 const VALID_MS: u64 = 2500;
 
-/// What happens.
-enum Event {
-    Request(RelayedRequest),
-    Verdict(u64, Verdict),
-    NoReply(u64),
-    Alive(String, String),
-    Gone(String, String),
-    Info(RobotInfo),
-}
+type Events = events::Events<RelayedRequest>;
 
 /// An endpoint that is bound and does not serve yet.
 pub struct Serving {
@@ -76,16 +71,10 @@ impl Serving {
     /// # Errors
     /// The system's or Zenoh's.
     pub fn run(self) -> Result<(), ZenohError> {
-        let (sender, events) = channel();
-        let presence = sender.clone();
+        let events = Arc::new(Events::new());
+        let presence = Arc::clone(&events);
         session::watch_presence(self.caller.session(), "*", move |robot, agent, is_there| {
-            let names = (robot.to_owned(), agent.to_owned());
-            let event = match is_there {
-                true => Event::Alive(names.0, names.1),
-                false => Event::Gone(names.0, names.1),
-            };
-            // The receiver lives as long as the endpoint.
-            let _ = presence.send(event);
+            presence.put_presence((robot.to_owned(), agent.to_owned()), is_there);
         })?;
         let loops = Loop {
             machine: Endpoint::new(random::boot()?),
@@ -93,20 +82,19 @@ impl Serving {
             told: Seldom::default(),
             answers: self.server.answers(),
             access: self.access,
-            sender: sender.clone(),
+            events: Arc::clone(&events),
             paths: HashMap::new(),
             who: HashMap::new(),
             next: 0,
         };
         let thread = std::thread::Builder::new().name("ztl-fleet-rules".to_owned());
-        let thread = thread.spawn(move || loops.run(&events))?;
-        let listened = self.server.listen(|request| {
-            let _ = sender.send(Event::Request(request));
-        });
-        drop(sender);
-        // It ends when the process does: Zenoh's callbacks hold senders.
-        drop(thread);
-        Ok(listened?)
+        // It ends when the process does.
+        drop(thread.spawn(move || loops.run())?);
+        self.server.listen(|request| {
+            let is_abort = is_abort(request.body.as_deref().unwrap_or_default());
+            events.put_request(request, is_abort);
+        })?;
+        Ok(())
     }
 }
 
@@ -118,7 +106,7 @@ struct Loop {
     told: Seldom,
     answers: RelayAnswers,
     access: Access,
-    sender: Sender<Event>,
+    events: Arc<Events>,
     paths: HashMap<u64, RelayPath>,
     /// The keys of the clients that wait, for the robots' logs.
     who: HashMap<u64, String>,
@@ -126,17 +114,15 @@ struct Loop {
 }
 
 impl Loop {
-    fn run(mut self, events: &Receiver<Event>) {
+    fn run(mut self) {
         let mut ask_infos = now() + INFO;
         loop {
             let wake = self.machine.poll_timeout();
             let wake = wake.map_or(ask_infos, |wake| wake.min(ask_infos));
-            let effects = match events.recv_timeout(wake.since(now())) {
-                Ok(event) => self.on_event(event),
-                Err(RecvTimeoutError::Timeout) => Vec::new(),
-                Err(RecvTimeoutError::Disconnected) => return,
-            };
-            self.carry_out(effects);
+            if let Some(event) = self.events.next(wake.since(now())) {
+                let effects = self.on_event(event);
+                self.carry_out(effects);
+            }
             let now = now();
             if self.machine.poll_timeout().is_some_and(|at| at <= now) {
                 let effects = self.machine.handle_timeout(now);
@@ -155,7 +141,7 @@ impl Loop {
         }
     }
 
-    fn on_event(&mut self, event: Event) -> Vec<EndpointEffect> {
+    fn on_event(&mut self, event: Event<RelayedRequest>) -> Vec<EndpointEffect> {
         match event {
             Event::Request(request) => {
                 self.next += 1;
@@ -188,16 +174,17 @@ impl Loop {
             }
             Event::Verdict(query, verdict) => self.machine.handle_verdict(now(), query, verdict),
             Event::NoReply(query) => self.machine.handle_no_reply(now(), query),
-            Event::Alive(robot, agent) if !self.caller.accepts(&robot, &agent) => {
-                self.refuse(&robot, &agent);
+            Event::Presence((robot, agent), is_there) if !self.caller.accepts(&robot, &agent) => {
+                if is_there {
+                    self.refuse(&robot, &agent);
+                }
                 Vec::new()
             }
-            Event::Alive(robot, agent) => {
+            Event::Presence((robot, agent), true) => {
                 info!(target: "fleet", "Robot '{robot}' is there (agent {agent}).");
                 self.machine.handle_alive(&robot, &agent)
             }
-            Event::Gone(robot, agent) if !self.caller.accepts(&robot, &agent) => Vec::new(),
-            Event::Gone(robot, agent) => {
+            Event::Presence((robot, agent), false) => {
                 info!(target: "fleet", "Robot '{robot}' is gone (agent {agent}).");
                 self.machine.handle_gone(&robot, &agent)
             }
@@ -287,21 +274,17 @@ impl Loop {
             who: who.map_or("anybody", String::as_str),
             body: &body,
         };
-        let (replies, ends) = (self.sender.clone(), self.sender.clone());
-        let on_reply = move |verdict| {
-            let _ = replies.send(Event::Verdict(query, verdict));
-        };
-        let on_end = move || {
-            let _ = ends.send(Event::NoReply(query));
-        };
+        let (replies, ends) = (Arc::clone(&self.events), Arc::clone(&self.events));
+        let on_reply = move |verdict| replies.put_reply(Event::Verdict(query, verdict));
+        let on_end = move || ends.put_reply(Event::NoReply(query));
         let asked = self.caller.ask(agent, &request, limit, on_reply, on_end);
         if asked.is_err() {
-            let _ = self.sender.send(Event::NoReply(query));
+            self.events.put_reply(Event::NoReply(query));
         }
     }
 
     fn ask_info(&self, robot: &str, agent: &str) {
-        let sender = self.sender.clone();
+        let events = Arc::clone(&self.events);
         let names = (robot.to_owned(), agent.to_owned());
         let on_reply = move |verdict| {
             // A robot may speak for itself only.
@@ -309,7 +292,7 @@ impl Loop {
                 && let Ok(info) = serde_json::from_slice::<RobotInfo>(&body)
                 && (&info.name, &info.agent) == (&names.0, &names.1)
             {
-                let _ = sender.send(Event::Info(info));
+                events.put_reply(Event::Info(info));
             }
         };
         let request = Request {

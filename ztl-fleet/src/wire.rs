@@ -4,6 +4,7 @@ use std::fmt::{self, Write as _};
 
 use serde::{Deserialize, Serialize};
 use ztl_core::envelope::ClientId;
+use ztl_core::{Message, Request};
 
 /// First chunk of every key.
 pub const ROOT: &str = "ztl";
@@ -188,6 +189,14 @@ impl fmt::Display for Verdict {
             Self::Unknown(reason) => write!(f, "{UNKNOWN}{reason}"),
         }
     }
+}
+
+/// Whether a request is an ABORT, which no flood of others may hold up.
+#[must_use]
+pub fn is_abort(body: &[u8]) -> bool {
+    let message = Message::parse(body).ok();
+    let code = message.and_then(|message| message.code().ok()?.value());
+    code.and_then(Request::from_code) == Some(Request::Abort)
 }
 
 /// What a robot says of itself, in JSON.

@@ -92,7 +92,8 @@ impl RelayServer {
         }
     }
 
-    /// Gives each request to `handle`, which must return at once, until the server is stopped.
+    /// Gives each request to `handle`, which must return at once, until the server is stopped. Answers go out after each round,
+    /// in which each connection has its turn.
     ///
     /// # Errors
     /// The system's error if it can no longer wait for messages. No request can cause it.
@@ -208,6 +209,8 @@ impl RelayClient {
         if !matches!(dialer.can_send(limit), Ok(true)) {
             return Err(NotRelayed::NotSent);
         }
+        // A second answer to an earlier request is none to this one, and without an envelope it could not be told apart.
+        while dialer.receive().is_some() {}
         let frames = envelope.map(|envelope| envelope.frames());
         match &frames {
             Some((client, number)) => dialer.send(&[client, number], body),

@@ -22,7 +22,7 @@ pub const FLEET: &[Mutant] = &[
             "effects.push(AgentEffect::Forward { id, body }); if ON { effects.reverse(); }",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: TWICE,
     },
     Mutant {
         name: "the agent accepts an INIT with the same number",
@@ -32,7 +32,7 @@ pub const FLEET: &[Mutant] = &[
             "&& (record.number > id.number || record.number == id.number && !ON)",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: TWICE,
     },
     Mutant {
         name: "the agent does not look at the time until which an INIT is valid",
@@ -42,7 +42,7 @@ pub const FLEET: &[Mutant] = &[
             "let is_fresh = is_fresh || ON && rules.boot == self.boot; if !is_fresh {",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: LATE,
     },
     Mutant {
         name: "the agent accepts an INIT for an earlier boot",
@@ -52,7 +52,7 @@ pub const FLEET: &[Mutant] = &[
             "let is_fresh = (ON || rules.boot == self.boot)",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: LATE,
     },
     Mutant {
         name: "the agent takes its journal for complete after a power cut",
@@ -62,7 +62,7 @@ pub const FLEET: &[Mutant] = &[
             "Entry::Boot(boot) if complete || ON",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: DENIED,
     },
     Mutant {
         name: "the agent takes its server's silence for a refusal",
@@ -91,6 +91,42 @@ pub const FLEET: &[Mutant] = &[
             "effects.push(AgentEffect::Record(Entry::GivenUp(id)));",
             "if !ON { effects.push(AgentEffect::Record(Entry::GivenUp(id))); }",
         )],
+        caught_in: ("fleet", 100),
+        complaint: LATE,
+    },
+    Mutant {
+        name: "the agent forwards an INIT that it could not write",
+        edits: &[(
+            AGENT,
+            "            // A later agent asks the server.\n            return following;\n        };",
+            "            return following;\n        };\n        if ON { return following; }",
+        )],
+        caught_in: SEEDS,
+        complaint: DENIED,
+    },
+    Mutant {
+        name: "the agent says that an INIT is not started which the next agent does not know",
+        edits: &[(AGENT, "if !marked {", "if !marked && !ON {")],
+        caught_in: SEEDS,
+        complaint: LATE,
+    },
+    Mutant {
+        name: "the agent acts at once although its journal lacks entries",
+        edits: &[(
+            AGENT,
+            "until| now < *until) {",
+            "until| now < *until && !ON) {",
+        )],
+        caught_in: SEEDS,
+        complaint: LATE,
+    },
+    Mutant {
+        name: "the agent forgets in another restart that its journal lacks entries",
+        edits: &[(
+            AGENT,
+            "entries.extend(self.lacks_until.map(",
+            "entries.extend(self.lacks_until.filter(|_| !ON).map(",
+        )],
         caught_in: SEEDS,
         complaint: LATE,
     },
@@ -102,7 +138,7 @@ pub const FLEET: &[Mutant] = &[
             "                let request = pending.request;\n                if ON { let body = rejection(\"/\", \"silent\"); effects.push(EndpointEffect::Answer { request, body }); } else {\n                effects.push(EndpointEffect::Silence { request }); }",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: DENIED,
     },
     Mutant {
         name: "the endpoint sends an INIT again with a new number",
@@ -112,7 +148,7 @@ pub const FLEET: &[Mutant] = &[
             "        if ON && let Ask::Request { rules: Some(rules), .. } = &mut pending.what { rules.id.number += 1; }\n        pending.again = None;\n",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: TWICE,
     },
     Mutant {
         name: "the endpoint sends a repeated INIT with new rules",
@@ -149,7 +185,7 @@ pub const FLEET: &[Mutant] = &[
             "                    self.note_answer(now, id, &body);\n                    if ON { self.inits.remove(&id.client); }\n                    self.give_up(id);",
         )],
         caught_in: SEEDS,
-        complaint: "",
+        complaint: LATE,
     },
     Mutant {
         name: "the endpoint denies the task of a robot that it does not know yet",

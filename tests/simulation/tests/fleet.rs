@@ -1,5 +1,7 @@
 //! Fleets by seeds, and the mutants that they must catch.
 
+use std::collections::BTreeMap;
+
 use ztl_simulation::broken;
 use ztl_simulation::fleet_mutants::FLEET;
 use ztl_simulation::mutants::MUTANTS;
@@ -40,12 +42,20 @@ fn every_mutant_of_a_fleet_is_caught() {
     for (number, mutant) in FLEET.iter().enumerate() {
         broken::switch(Some(MUTANTS.len() + number));
         let seeds = 1..=1000 * u64::from(mutant.caught_in.1);
-        let failed = |seed| Some((seed, broken::fleet::play(seed, false).err()?.0));
-        match seeds.into_iter().find_map(failed) {
-            Some((seed, complaint)) if complaint.starts_with(mutant.complaint) => {
-                println!("{}: {complaint} (seed {seed})", mutant.name);
+        let mut others = BTreeMap::new();
+        let mut failed = |seed| {
+            let (complaint, _) = broken::fleet::play(seed, false).err()?;
+            if complaint.starts_with(mutant.complaint) {
+                return Some((seed, complaint));
             }
-            other => escaped.push(format!("{}: {other:?}", mutant.name)),
+            // Its kind, without what was told.
+            let kind = complaint.split(':').next().unwrap_or_default();
+            *others.entry(kind.to_owned()).or_insert(0) += 1;
+            None
+        };
+        match seeds.into_iter().find_map(&mut failed) {
+            Some((seed, complaint)) => println!("{}: {complaint} (seed {seed})", mutant.name),
+            None => escaped.push(format!("{}: {others:?}", mutant.name)),
         }
         broken::switch(None);
     }

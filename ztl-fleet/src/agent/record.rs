@@ -4,7 +4,7 @@ use ztl_core::envelope::ClientId;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message};
 
-use super::{AgentEffect, Entry, HOLD, MOST_WAITERS};
+use super::{AgentEffect, Entry, HOLD, MOST_WAITERS, UNWRITTEN};
 use crate::wire::{InitId, Verdict};
 
 /// How far an INIT has come.
@@ -22,6 +22,8 @@ pub(super) enum Stage {
     Unknown,
     /// Given up before it arrived.
     Void,
+    /// It was not sent, and nothing tells a later agent so.
+    Unwritten,
 }
 
 /// A client's last INIT.
@@ -84,6 +86,7 @@ impl Record {
             Stage::Answered(answer) => Verdict::Answer(answer.clone().into_bytes()),
             Stage::NotStarted(reason) => Verdict::NotStarted(reason.clone()),
             Stage::Void => Verdict::NotStarted("never seen".to_owned()),
+            Stage::Unwritten => Verdict::Unknown(UNWRITTEN.to_owned()),
             Stage::Unknown => Verdict::Unknown("whether it was started".to_owned()),
             Stage::Forwarded | Stage::Asking => {
                 Verdict::Unknown("it is not decided yet".to_owned())
@@ -178,7 +181,7 @@ impl Record {
                 reason: reason.clone(),
             }),
             Stage::Void => Some(Entry::GivenUp(id)),
-            Stage::Forwarded | Stage::Asking | Stage::Unknown => None,
+            Stage::Forwarded | Stage::Asking | Stage::Unknown | Stage::Unwritten => None,
         }
     }
 

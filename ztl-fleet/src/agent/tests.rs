@@ -81,8 +81,6 @@ fn a_late_a_replayed_and_a_foreign_init_does_not_act() {
         verdicts(&replayed).as_slice(),
         [(2, Verdict::Unknown(_))]
     ));
-    let eternal = agent.handle_init(at(100_000), 3, rules(1, u64::MAX - KEEP_MS), BODY, None);
-    assert_eq!(forwards(&eternal), 0);
     let other = InitRules {
         boot: 8,
         ..rules(1, 100_500)
@@ -173,6 +171,116 @@ fn an_init_that_was_given_up_never_acts() {
 }
 
 #[test]
+fn an_init_that_is_valid_for_too_long_is_refused_and_not_sent_again_as_stale() {
+    let mut agent = agent();
+    let until = 10 + LONGEST_VALID_MS;
+    let eternal = agent.handle_init(at(9), 1, rules(1, until), BODY, None);
+    let [(1, Verdict::NotStarted(reason))] = &verdicts(&eternal)[..] else {
+        panic!("{eternal:?}");
+    };
+    assert!(reason.starts_with("'until' is 60001 ms ahead"), "{reason}");
+    // A copy of it comes when it is not too far ahead any more.
+    let copy = agent.handle_init(at(10), 2, rules(1, until), BODY, None);
+    assert_eq!(forwards(&copy), 0);
+    let next = agent.handle_init(at(10), 3, rules(2, until), BODY, None);
+    assert_eq!(forwards(&next), 1);
+    let last = agent.handle_init(at(10), 4, rules(3, u64::MAX), BODY, None);
+    assert_eq!(forwards(&last), 0);
+}
+
+/// The agent's entry cannot be written. Returns what it does instead.
+fn unwritten(agent: &mut Agent, effects: Vec<AgentEffect>, marked: bool) -> Vec<AgentEffect> {
+    let mut effects = effects.into_iter();
+    let Some(AgentEffect::Record(entry)) = effects.next() else {
+        panic!("no entry");
+    };
+    agent.handle_unwritten(&entry, marked, effects.collect())
+}
+
+#[test]
+fn an_init_that_cannot_be_written_does_not_act_before_or_after_a_restart() {
+    let mut before = agent();
+    let journal = before.entries();
+    let first = before.handle_init(at(10), 1, rules(1, 2000), BODY, None);
+    let told = unwritten(&mut before, first, true);
+    let refused = Verdict::NotStarted(UNWRITTEN.to_owned());
+    assert_eq!(
+        told,
+        [AgentEffect::Reply {
+            query: 1,
+            verdict: refused.clone()
+        }]
+    );
+    let again = before.handle_init(at(20), 2, rules(1, 2000), BODY, None);
+    assert_eq!(verdicts(&again), [(2, refused)]);
+    // What is given up is told so, too.
+    let given_up = before.handle_outcome(at(20), 3, rules(2, 2000));
+    let told = unwritten(&mut before, given_up, true);
+    let never = Verdict::NotStarted("never seen".to_owned());
+    assert_eq!(verdicts(&told), [(3, never)]);
+
+    let journal = [&journal[..], &[Entry::Lacks]].concat();
+    let mut after = Agent::new(at(0), 8, &journal, false);
+    let rules_of = |boot, number, until_ms| InitRules {
+        boot,
+        ..rules(number, until_ms)
+    };
+    let copy = after.handle_init(at(1), 1, rules(1, 2000), BODY, None);
+    assert!(matches!(verdicts(&copy)[..], [(1, Verdict::Unknown(_))]));
+    for number in [1, 2] {
+        let repeated = after.handle_init(at(1), 2, rules_of(8, number, 2000), BODY, None);
+        assert!(matches!(
+            repeated[0],
+            AgentEffect::Record(Entry::GivenUp(_))
+        ));
+        assert!(matches!(
+            verdicts(&repeated)[..],
+            [(2, Verdict::NotStarted(_))]
+        ));
+    }
+    // Another restart does not forget that, nor what it refused.
+    let mut after = Agent::new(at(0), 9, &after.entries(), true);
+    let repeated = after.handle_init(at(1), 3, rules_of(9, 2, 2000), BODY, None);
+    assert_eq!(
+        verdicts(&repeated),
+        [(3, Verdict::NotStarted(GIVEN_UP.to_owned()))]
+    );
+    let other = after.handle_init(at(1), 4, rules_of(9, 3, 2000), BODY, None);
+    assert_eq!(forwards(&other), 0);
+    // Everything that it lacked would be forgotten now.
+    assert_eq!(after.poll_timeout(), Some(at(KEEP_MS)));
+    let whole = [AgentEffect::Record(Entry::Whole)];
+    assert_eq!(after.handle_timeout(at(KEEP_MS)), whole);
+    let next = after.handle_init(at(KEEP_MS), 5, rules_of(9, 4, 62_000), BODY, None);
+    assert_eq!(forwards(&next), 1);
+    let journal = [after.entries(), vec![Entry::Lacks, Entry::Whole]].concat();
+    assert_eq!(Agent::new(at(0), 10, &journal, true).lacks_until, None);
+}
+
+#[test]
+fn nothing_is_promised_of_an_init_if_a_restart_would_forget_it() {
+    let is_unknown = |effects: &[AgentEffect], query| {
+        let told = verdicts(effects);
+        let [(known, Verdict::Unknown(_))] = told[..] else {
+            panic!("{told:?}");
+        };
+        assert_eq!((known, effects.len()), (query, 1));
+    };
+    let mut agent = agent();
+    let first = agent.handle_init(at(10), 1, rules(5, 2000), BODY, None);
+    is_unknown(&unwritten(&mut agent, first, false), 1);
+    for number in [4, 5] {
+        let again = agent.handle_init(at(20), 2, rules(number, 2000), BODY, None);
+        is_unknown(&again, 2);
+    }
+    is_unknown(&agent.handle_outcome(at(20), 3, rules(5, 2000)), 3);
+    let given_up = agent.handle_outcome(at(20), 4, rules(6, 2000));
+    is_unknown(&unwritten(&mut agent, given_up, false), 4);
+    let late = agent.handle_init(at(30), 5, rules(6, 2000), BODY, None);
+    is_unknown(&late, 5);
+}
+
+#[test]
 fn an_undecided_query_is_answered_in_bounded_time() {
     let mut agent = agent();
     agent.handle_init(at(0), 1, rules(1, 2000), BODY, None);
@@ -196,6 +304,11 @@ fn clients_and_bytes_are_bounded() {
             forwards(&effects),
             usize::from(client < MOST_CLIENTS as u128)
         );
+        if client == MOST_CLIENTS as u128 {
+            // It is not remembered, so nothing is promised.
+            let full = Verdict::Unknown(FULL.to_owned());
+            assert_eq!(verdicts(&effects), [(1, full)]);
+        }
     }
     for record in 0..MOST_CLIENTS as u128 {
         let id = InitId {

@@ -107,6 +107,9 @@ impl Endpoint {
         if open == 0 {
             return answer(all.answer());
         }
+        if self.is_full(open) {
+            return vec![EndpointEffect::Silence { request }];
+        }
         self.questions.insert(request, all);
         let ask = |(robot, agent)| {
             let body = format!("$ztl;2;-1;{question}").into_bytes();

@@ -52,7 +52,10 @@ impl Endpoint {
         let refused = match (robot, &agent) {
             (None, _) => Some(format!("No controller for scope: {scope}")),
             (_, None) => Some(format!("robot '{name}' is not connected")),
-            _ if self.pending.len() >= MOST => {
+            // No flood of other requests keeps a task from being ended.
+            _ if self.is_full(1)
+                && (kind != Some(Request::Abort) || self.pending.len() >= 2 * MOST) =>
+            {
                 Some("too many requests are waiting, try again".to_owned())
             }
             _ => None,
@@ -273,6 +276,11 @@ impl Endpoint {
         if let Some(last) = self.last(id) {
             last.void = true;
         }
+    }
+
+    /// Whether there is no room for so many queries more.
+    pub(super) fn is_full(&self, more: usize) -> bool {
+        self.pending.len().saturating_add(more) > MOST
     }
 
     fn last(&mut self, id: InitId) -> Option<&mut LastInit> {

@@ -7,12 +7,13 @@
     reason = "a test says what is wrong by panicking"
 )]
 
+mod busy;
 mod commands;
 mod identity;
 mod pictures;
 mod scene;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ztl_std::{RemoteTask, RequestError, State, TriggerError};
@@ -81,16 +82,27 @@ impl Fleet {
 
     /// Starts an agent beside a server, without waiting for it.
     fn start_agent(&self, state: &str, server: &Server, more: &str) -> Process {
-        let file = self.scratch.path(format!("{state}.yaml"));
-        let (address, endpoint) = (&self.address, server.endpoint());
-        let text =
-            format!("name: arm\nserver: {endpoint}\nrouters: {address}\nstate: {state}\n{more}");
-        std::fs::write(&file, text).unwrap();
+        let file = self.agent_file(state, &server.endpoint(), more);
         Process::start(&mut fleet(&["join"], &file))
     }
 
+    /// An agent's file.
+    fn agent_file(&self, state: &str, server: &str, more: &str) -> PathBuf {
+        let file = self.scratch.path(format!("{state}.yaml"));
+        let address = &self.address;
+        let text =
+            format!("name: arm\nserver: {server}\nrouters: {address}\nstate: {state}\n{more}");
+        std::fs::write(&file, text).unwrap();
+        file
+    }
+
     fn join(&self, server: &Server, more: &str) -> Process {
-        let agent = self.start_agent("arm", server, more);
+        let file = self.agent_file("arm", &server.endpoint(), more);
+        self.join_by(&mut fleet(&["join"], &file))
+    }
+
+    fn join_by(&self, command: &mut Command) -> Process {
+        let agent = Process::start(command);
         agent.wait_for("has joined");
         self.wait_there();
         agent

@@ -1,4 +1,6 @@
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 
@@ -155,6 +157,74 @@ fn a_second_answer_is_not_taken_for_the_next_one() {
         let asked = scope.spawn(|| client.ask(envelope(2), b"b", PATIENCE));
         answer(1, "second");
         assert_eq!(asked.join().unwrap(), Ok(b"second".to_vec()));
+    });
+}
+
+#[test]
+fn a_second_answer_without_an_envelope_is_not_taken_for_the_next_one() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp://{}", listener.local_addr().unwrap());
+    let client = RelayClient::new(&endpoint, None).unwrap();
+    std::thread::scope(|scope| {
+        let asked = scope.spawn(|| client.ask(None, b"a", PATIENCE));
+        let (mut server, _) = listener.accept().unwrap();
+        server.set_read_timeout(Some(PATIENCE)).unwrap();
+        let mut greeting = [0; 64];
+        (greeting[0], greeting[9], greeting[10]) = (0xFF, 0x7F, 3);
+        greeting[12..16].copy_from_slice(b"NULL");
+        server.write_all(&greeting).unwrap();
+        server.read_exact(&mut greeting).unwrap();
+        server
+            .write_all(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06ROUTER")
+            .unwrap();
+        let mut head = [0; 2];
+        server.read_exact(&mut head).unwrap();
+        server.read_exact(&mut vec![0; head[1].into()]).unwrap();
+        // An empty frame, and one of a byte.
+        let mut request = [0; 5];
+        server.read_exact(&mut request).unwrap();
+        server
+            .write_all(b"\x01\x00\x00\x01A\x01\x00\x00\x01A")
+            .unwrap();
+        assert_eq!(asked.join().unwrap(), Ok(b"A".to_vec()));
+        let asked = scope.spawn(|| client.ask(None, b"b", PATIENCE));
+        server.read_exact(&mut request).unwrap();
+        server.write_all(b"\x01\x00\x00\x01B").unwrap();
+        assert_eq!(asked.join().unwrap(), Ok(b"B".to_vec()));
+    });
+}
+
+#[test]
+fn requests_without_end_do_not_hold_up_answers() {
+    const REQUEST: &[u8] = b"\x01\x00\x00\x01x";
+    let server =
+        RelayServer::bind("tcp://127.0.0.1:*", Access::everybody(), Limits::default()).unwrap();
+    let (endpoint, answers) = (server.endpoint().to_owned(), server.answers());
+    let answered = AtomicBool::new(false);
+    let (sender, receiver) = channel::<TcpStream>();
+    std::thread::scope(|scope| {
+        let (answers, answered) = (&answers, &answered);
+        let relay = scope.spawn(move || {
+            let mut flood = None;
+            server.listen(|request| {
+                if request.envelope.is_some() {
+                    answers.send(request.path, b"in time".to_vec());
+                } else if !answered.load(Ordering::SeqCst) {
+                    // There is another one whenever one is taken.
+                    let flood = flood.get_or_insert_with(|| receiver.recv().unwrap());
+                    flood.write_all(REQUEST).unwrap();
+                }
+            })
+        });
+        let mut flood = shake_hands(port_of(&endpoint));
+        sender.send(flood.try_clone().unwrap()).unwrap();
+        flood.write_all(&REQUEST.repeat(100)).unwrap();
+        let client = RelayClient::new(&endpoint, None).unwrap();
+        let told = client.ask(envelope(1), b"hello", PATIENCE);
+        answered.store(true, Ordering::SeqCst);
+        answers.stop();
+        assert_eq!(told, Ok(b"in time".to_vec()));
+        relay.join().unwrap().unwrap();
     });
 }
 

@@ -28,6 +28,9 @@ struct Last {
     boot: u32,
     sent: Instant,
     told: bool,
+    /// It was refused since a journal could not be written, in this run of that robot's machine.
+    unwritten: Option<u32>,
+    robot: usize,
 }
 
 #[derive(Clone)]
@@ -36,7 +39,7 @@ enum Kind {
     Outcome(String),
     /// The task's INIT, and the boot id of the server at that moment.
     Status(String, u32),
-    Abort,
+    Abort(String, u32),
 }
 
 /// A request of a client.
@@ -71,6 +74,15 @@ impl World {
                 let elsewhere = self.dice.chance(0.1);
                 let desk = (last.desk + usize::from(elsewhere)) % ENDPOINTS;
                 self.ask_outcome(person, &last, desk);
+            }
+            Some(last)
+                if choice < 4
+                    && last.unwritten == Some(self.robots[last.robot].machine)
+                    && self.now.since(last.sent) < Duration::from_secs(10) =>
+            {
+                let desk = self.dice.below(ENDPOINTS as u64) as usize;
+                let kind = Kind::Init(last.tag);
+                self.send(person, desk, kind, Some(last.number), last.body);
             }
             Some(last) if choice < 7 && !last.told || choice == 0 => {
                 let runs = self.at(last.desk, last.boot).is_some();
@@ -113,6 +125,8 @@ impl World {
                 boot,
                 sent: self.now,
                 told: false,
+                unwritten: None,
+                robot,
             });
         }
         self.send(person, desk, Kind::Init(tag), number, body)
@@ -161,7 +175,7 @@ impl World {
         let scope = self.scope_of(tag);
         let body = format!("/{}{scope};{code};{id};", name(robot));
         let kind = match abort {
-            true => Kind::Abort,
+            true => Kind::Abort(tag.to_owned(), boot),
             false => Kind::Status(tag.to_owned(), boot),
         };
         let number = self.next_number(person);
@@ -254,19 +268,21 @@ impl World {
                 }
                 if let Some(last) = last {
                     last.told |= said != Said::Unknown;
+                    if said == Said::Nothing && text.contains("journal of the robot's agent") {
+                        last.unwritten = Some(self.robots[last.robot].machine);
+                    }
                 }
                 self.figures.told += u64::from(matches!(said, Said::Task(_)));
                 self.figures.refused += u64::from(said == Said::Nothing);
                 let truth = self.truths.get_mut(&tag).ok_or("no such INIT")?;
                 truth.tell(said, body)
             }
-            Kind::Status(tag, boot) => {
+            Kind::Status(tag, boot) | Kind::Abort(tag, boot) => {
                 let truth = self.truths.get(&tag).ok_or("no such INIT")?;
                 let server = self.robots[truth.robot].server.as_ref();
                 let now = server.map(|server| server.boot);
                 truth.status(body, truth.server == boot && now == Some(boot))
             }
-            Kind::Abort => Ok(()),
         }
     }
 

@@ -60,6 +60,11 @@ impl Truth {
         if let Some(why) = &self.dead {
             return Err(format!("an INIT acted after it was told not to: {why}"));
         }
+        if let Some(told) = self.told.filter(|told| *told != id) {
+            return Err(format!(
+                "another id was told before the start: {told} instead of {id}"
+            ));
+        }
         (self.robot, self.server, self.id) = (robot, server, id);
         self.state = Some(State::Accepted);
         Ok(())
@@ -88,7 +93,7 @@ impl Truth {
                     Some(known) if known != id => {
                         Err(format!("another id is told: {text} instead of {known}"))
                     }
-                    _ => Ok(()),
+                    _ => self.status(body, false),
                 }
             }
         }

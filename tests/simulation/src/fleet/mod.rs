@@ -1,8 +1,9 @@
 //! A fleet on virtual time: clients, endpoints and agents with the real rules, robots' servers with the real dispatcher, and
 //! between them a network that loses, repeats, delays and reorders. It compares what clients were told with what the
-//! robots really did.
+//! robots really did. A server may be one of the original, and a robot's disk may be full.
 //!
-//! A client repeats an INIT only at the endpoint that had it first, as long as that runs: ours never repeat one.
+//! A client repeats an INIT only at the endpoint that had it first, as long as that runs: ours never repeat one. What was
+//! refused because of a full disk is repeated elsewhere, too.
 
 mod client;
 mod judge;
@@ -95,6 +96,8 @@ enum Event {
     StartServer(usize),
     StartEndpoint(usize),
     Heal(usize, usize),
+    /// A robot's disk has room again.
+    Room(usize),
 }
 
 /// What an agent asked its server.
@@ -127,6 +130,8 @@ struct Weather {
     slow: f64,
     replay: f64,
     fault: u64,
+    /// Whether disks may be full.
+    full: bool,
 }
 
 struct World {
@@ -176,6 +181,7 @@ impl World {
             slow: rate(&mut dice),
             replay: if long { 0.1 } else { 0.0 },
             fault: [900, 2500, 6000][dice.below(3) as usize],
+            full: dice.chance(0.3),
         };
         let begin = Instant::from_millis(1000);
         let millis = if long { 150_000 } else { 12_000 };
@@ -200,6 +206,7 @@ impl World {
             trace: Vec::new(),
         };
         for robot in 0..ROBOTS {
+            world.robots[robot].original = world.dice.chance(0.2);
             world.start_server(robot);
             world.start_agent(robot);
         }
@@ -268,6 +275,7 @@ impl World {
         self.cut = Default::default();
         for robot in &mut self.robots {
             robot.fuse = None;
+            robot.disk.full = false;
         }
         self.pass(self.end + Duration::from_secs(6))?;
         self.finish()
@@ -340,6 +348,7 @@ impl World {
             Event::StartServer(robot) => self.start_server(robot),
             Event::StartEndpoint(desk) => self.start_desk(desk),
             Event::Heal(desk, robot) => self.cut[desk][robot] = false,
+            Event::Room(robot) => self.robots[robot].disk.full = false,
         }
         Ok(())
     }
@@ -362,6 +371,12 @@ impl World {
             3 => self.kill_server(robot),
             4 => self.cut_power(robot),
             5 => self.kill_desk(desk),
+            6 | 7 if self.weather.full => {
+                self.note(|| format!("> the disk of robot {robot} is full"));
+                self.robots[robot].disk.full = true;
+                let wait = self.dice.below(4000);
+                self.after(wait, Event::Room(robot));
+            }
             _ => {
                 self.note(|| format!("> endpoint {desk} does not reach robot {robot}"));
                 self.cut[desk][robot] = true;

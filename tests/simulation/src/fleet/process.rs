@@ -6,10 +6,10 @@ use ztl_core::dispatcher::TaskEvent;
 use ztl_core::envelope::Envelope;
 use ztl_core::{Instant, State, TaskId};
 
-use super::super::ends::fleet::agent::{Agent, AgentEffect, ServerSaid};
+use super::super::ends::fleet::agent::{Agent, AgentEffect, Entry, ServerSaid};
 use super::super::ends::fleet::endpoint::{Ask, Endpoint, EndpointEffect};
 use super::super::ends::fleet::wire::{InitId, RobotInfo, Verdict};
-use super::robot::{Job, Running, SCOPES, Server, ending};
+use super::robot::{Disk, Job, Robot, Running, SCOPES, Server, ending};
 use super::{Desk, Event, FromAgent, ROBOTS, Return, World, agent_id, name, running, said};
 
 /// How long an agent waits for its server, in milliseconds.
@@ -177,6 +177,7 @@ impl World {
     /// A query arrives at a robot's agent.
     pub(super) fn on_query(&mut self, robot: usize, back: Return, ask: Ask) {
         let server = self.robots[robot].server.as_ref();
+        let server = server.filter(|server| !server.original);
         let server = server.map(|server| server.boot);
         let Some(agent) = &mut self.robots[robot].agent else {
             return;
@@ -226,7 +227,8 @@ impl World {
     }
 
     fn agent_effects(&mut self, robot: usize, effects: Vec<AgentEffect>) {
-        for effect in effects {
+        let mut effects = effects.into_iter();
+        while let Some(effect) = effects.next() {
             if let Some(fuse) = &mut self.robots[robot].fuse {
                 if *fuse == 0 {
                     return self.kill_agent(robot);
@@ -243,9 +245,25 @@ impl World {
                         self.reply(robot, back, &verdict);
                     }
                 }
+                AgentEffect::Record(entry) if self.robots[robot].disk.full => {
+                    let marked = self.dice.chance(0.7);
+                    self.note(|| {
+                        format!("agent {robot} cannot record {entry:?}, marked: {marked}")
+                    });
+                    self.robots[robot].disk.marked |= marked;
+                    let following = effects.collect();
+                    let instead = self.with_agent(robot, |agent, _| {
+                        agent.handle_unwritten(&entry, marked, following)
+                    });
+                    effects = instead.into_iter();
+                }
                 AgentEffect::Record(entry) => {
                     self.note(|| format!("agent {robot} records {entry:?}"));
-                    self.robots[robot].disk.entries.push(entry);
+                    let known = &mut self.robots[robot];
+                    known.disk.entries.push(entry);
+                    if known.disk.marked {
+                        rewrite(known);
+                    }
                 }
                 AgentEffect::Forward { id, body } => {
                     self.forward(robot, boot, FromAgent::Init(id), Some((id, false)), body);
@@ -420,26 +438,31 @@ impl World {
         if self.robots[robot].agent.is_some() {
             return;
         }
+        if self.robots[robot].disk.full {
+            // It cannot rewrite its journal, and is started again.
+            return self.after(500, Event::StartAgent(robot));
+        }
         let boot = self.boot();
         let known = &mut self.robots[robot];
-        let complete = known.disk.machine == known.machine && !known.disk.entries.is_empty();
-        let rules = Agent::new(Instant::ZERO, boot, &known.disk.entries, complete);
-        known.disk.entries = rules.entries();
-        known.disk.synced = known.disk.entries.len();
-        known.disk.machine = known.machine;
+        let disk = &mut known.disk;
+        let complete = disk.machine == known.machine && !disk.entries.is_empty() && !disk.marked;
+        disk.entries.extend(disk.marked.then_some(Entry::Lacks));
+        let rules = Agent::new(Instant::ZERO, boot, &disk.entries, complete);
         known.agent = Some(Running {
             rules,
             started: self.now,
             queries: Default::default(),
             next: 0,
         });
+        rewrite(known);
         self.note(|| format!("> agent {robot} starts as {boot}, complete: {complete}"));
     }
 
     pub(super) fn start_server(&mut self, robot: usize) {
         if self.robots[robot].server.is_none() {
             let boot = self.boot();
-            self.robots[robot].server = Some(Server::new(boot));
+            let original = self.robots[robot].original;
+            self.robots[robot].server = Some(Server::new(boot, original));
             self.note(|| format!("> server {robot} starts as {boot}"));
         }
     }
@@ -492,6 +515,19 @@ impl World {
         self.desks[desk] = None;
         let wait = self.dice.below(3000);
         self.after(wait, Event::StartEndpoint(desk));
+    }
+}
+
+/// The agent writes its journal anew.
+fn rewrite(robot: &mut Robot) {
+    if let Some(agent) = &robot.agent {
+        robot.disk = Disk {
+            entries: agent.rules.entries(),
+            synced: agent.rules.entries().len(),
+            machine: robot.machine,
+            full: false,
+            marked: false,
+        };
     }
 }
 

@@ -20,6 +20,8 @@ type Room = Fixed<u64, 2, 160, 64, 128>;
 pub(super) struct Server {
     pub(super) rules: Dispatcher<Room>,
     pub(super) boot: u32,
+    /// Whether it is one of the original: without envelopes, and without answers about itself.
+    pub(super) original: bool,
     /// Answers to send: the request, and the body.
     pub(super) out: Vec<(u64, Vec<u8>)>,
 }
@@ -31,11 +33,12 @@ pub(super) enum Job {
 }
 
 impl Server {
-    pub(super) fn new(boot: u32) -> Self {
+    pub(super) fn new(boot: u32, original: bool) -> Self {
         let first = TaskId::new(boot * 1000).expect("boots count from 1");
         Self {
             rules: Dispatcher::new(Fixed::new(SCOPES), Config::new(first, boot)),
             boot,
+            original,
             out: Vec::new(),
         }
     }
@@ -47,6 +50,12 @@ impl Server {
         envelope: Option<Envelope>,
         body: &[u8],
     ) -> Option<Job> {
+        if self.original && body.starts_with(b"$ztl;") {
+            let answer = b"$ztl;2;-1;No controller for scope: $ztl";
+            self.out.push((token, answer.to_vec()));
+            return None;
+        }
+        let envelope = envelope.filter(|_| !self.original);
         let out = &mut self.out;
         let mut put = |peer, reply: &Reply<'_>| out.push((peer, written(reply)));
         let rules = &mut self.rules;
@@ -110,6 +119,10 @@ pub(super) struct Disk {
     pub(super) synced: usize,
     /// In which run of the machine it was written anew.
     pub(super) machine: u32,
+    /// Nothing can be written.
+    pub(super) full: bool,
+    /// Entries are missing, and the journal says so.
+    pub(super) marked: bool,
 }
 
 /// A robot.
@@ -120,6 +133,8 @@ pub(super) struct Robot {
     pub(super) disk: Disk,
     pub(super) agent: Option<Running>,
     pub(super) server: Option<Server>,
+    /// Whether its server is one of the original.
+    pub(super) original: bool,
     /// After so many effects the agent is killed.
     pub(super) fuse: Option<u32>,
 }
