@@ -8,7 +8,10 @@
 )]
 
 mod commands;
+mod faults;
 mod identity;
+#[expect(dead_code, reason = "the benchmark uses the rest")]
+mod line;
 mod pictures;
 mod scene;
 
