@@ -7,27 +7,27 @@ use std::time::{Duration, Instant};
 
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, reserve_port, until};
 
-pub fn fleet(words: &[&str], file: &Path) -> Command {
+pub(crate) fn fleet(words: &[&str], file: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ztl-fleet"));
     command.args(words).arg(file);
     command
 }
 
 /// Starts a command with this file.
-pub fn start(scratch: &Scratch, command: &str, file: &str, text: &str) -> Process {
+pub(crate) fn start(scratch: &Scratch, command: &str, file: &str, text: &str) -> Process {
     let file = scratch.path(file);
     std::fs::write(&file, text).expect("to write");
     Process::start(&mut fleet(&[command], &file))
 }
 
 /// Routers, each connected to all before it.
-pub struct Routers {
-    pub addresses: Vec<String>,
-    pub processes: Vec<Process>,
+pub(crate) struct Routers {
+    pub(crate) addresses: Vec<String>,
+    pub(crate) processes: Vec<Process>,
 }
 
 impl Routers {
-    pub fn start(scratch: &Scratch, count: usize) -> Self {
+    pub(crate) fn start(scratch: &Scratch, count: usize) -> Self {
         let mut all = Self {
             addresses: Vec::new(),
             processes: Vec::new(),
@@ -53,18 +53,18 @@ impl Routers {
     }
 
     /// Ends one as `kill -9` does, and returns when.
-    pub fn kill(&mut self, number: usize) -> Instant {
+    pub(crate) fn kill(&mut self, number: usize) -> Instant {
         let killed = Instant::now();
         self.processes[number].kill();
         killed
     }
 
-    pub fn restart(&mut self, scratch: &Scratch, number: usize) {
+    pub(crate) fn restart(&mut self, scratch: &Scratch, number: usize) {
         self.processes[number] = self.process(scratch, number);
     }
 
     /// All addresses, of which this one comes first.
-    pub fn list(&self, first: usize) -> String {
+    pub(crate) fn list(&self, first: usize) -> String {
         let count = self.addresses.len();
         let all = (0..count).map(|step| self.addresses[(first + step) % count].as_str());
         format!("[{}]", all.collect::<Vec<_>>().join(", "))
@@ -72,20 +72,20 @@ impl Routers {
 }
 
 /// A building full of robots.
-pub struct Hall {
-    pub scratch: Scratch,
-    pub routers: Routers,
+pub(crate) struct Hall {
+    pub(crate) scratch: Scratch,
+    pub(crate) routers: Routers,
     /// The server of a robot is that at its number, modulo their count.
-    pub servers: Vec<Server>,
-    pub robots: usize,
-    pub agents: Vec<Process>,
-    pub endpoint: Process,
-    pub port: u16,
+    pub(crate) servers: Vec<Server>,
+    pub(crate) robots: usize,
+    pub(crate) agents: Vec<Process>,
+    pub(crate) endpoint: Process,
+    pub(crate) port: u16,
 }
 
 impl Hall {
     /// So many robots at these servers; returns how long their agents took until the endpoint served all of them.
-    pub fn open(robots: usize, servers: Vec<Server>) -> (Self, Duration) {
+    pub(crate) fn open(robots: usize, servers: Vec<Server>) -> (Self, Duration) {
         let scratch = Scratch::new();
         let routers = Routers::start(&scratch, 3);
         let names: Vec<String> = (0..robots).map(name).collect();
@@ -124,12 +124,12 @@ impl Hall {
     }
 
     /// The address of the endpoint.
-    pub fn address(&self) -> String {
+    pub(crate) fn address(&self) -> String {
         format!("tcp://127.0.0.1:{}", self.port)
     }
 
     /// Which robots the endpoint serves.
-    pub fn served(&self) -> BTreeSet<String> {
+    pub(crate) fn served(&self) -> BTreeSet<String> {
         let mut remote = connect_to(&self.address(), "/none");
         let told = remote.describe().ok().flatten();
         let scopes = told.into_iter().flat_map(|told| told.scopes.into_keys());
@@ -137,13 +137,13 @@ impl Hall {
     }
 
     /// Waits until the endpoint serves all robots.
-    pub fn wait_complete(&self) {
+    pub(crate) fn wait_complete(&self) {
         until("all robots are served", 3 * PATIENCE, || {
             (self.served().len() == self.robots).then_some(())
         });
     }
 }
 
-pub fn name(robot: usize) -> String {
+pub(crate) fn name(robot: usize) -> String {
     format!("arm-{robot}")
 }

@@ -13,6 +13,7 @@
 )]
 
 mod hall;
+#[expect(dead_code, reason = "the tests use the rest")]
 #[path = "../../tests/processes/line.rs"]
 mod line;
 mod many;

@@ -15,7 +15,7 @@ const DEVICES: usize = 10;
 /// After a kill, the list must stay complete for so long: longer than the lease of a connection.
 const QUIET: Duration = Duration::from_secs(5);
 
-pub fn measure() {
+pub(crate) fn measure() {
     let robots = usize::try_from(number("ZTL_FLEET_ROBOTS", 200)).expect("a small number");
     let devices: Vec<String> = (0..DEVICES)
         .map(|device| format!("gripper-{device}=sim:gripper"))

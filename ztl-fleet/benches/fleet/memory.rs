@@ -6,15 +6,15 @@ use crate::quantile;
 
 /// In KiB.
 #[derive(Debug, Clone, Copy)]
-pub struct Memory {
+pub(crate) struct Memory {
     /// All that is in memory.
-    pub resident: u64,
+    pub(crate) resident: u64,
     /// The same, but what several processes share counts for each by its share.
-    pub share: u64,
+    pub(crate) share: u64,
 }
 
 impl Memory {
-    pub fn of(process: &Process) -> Self {
+    pub(crate) fn of(process: &Process) -> Self {
         let path = format!("/proc/{}/smaps_rollup", process.id());
         let told = std::fs::read_to_string(path).expect("it lives");
         let field = |name: &str| {
@@ -29,7 +29,7 @@ impl Memory {
     }
 }
 
-pub fn print(what: &str, all: &[Memory]) {
+pub(crate) fn print(what: &str, all: &[Memory]) {
     let of = |field: fn(&Memory) -> u64, share| {
         let mut all: Vec<u64> = all.iter().map(field).collect();
         quantile(&mut all, share) as f64 / 1024.0

@@ -20,7 +20,7 @@ const IDLE: u64 = 20;
 /// Tasks whose bytes are measured.
 const TASKS: u32 = 200;
 
-pub fn measure() {
+pub(crate) fn measure() {
     let reconnects = number("ZTL_FLEET_RECONNECTS", 1000);
     let (server, scratch) = (Server::ours(), Scratch::new());
     let routers = Routers::start(&scratch, 1);
@@ -77,7 +77,7 @@ pub fn measure() {
         let _ = sender.send(is_there);
     })
     .expect("a router");
-    let mut seen = |wanted: bool| {
+    let seen = |wanted: bool| {
         let mut count = 0;
         while count < ROBOTS {
             let event = events.recv_timeout(PATIENCE).expect("it comes and goes");

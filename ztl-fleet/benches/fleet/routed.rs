@@ -79,7 +79,7 @@ fn way(scratch: &Scratch, name: &'static str, server: &Server, routers: usize, k
     }
 }
 
-pub fn measure() {
+pub(crate) fn measure() {
     let server = Server::ours();
     let scratch = Scratch::new();
     let mut direct = connect(&server.endpoint());

@@ -40,7 +40,7 @@ impl TaskController for Robot {
             context.sleep(time).expect("nobody aborts it");
             let text = format!("result of {goal}");
             let end = match random.once_in(4) {
-                true => (State::Failed, Err(TaskError::failed(&text))),
+                true => (State::Failed, Err(TaskError::from(text.clone()))),
                 false => (State::Completed, Ok(text.clone())),
             };
             done.lock().unwrap().entry(goal).or_default().1 = Some((end.0, text));
@@ -55,7 +55,7 @@ enum Told {
     /// Its final state and result.
     Ended(State, String),
     /// It may have run.
-    Unknown(String),
+    Unknown,
 }
 
 /// Lines and processes that can fail.
@@ -185,13 +185,13 @@ fn task(port: u16, robot: usize, goal: &str, rejected: &AtomicUsize) -> Told {
             }
             Err(error) => match remote.ask_outcome() {
                 Some(outcome) if start.elapsed() < PATIENCE => outcome,
-                _ => return Told::Unknown(error.to_string()),
+                _ => return Told::Unknown,
             },
         };
     };
     match remote.wait(id, LIMIT) {
         Ok(end) => Told::Ended(end.state, end.text),
-        Err(error) => Told::Unknown(error.to_string()),
+        Err(error) => Told::Unknown,
     }
 }
 
@@ -254,7 +254,7 @@ fn each_task_acts_at_most_once_and_is_told_truly_while_routers_agents_and_lines_
                 assert_eq!(ended, Some((*state, text.clone())), "task {goal}");
                 state.to_string()
             }
-            Told::Unknown(_) => "unknown".to_owned(),
+            Told::Unknown => "unknown".to_owned(),
         };
         *ends.entry(end).or_default() += 1;
     }

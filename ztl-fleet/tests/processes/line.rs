@@ -8,7 +8,7 @@ use std::time::Duration;
 
 /// What becomes of bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
+pub(crate) enum Mode {
     /// They are passed on.
     Open,
     /// They are passed on so much later.
@@ -20,18 +20,18 @@ pub enum Mode {
 }
 
 /// Passes bytes on between whoever connects and a router.
-pub struct Line {
+pub(crate) struct Line {
     state: Arc<State>,
     /// Where to connect: an address of Zenoh.
-    pub address: String,
+    pub(crate) address: String,
 }
 
 /// What has passed.
 #[derive(Debug, Clone, Copy)]
-pub struct Passed {
-    pub bytes: u64,
+pub(crate) struct Passed {
+    pub(crate) bytes: u64,
     /// How often bytes came together.
-    pub chunks: u64,
+    pub(crate) chunks: u64,
 }
 
 struct State {
@@ -44,7 +44,7 @@ struct State {
 
 impl Line {
     /// A line to the router at a Zenoh address.
-    pub fn to(router: &str) -> Self {
+    pub(crate) fn to(router: &str) -> Self {
         let router = router.trim_start_matches("tcp/").to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = format!("tcp/{}", listener.local_addr().expect("its address"));
@@ -66,7 +66,7 @@ impl Line {
     }
 
     /// What has passed so far, in both directions.
-    pub fn passed(&self) -> Passed {
+    pub(crate) fn passed(&self) -> Passed {
         Passed {
             bytes: self.state.bytes.load(Ordering::Relaxed),
             chunks: self.state.chunks.load(Ordering::Relaxed),
@@ -74,7 +74,7 @@ impl Line {
     }
 
     /// Changes what becomes of bytes, also of those under way.
-    pub fn set(&self, mode: Mode) {
+    pub(crate) fn set(&self, mode: Mode) {
         *self.state.mode.lock().unwrap() = mode;
         self.state.changed.notify_all();
         if mode == Mode::Cut {
