@@ -37,6 +37,9 @@ pub(crate) struct Soak {
     /// Seconds of recording images and values; each takes 10 MB of the disk.
     #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(1..))]
     recording: u32,
+    /// Tasks through a fleet whose routers, agents and connections fail.
+    #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(10..))]
+    fleet: u32,
 }
 
 /// Builds the programs to measure.
@@ -58,6 +61,9 @@ impl Soak {
                 .env("ZTL_MANY_TASKS", self.many.to_string())
                 .run()?;
         }
+        let fleet = project.cargo("test --release --package ztl-fleet --test processes --");
+        let fleet = fleet.args(["--nocapture", "faults::"]);
+        fleet.env("ZTL_FLEET_TASKS", self.fleet.to_string()).run()?;
         install::python(project)?;
         let bench = project.cargo("bench --package ztl-tests --bench server -- streams-recording");
         let seconds = self.recording.to_string();
@@ -96,12 +102,13 @@ impl Cuts {
     }
 }
 
-/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, actions of ROS 1, calls of NAOqi, and parts of the server comparison.
-pub(crate) const PARTS: [&str; 14] = [
+/// Parts of the benchmark that can be run alone: the cycles of a microcontroller, the web console, actions of ROS 1, calls of NAOqi, fleets, and parts of the server comparison.
+pub(crate) const PARTS: [&str; 15] = [
     "firmware",
     "web",
     "ros1",
     "naoqi",
+    "fleet",
     "rates",
     "most",
     "cpu",
@@ -119,7 +126,8 @@ pub(crate) const PARTS: [&str; 14] = [
 pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
     let all = parts.is_empty();
     let wanted = |part: &str| all || parts.iter().any(|wanted| wanted == part);
-    let others = |part: &&String| !["firmware", "web", "ros1", "naoqi"].contains(&part.as_str());
+    let others =
+        |part: &&String| !["firmware", "web", "ros1", "naoqi", "fleet"].contains(&part.as_str());
     let server: Vec<_> = parts.iter().filter(others).collect();
     if wanted("ros1") {
         install::actionlib(&project.sh)?;
@@ -148,6 +156,12 @@ pub(crate) fn bench(project: &Project, parts: &[String]) -> Result<()> {
         let figures = project.cargo("test --release --package ztl-tests --test web --");
         let choice = ["--ignored", "--nocapture", "--test-threads", "1", "figures"];
         figures.args(choice).run()?;
+    }
+    if wanted("fleet") {
+        project.cargo(BUILD).run()?;
+        project
+            .cargo("bench --package ztl-fleet --bench fleet")
+            .run()?;
     }
     if wanted("firmware") {
         firmware::bench(project)?;

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -22,6 +22,13 @@ use crate::wire::{RobotInfo, Verdict, fresh, is_abort};
 
 /// How long a question may act after it was sent, by the robot's clock.
 const VALID_MS: u64 = 2500;
+
+/// A reply to the question with this index, and the way back for the reply to another one.
+struct Told {
+    index: usize,
+    verdict: Verdict,
+    replies: Sender<Self>,
+}
 
 /// What asks robots.
 #[derive(Clone)]
@@ -142,7 +149,8 @@ impl Caller {
                 callback,
                 drop: on_end,
             };
-            let query = self.session.get(selector).priority(priority);
+            // "Express": neither the question nor its answer waits for a batch.
+            let query = self.session.get(selector).priority(priority).express(true);
             let query = query.payload(request.body).timeout(limit);
             return query.with(handler).wait();
         };
@@ -194,13 +202,14 @@ impl Caller {
         let query = self.session.get(key(request.robot, agent, "sealed"));
         let query = query
             .priority(priority)
+            .express(true)
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None);
         query.payload(sealed).timeout(limit).with(handler).wait()
     }
 
     /// Asks several agents at once, and waits for their replies; `None` where there is none within the limit. A robot that has
-    /// to tell its clock first is asked twice.
+    /// to tell its clock first is asked again at once, whether or not the others have answered.
     #[must_use]
     pub fn ask_all(
         &self,
@@ -209,35 +218,10 @@ impl Caller {
         body: &[u8],
         limit: Duration,
     ) -> Vec<Option<Verdict>> {
-        let first: Vec<_> = agents.iter().map(|agent| (agent, fresh(0, 0))).collect();
-        let mut all = self.ask_round(&first, what, body, limit);
-        let mut again = Vec::new();
-        let mut places = Vec::new();
-        for (place, (agent, told)) in agents.iter().zip(&all).enumerate() {
-            if let Some(Verdict::Stale { boot, clock_ms }) = told {
-                again.push((agent, fresh(*boot, clock_ms.saturating_add(VALID_MS))));
-                places.push(place);
-            }
-        }
-        let told = self.ask_round(&again, what, body, limit);
-        for (place, verdict) in places.into_iter().zip(told) {
-            if let Some(slot) = all.get_mut(place) {
-                *slot = verdict;
-            }
-        }
-        all
-    }
-
-    fn ask_round(
-        &self,
-        agents: &[(&(String, String), String)],
-        what: &str,
-        body: &[u8],
-        limit: Duration,
-    ) -> Vec<Option<Verdict>> {
-        let (sender, receiver) = channel();
-        for (index, ((robot, agent), parameters)) in agents.iter().enumerate() {
-            let replies = sender.clone();
+        let ask = |index: usize, parameters: &str, replies: Sender<Told>| {
+            let Some((robot, agent)) = agents.get(index) else {
+                return;
+            };
             let request = Request {
                 robot,
                 what,
@@ -246,17 +230,38 @@ impl Caller {
                 body,
             };
             let on_reply = move |verdict| {
+                let told = Told {
+                    index,
+                    verdict,
+                    replies: replies.clone(),
+                };
                 // The receiver is there as long as this function.
-                let _ = replies.send((index, verdict));
+                let _ = replies.send(told);
             };
             // Without an answer, the slot stays empty.
             let _ = self.ask(agent, &request, limit, on_reply, || {});
+        };
+        let (sender, receiver) = channel();
+        for index in 0..agents.len() {
+            ask(index, &fresh(0, 0), sender.clone());
         }
+        // It ends when no question is open, as each holds a sender.
         drop(sender);
         let mut all = vec![None; agents.len()];
-        for (index, verdict) in receiver {
-            if let Some(slot @ None) = all.get_mut(index) {
-                *slot = Some(verdict);
+        for told in receiver {
+            let Told {
+                index,
+                verdict,
+                replies,
+            } = told;
+            match (all.get_mut(index), &verdict) {
+                (Some(slot @ None), Verdict::Stale { boot, clock_ms }) => {
+                    let again = fresh(*boot, clock_ms.saturating_add(VALID_MS));
+                    *slot = Some(verdict);
+                    ask(index, &again, replies);
+                }
+                (Some(slot @ (None | Some(Verdict::Stale { .. }))), _) => *slot = Some(verdict),
+                _ => {}
             }
         }
         all

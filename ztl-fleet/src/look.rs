@@ -59,8 +59,16 @@ impl Select {
     }
 
     fn find(&self) -> Result<(Caller, Vec<Found>), session::ZenohError> {
+        self.find_with(|caller, agents| caller.infos(agents, LIMIT))
+    }
+
+    /// The same; `infos` asks what the agents say.
+    fn find_with(
+        &self,
+        infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
+    ) -> Result<(Caller, Vec<Found>), session::ZenohError> {
         let (caller, config) = self.open()?;
-        let (all, refused) = self.look(&caller, &config)?;
+        let (all, refused) = self.look_with(&caller, &config, infos)?;
         for (robot, agent) in refused {
             line(refusal(&robot, &agent))?;
         }
@@ -73,11 +81,20 @@ impl Select {
         caller: &Caller,
         config: &EndpointConfig,
     ) -> Result<(Vec<Found>, Agents), session::ZenohError> {
+        self.look_with(caller, config, |caller, agents| caller.infos(agents, LIMIT))
+    }
+
+    fn look_with(
+        &self,
+        caller: &Caller,
+        config: &EndpointConfig,
+        infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
+    ) -> Result<(Vec<Found>, Agents), session::ZenohError> {
         let present = session::present(caller.session(), "*", LIMIT)?;
         let (agents, refused): (Agents, Agents) = present
             .into_iter()
             .partition(|(robot, agent)| caller.accepts(robot, agent));
-        let infos = caller.infos(&agents, LIMIT);
+        let infos = infos(caller, &agents);
         let there: BTreeSet<&String> = agents.iter().map(|(robot, _)| robot).collect();
         let missing = config.robots.keys().filter(|name| !there.contains(name));
         let missing = missing.map(|name| Found {
@@ -198,7 +215,11 @@ impl Select {
 
     /// Exit code 0 if every robot has confirmed that nothing runs.
     pub(crate) fn stop_all(self) -> Done {
-        let (caller, all) = self.find()?;
+        let (caller, all) = self.find_with(|caller, agents| match self.group {
+            // No robot waits for what another one says.
+            None => vec![None; agents.len()],
+            Some(_) => caller.infos(agents, LIMIT),
+        })?;
         let mut good = true;
         let answers = ask(&caller, &all, "stop", b"", STOPPING);
         for (found, answer) in all.iter().zip(answers) {

@@ -1,9 +1,15 @@
 //! The commands that look at a fleet, and the end of those that serve it.
 
 use std::process::Command;
+use std::sync::mpsc::channel;
 
+use zenoh::Wait as _;
+use ztl_fleet::caller::Caller;
+use ztl_fleet::config::Links;
+use ztl_fleet::session::{self, key};
+use ztl_fleet::wire::Verdict;
 use ztl_std::State;
-use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, start};
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, reserve_port, start};
 
 use crate::{Fleet, fleet};
 
@@ -69,6 +75,71 @@ fn a_signal_ends_each_part_of_a_fleet_in_order() {
     assert_eq!(endpoint.code, Some(143), "{endpoint:?}");
     let router = ended(fleet.router, "TERM");
     assert_eq!(router.code, Some(143), "{router:?}");
+}
+
+/// The agent of robots that these tests make up.
+const AGENT: &str = "0123456789abcdef0123456789abcdef";
+
+/// A session at a router.
+fn session(router: &str) -> zenoh::Session {
+    let links = Links {
+        routers: vec![router.to_owned()],
+        ..Links::default()
+    };
+    session::open(&links, false).unwrap()
+}
+
+#[test]
+fn a_robot_that_does_not_answer_delays_no_question_to_another() {
+    let fleet = Fleet::new();
+    let (robots, asker) = (session(&fleet.address), session(&fleet.address));
+    let (again, is_asked_again) = channel();
+    // It tells its clock first.
+    let arm = robots.declare_queryable(key("arm", AGENT, "stop"));
+    let stale = std::sync::Mutex::new(Some("stale: boot=7 clock=1"));
+    let arm = arm.callback(move |query| match stale.lock().unwrap().take() {
+        Some(stale) => query.reply_err(stale).wait().unwrap(),
+        None => {
+            query.reply(query.key_expr().clone(), "{}").wait().unwrap();
+            again.send(()).unwrap();
+        }
+    });
+    let _arm = arm.wait().unwrap();
+    // It answers only after the other one was asked again.
+    let leg = robots.declare_queryable(key("leg", AGENT, "stop")).wait();
+    let leg = leg.unwrap();
+    let answers = std::thread::spawn(move || {
+        let query = leg.recv().unwrap();
+        is_asked_again.recv_timeout(PATIENCE).unwrap();
+        query.reply(query.key_expr().clone(), "{}").wait().unwrap();
+    });
+    let agents = ["arm", "leg"].map(|robot| (robot.to_owned(), AGENT.to_owned()));
+    let told = Caller::plain(asker).ask_all(&agents, "stop", b"", 2 * PATIENCE);
+    let answer = Some(Verdict::Answer(b"{}".to_vec()));
+    assert_eq!(told, [answer.clone(), answer]);
+    answers.join().unwrap();
+}
+
+#[test]
+fn stop_all_asks_nothing_before_it_stops() {
+    let scratch = Scratch::new();
+    let address = format!("tcp/127.0.0.1:{}", reserve_port());
+    let _router = Fleet::start_router(&scratch, &address);
+    let robot = session(&address);
+    let asked = robot.declare_queryable(key("leg", AGENT, "*")).wait();
+    let asked = asked.unwrap();
+    let alive = robot.liveliness().declare_token(key("leg", AGENT, "alive"));
+    let _alive = alive.wait().unwrap();
+    let file = scratch.path("endpoint.yaml");
+    std::fs::write(&file, format!("routers: {address}\n")).unwrap();
+    let stop = Process::start(&mut fleet(&["stop-all"], &file));
+    let query = asked.recv().unwrap();
+    assert_eq!(query.key_expr().as_str(), key("leg", AGENT, "stop"));
+    let told = r#"{"stopped":[],"running":[],"unknown":null}"#;
+    query.reply(query.key_expr().clone(), told).wait().unwrap();
+    drop(query);
+    let told = stop.end(PATIENCE).stdout;
+    assert!(told.contains("leg  stopped: 0 tasks"), "{told}");
 }
 
 /// `ztl-fleet demo`, whose files are in the directory.

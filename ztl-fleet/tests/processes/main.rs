@@ -9,7 +9,10 @@
 
 mod busy;
 mod commands;
+mod faults;
 mod identity;
+#[expect(dead_code, reason = "the benchmark uses the rest")]
+mod line;
 mod pictures;
 mod scene;
 
