@@ -434,7 +434,8 @@ fn an_abort_is_tried_again_after_a_late_answer_to_the_last() {
         robot.line_with("silent");
     }
     assert_eq!(nao.run("p", "stop", ""), completed("None"));
-    assert_eq!(end(&mut remote, task), completed("False"));
+    // Nobody can tell whether one of the aborts has ended it after all.
+    assert_eq!(end(&mut remote, task), (Aborted, "aborted".to_owned()));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use ztl_std::State;
 use ztl_std::State::{Aborted, Completed, Failed};
-use ztl_tests::lab::{Process, Scratch, end, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, end, until, ztl};
 
 use web::{Served, Web, Wire, say};
 
@@ -243,6 +243,58 @@ fn an_abort_reaches_a_robot_that_has_not_answered_and_again_after_its_answer() {
 }
 
 #[test]
+fn a_robot_that_is_idle_since_it_was_aborted_has_not_completed_its_task() {
+    let halted = Arc::new(Mutex::new(false));
+    let web = Web::start(move |(what, ..), stream| match what.as_str() {
+        "POST /halt" => {
+            *halted.lock().expect("a truth value") = true;
+            say(stream, "200 OK", "");
+        }
+        "GET /state" => {
+            // The answer is under way when the abort comes.
+            until("an abort", PATIENCE, || {
+                halted.lock().expect("a truth value").then_some(())
+            });
+            say(stream, "200 OK", r#"{"state": "idle"}"#);
+        }
+        // It stops, and says nothing.
+        "POST /mute" => {}
+        _ => say(stream, "200 OK", ""),
+    });
+    let served = Served::new(
+        &web,
+        "move: {http: {post: 'http://{robot}/move', abort: {post: 'http://{robot}/halt'},
+                       progress: {get: 'http://{robot}/state', every: 1 ms, until: {field: state, is: idle}}}},
+         nap: {http: {post: 'http://{robot}/nap', for: 3 s, abort: {post: 'http://{robot}/mute'}}}",
+    );
+    let (mut remote, task) = served.trigger("p", "move", "");
+    web.wait_for("GET /state");
+    remote.abort(task).expect("an answer");
+    assert_eq!(end(&mut remote, task), (Aborted, "aborted".to_owned()));
+
+    let (mut remote, task) = served.trigger("p", "nap", "");
+    web.wait_for("POST /nap");
+    remote.abort(task).expect("an answer");
+    let (state, text) = end(&mut remote, task);
+    let unknown = "unknown: an abort was sent, which may have ended it early: ";
+    assert_eq!((state, text.as_str()), (Failed, unknown));
+}
+
+#[test]
+fn a_robot_whose_name_is_not_found_rejects_the_task() {
+    let web = Web::start(|_, stream| say(stream, "200 OK", ""));
+    // A label has at most 63 characters, so that no server of names is asked.
+    let name = format!("{}.local", "x".repeat(64));
+    let text = format!("go: {{http: {{post: 'http://{name}/go'}}}}");
+    let (state, text) = Served::new(&web, &text).run("p", "go", "");
+    let told = format!("POST http://{name}/go: ");
+    assert!(
+        state == State::Rejected && text.starts_with(&told),
+        "{state} {text}"
+    );
+}
+
+#[test]
 fn mistakes_of_the_file_have_their_places() {
     let scratch = Scratch::new();
     let path = scratch.path("robot.yaml");
@@ -261,6 +313,7 @@ scopes: {/test: {p: {
     j: {http: {event: {get: 'http://10.0.0.7/', send: 1, until: {event: x}, ready: {has: ''}}}},
     k: {http: {for: 1 s, event: {get: 'wss://{safe}:x/', until: {event: x}}}},
     l: {http: {get: 'http://{safe}/', event: {get: 'ws://{safe}/'}}},
+    n: {http: {post: 'http://10.0.0.7/', for: soon, done: []}},
     m: {http: {psot: 'http://10.0.0.7/'}, abort: {post: 'http://10.0.0.7/'}}}}}
 streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event: 1, x: 1}, frame: line}}}";
     std::fs::write(&path, text).expect("to write");
@@ -291,17 +344,19 @@ streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event:
         ":12:90: '' is not a field of the answer",
         ":13:33: give only one of: for, progress, event",
         ":14:46: 'until' is missing",
-        ":15:16: unknown key 'psot'; did you mean 'post'?",
-        ":15:50: this stands beside http; write it inside: http: {…, abort: …}",
-        ":16:41: no goal has 'x': it is nothing",
-        ":16:85: unknown key 'x'",
-        ":16:99: each message is a frame; leave this out",
+        ":15:47: 'soon' is not a time",
+        ":15:59: this list is empty",
+        ":16:16: unknown key 'psot'; did you mean 'post'?",
+        ":16:50: this stands beside http; write it inside: http: {…, abort: …}",
+        ":17:41: no goal has 'x': it is nothing",
+        ":17:85: unknown key 'x'",
+        ":17:99: each message is a frame; leave this out",
     ] {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }
     // Each mistake is told once.
     assert_eq!(
-        ended.stderr.matches("yaml:15:").count(),
+        ended.stderr.matches("yaml:16:").count(),
         2,
         "{}",
         ended.stderr

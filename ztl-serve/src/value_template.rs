@@ -69,6 +69,18 @@ impl ValueTemplate {
         }
     }
 
+    /// Whether it differs from task to task of the same goal: it uses the task's id, or the answer.
+    #[cfg(feature = "http")]
+    pub(crate) fn names_task(&self) -> bool {
+        match self {
+            Self::Answer(_) => true,
+            Self::Text(template) => template.names_task(),
+            Self::Fixed(_) | Self::Goal { .. } => false,
+            Self::List(items) => items.iter().any(Self::names_task),
+            Self::Map(pairs) => pairs.iter().any(|(_, value)| value.names_task()),
+        }
+    }
+
     /// Adds each part of the goal that it uses.
     pub(crate) fn goal_paths<'t>(&'t self, paths: &mut Vec<&'t [String]>) {
         match self {
@@ -197,6 +209,11 @@ impl<'d> ConfigReader<'d> {
                 Some(ValueTemplate::List(items))
             }
             NodeValue::Map(pairs) => {
+                if let Some(name) = unquoted(pairs) {
+                    let message = format!("YAML reads this as a mapping; write \"{{{name}}}\"");
+                    self.yaml.wrong(node, message);
+                    return None;
+                }
                 let pairs = pairs.iter().map(|(key, value)| {
                     let name = self.yaml.text(key, "the name of a field");
                     let value = self.value_template(value, rule);
@@ -207,6 +224,21 @@ impl<'d> ConfigReader<'d> {
                 Some(ValueTemplate::Map(pairs))
             }
         }
+    }
+}
+
+/// The placeholder that lacks its quotes: `{goal}` is a mapping with a key and no value.
+fn unquoted(pairs: &[(Node, Node)]) -> Option<&str> {
+    match pairs {
+        [(key, value)] if value.is_null() => match &key.value {
+            NodeValue::Scalar { text, .. } => {
+                let quoted = format!("{{{text}}}");
+                let template = Template::parse_with_answer(&quoted);
+                template.is_ok_and(|it| !it.is_fixed()).then_some(text)
+            }
+            _ => None,
+        },
+        _ => None,
     }
 }
 
@@ -305,6 +337,12 @@ mod tests {
 
     #[test]
     fn mistakes_have_their_places() {
+        for (template, name) in [("{a: {goal}}", "{goal}"), ("[{goal.x}]", "{goal.x}")] {
+            let said = filled(template, &GoalRule::Any, "").expect_err("a mistake");
+            let wanted = format!("YAML reads this as a mapping; write \"{name}\"");
+            assert!(said.contains(&wanted), "{said}");
+        }
+        assert!(filled("{x: ~}", &GoalRule::Any, "").is_ok());
         let said =
             filled("[2020-01-01, '{gaol}', .inf]", &GoalRule::Any, "").expect_err("mistakes");
         for part in [

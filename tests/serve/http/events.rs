@@ -111,6 +111,63 @@ fn an_event_ends_a_task_also_one_that_comes_before_the_answer() {
 }
 
 #[test]
+fn an_event_from_before_the_answer_ends_no_task_that_it_does_not_name() {
+    let news = News::default();
+    let told = news.clone();
+    let is_read = Arc::new(Mutex::new(false));
+    let read = Arc::clone(&is_read);
+    let web = Web::start(move |request, wire| match request.0.as_str() {
+        "GET /events" => {
+            let mut socket = Socket::accept(request, wire);
+            // What it does when somebody begins to listen.
+            assert!(socket.send(r#"{"state": "idle"}"#));
+            *read.lock().expect("a truth value") = socket.wait_until_read();
+            told.tell(&mut socket);
+        }
+        "POST /drive" => {
+            until("the event is read", PATIENCE, || {
+                is_read.lock().expect("a truth value").then_some(())
+            });
+            say(wire, "200 OK", "");
+        }
+        _ => say(wire, "404 Not Found", ""),
+    });
+    let served = Served::new(
+        &web,
+        "drive: {http: {post: 'http://{robot}/drive', limit: 1 min,
+                event: {get: 'ws://{robot}/events', until: {field: state, is: idle}, show: state}}}",
+    );
+    let (mut remote, task) = served.trigger("p", "drive", "");
+    until("progress", PATIENCE, || {
+        // It listens from some time on.
+        news.add(r#"{"state": "busy"}"#);
+        (remote.status(task).expect("a status").text == "busy").then_some(())
+    });
+    news.add(r#"{"state": "idle"}"#);
+    assert_eq!(end(&mut remote, task).0, Completed);
+}
+
+#[test]
+fn a_flood_of_events_keeps_no_task_beyond_its_limit() {
+    let web = Web::start(|request, wire| {
+        if request.0 == "GET /events" {
+            let head = "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n";
+            let _ = wire.write_all(head.as_bytes());
+            let event = format!("data: {{\"s\": \"{}\"}}\n\n", "x".repeat(60_000));
+            while wire.write_all(event.as_bytes()).is_ok() {}
+        }
+        say(wire, "200 OK", "");
+    });
+    let served = Served::new(
+        &web,
+        "go: {http: {post: 'http://{robot}/go', limit: 1 s, event: {get: 'http://{robot}/events', until: {has: never}, show: s}}}",
+    );
+    let (state, text) = served.run("p", "go", "");
+    let limit = "not over within 1 s; it may still run";
+    assert_eq!((state, text.as_str()), (Failed, limit));
+}
+
+#[test]
 fn a_task_whose_events_are_lost_or_never_come_says_so() {
     let web = Web::start(|request, wire| match request.0.as_str() {
         "GET /closes" => Socket::accept(request, wire).close(),
@@ -133,17 +190,19 @@ fn a_task_whose_events_are_lost_or_never_come_says_so() {
                     "y".repeat(50)
                 ));
             }
-            socket.send(r#"{"done": true}"#);
-            while socket.next(TICK).is_ok() {}
+            // What comes before the answer does not count.
+            while socket.send(r#"{"done": true}"#) && socket.next(TICK).is_ok() {}
         }
         "GET /none" => say(wire, "403 Forbidden", ""),
         "GET /sse" => {
             let head =
                 "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nConnection: close\r\n\r\n";
             let _ = wire.write_all(head.as_bytes());
-            let events =
-                ": hello\n\nevent: other\ndata: x\n\nevent: end\ndata: all\ndata: done\n\n";
-            let _ = wire.write_all(events.as_bytes());
+            let _ = wire.write_all(b": hello\n\nevent: other\ndata: x\n\n");
+            let end = b"event: end\ndata: all\ndata: done\n\n";
+            while wire.write_all(end).is_ok() {
+                std::thread::sleep(TICK);
+            }
         }
         "GET /text" => say(wire, "200 OK", "data: x\n\n"),
         _ => say(wire, "200 OK", ""),

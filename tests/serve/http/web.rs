@@ -190,6 +190,20 @@ impl<'w> Socket<'w> {
         self.0.send(Message::text(text)).is_ok()
     }
 
+    /// Waits until the client has read everything that was sent. False if it has gone.
+    pub(crate) fn wait_until_read(&mut self) -> bool {
+        let mut pings = self.0.send(Message::Ping(Vec::new().into())).is_ok();
+        let _ = self.0.get_ref().tcp().set_read_timeout(Some(PATIENCE));
+        while pings {
+            match self.0.read() {
+                Ok(Message::Pong(_)) => return true,
+                Ok(_) => {}
+                Err(_) => pings = false,
+            }
+        }
+        false
+    }
+
     pub(crate) fn close(&mut self) {
         let _ = self.0.close(None);
         let _ = self.0.flush();

@@ -68,6 +68,15 @@ impl Condition {
         }
     }
 
+    /// Whether only what belongs to this task fulfils it: in each way it names the task's id, or the answer.
+    pub(super) fn names_task(&self) -> bool {
+        match self {
+            Self::Success | Self::Code(_) | Self::Name(_) | Self::Has(_) => false,
+            Self::Fields(fields) => fields.iter().any(|(_, is)| is.names_task()),
+            Self::Any(conditions) => conditions.iter().all(Self::names_task),
+        }
+    }
+
     /// Adds each part of the goal that it uses.
     pub(super) fn goal_paths<'s>(&'s self, paths: &mut Vec<&'s [String]>) {
         match self {
@@ -104,6 +113,11 @@ impl<'d> ConfigReader<'d> {
     ) -> Option<Condition> {
         match &node.value {
             NodeValue::Map(_) => self.http_fields_condition(node, rule, of),
+            NodeValue::List(nodes) if nodes.is_empty() => {
+                self.yaml
+                    .wrong(node, "this list is empty, so that nothing is enough");
+                None
+            }
             NodeValue::List(nodes) => {
                 let all = nodes
                     .iter()

@@ -46,6 +46,12 @@ impl Closer {
         }
     }
 
+    /// Whether a connection was opened.
+    pub(super) fn has_opened(&self) -> bool {
+        let state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        state.1.is_some()
+    }
+
     fn add(&self, stream: &TcpStream) -> io::Result<()> {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if state.0 {

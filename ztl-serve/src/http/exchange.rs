@@ -138,13 +138,20 @@ fn send(request: &Filled, uri: &Uri, until: Instant) -> Result<Response<Body>, N
             sent: false,
         });
     }
+    let closer = Closer::default();
     let dial = Dial {
         trust: request.trust.clone(),
-        closer: Closer::default(),
+        closer: closer.clone(),
         silence: None,
     };
     let answer = connection(request, uri, dial, Some(left));
-    answer.map_err(|error| no_answer(&error))
+    answer.map_err(|error| {
+        let error = no_answer(&error);
+        NoAnswer {
+            sent: error.sent && closer.has_opened(),
+            ..error
+        }
+    })
 }
 
 /// Sends a request on a connection of its own, and waits for the beginning of the answer. `limit`: how long all of it may

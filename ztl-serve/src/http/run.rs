@@ -48,7 +48,7 @@ pub(super) fn start(kind: Arc<HttpTask>, call: Arc<Call>, task: JobContext) -> S
     });
     let worker = Arc::clone(&run);
     let spawned = spawn("ztl-http", move || {
-        let outcome = worker.run();
+        let outcome = worker.certain(worker.run());
         worker.task.effect(Effect::End(outcome));
     });
     match spawned {
@@ -78,6 +78,8 @@ struct Shared {
     changed: Condvar,
     /// Whether the task's thread waits for an answer, so that it cannot abort.
     is_asking: AtomicBool,
+    /// Whether an abort was sent that may have ended what the robot does.
+    may_be_aborted: AtomicBool,
     /// Whether a thread aborts meanwhile. Clients may ask for an abort more often than a robot answers.
     is_aborting: AtomicBool,
 }
@@ -114,6 +116,14 @@ impl Shared {
         }
         drop(state);
         self.changed.notify_all();
+    }
+
+    /// Drops the events that were heard so far.
+    fn forget_events(&self) {
+        let mut state = self.lock();
+        let is_end = |heard: &Heard| matches!(heard, Heard::Closed(_));
+        state.heard.retain(is_end);
+        state.bytes = state.heard.iter().map(Heard::len).sum();
     }
 
     /// Waits until this time, or until the task is to be aborted. Returns whether it is.
@@ -208,6 +218,12 @@ impl Run {
         call.answer = answer.value().cloned();
         let _ = self.answered.set(call);
         self.task.effect(Effect::Accept);
+        if let Some((event, _)) = &event
+            && !event.names_task()
+        {
+            // They may tell what was before.
+            self.shared.forget_events();
+        }
         if let Some(outcome) = self.aborted() {
             return outcome;
         }
@@ -228,6 +244,18 @@ impl Run {
                 }
                 Outcome::Completed(result)
             }
+        }
+    }
+
+    /// What has become of it, as far as that is certain.
+    fn certain(&self, outcome: Outcome) -> Outcome {
+        match outcome {
+            Outcome::Completed(text) if self.shared.may_be_aborted.load(Ordering::SeqCst) => {
+                Outcome::Failed(format!(
+                    "{UNKNOWN_OUTCOME}an abort was sent, which may have ended it early: {text}"
+                ))
+            }
+            outcome => outcome,
         }
     }
 
@@ -256,9 +284,9 @@ impl Run {
                     return Ok(listening);
                 }
                 (Some(Heard::Closed(reason)), _) => return rejected(&reason),
-                (Some(_), _) => {}
-                (None, None) => return rejected("not connected in time"),
-                (None, Some(_)) => {
+                (Some(_), _) if Instant::now() < until => {}
+                (_, None) => return rejected("not connected in time"),
+                (_, Some(_)) => {
                     return rejected("no event has confirmed in time that it listens (ready)");
                 }
             }
@@ -309,15 +337,14 @@ impl Run {
                         "{UNKNOWN_OUTCOME}no more events of {name}, {stopped}: {reason}"
                     ));
                 }
-                Some(Heard::Open) => {}
-                None if Instant::now() >= until => {
-                    let limit = human_time(self.kind.limit);
-                    return Outcome::Failed(match self.kind.request {
-                        None => format!("no such event within {limit}"),
-                        Some(_) => format!("not over within {limit}; {}", self.stopped()),
-                    });
-                }
-                None => {}
+                Some(Heard::Open) | None => {}
+            }
+            if Instant::now() >= until {
+                let limit = human_time(self.kind.limit);
+                return Outcome::Failed(match self.kind.request {
+                    None => format!("no such event within {limit}"),
+                    Some(_) => format!("not over within {limit}; {}", self.stopped()),
+                });
             }
             if let Some(text) = shown.take() {
                 self.task.effect(Effect::Progress(text));
@@ -395,6 +422,10 @@ impl Run {
                     let until = until.min(Instant::now() + QUESTION);
                     self.exchange(&request, until)
                 });
+            // What it says now may be because of an abort that came meanwhile.
+            if let Some(outcome) = self.aborted() {
+                return outcome;
+            }
             let text = match &answer {
                 Ok(answer) => {
                     silent = None;
@@ -477,9 +508,16 @@ impl Run {
                 std::thread::sleep(PAUSE);
             }
             match exchange(&filled, until) {
-                Ok(answer) if done.holds(&answer, self.call()) => return Ok(()),
+                Ok(answer) if done.holds(&answer, self.call()) => {
+                    self.shared.may_be_aborted.store(true, Ordering::SeqCst);
+                    return Ok(());
+                }
                 Ok(answer) => reason = answer.failure(),
-                Err(error) => reason = error.to_string(),
+                Err(error) => {
+                    let may_be = &self.shared.may_be_aborted;
+                    may_be.fetch_or(error.sent, Ordering::SeqCst);
+                    reason = error.to_string();
+                }
             }
         }
         Err(format!("{}: {reason}", request.name()))

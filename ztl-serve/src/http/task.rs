@@ -107,7 +107,7 @@ pub(crate) fn read<'d>(
         reader.yaml.wrong(second, message);
     }
     let after = match first {
-        Some(("for", node)) => reader.value_template(node, rule).map(After::Lasts),
+        Some(("for", node)) => reader.http_lasts(node, rule).map(After::Lasts),
         Some(("progress", node)) => {
             let progress = reader.with_answer(|reader| reader.http_progress(node, rule));
             progress.map(Box::new).map(After::Progress)
@@ -166,6 +166,17 @@ impl<'d> ConfigReader<'d> {
         let value = read(self);
         self.knows_answer = false;
         value
+    }
+
+    /// Reads how long a task lasts.
+    fn http_lasts(&mut self, node: &'d Node, rule: &GoalRule) -> Option<ValueTemplate> {
+        let template = self.value_template(node, rule)?;
+        if let ValueTemplate::Fixed(value) = &template
+            && let Err(mistake) = duration(value)
+        {
+            self.yaml.wrong(node, mistake);
+        }
+        Some(template)
     }
 
     fn http_abort(
@@ -231,6 +242,14 @@ impl<'d> ConfigReader<'d> {
     }
 }
 
+impl EndEvent {
+    /// Whether only events of this task end it.
+    pub(super) fn names_task(&self) -> bool {
+        let failed = self.failed.as_ref();
+        self.until.names_task() && failed.is_none_or(Condition::names_task)
+    }
+}
+
 impl HttpTask {
     fn requests(&self) -> impl Iterator<Item = &RequestTemplate> {
         let abort = self.abort.as_ref().map(|(request, _)| request);
@@ -274,19 +293,23 @@ impl HttpTask {
         let After::Lasts(template) = &self.after else {
             return Ok(Duration::ZERO);
         };
-        let value = template.fill(call)?;
-        let time = match &value {
-            GoalValue::Integer(seconds) => Duration::try_from_secs_f64(*seconds as f64).ok(),
-            GoalValue::Float(seconds) => Duration::try_from_secs_f64(*seconds).ok(),
-            GoalValue::Text(text) => humantime::parse_duration(text).ok(),
-            _ => None,
-        };
-        let time = time.filter(|time| *time <= LONGEST);
-        time.ok_or_else(|| {
-            let value = value.to_text().unwrap_or_default();
-            format!("'{value}' is not a time: expected seconds, or as 500 ms, at most 24 h")
-        })
+        duration(&template.fill(call)?)
     }
+}
+
+/// A time: seconds, or as `500 ms`.
+fn duration(value: &GoalValue) -> Result<Duration, String> {
+    let time = match value {
+        GoalValue::Integer(seconds) => Duration::try_from_secs_f64(*seconds as f64).ok(),
+        GoalValue::Float(seconds) => Duration::try_from_secs_f64(*seconds).ok(),
+        GoalValue::Text(text) => humantime::parse_duration(text).ok(),
+        _ => None,
+    };
+    let time = time.filter(|time| *time <= LONGEST);
+    time.ok_or_else(|| {
+        let value = value.to_text().unwrap_or_default();
+        format!("'{value}' is not a time: expected seconds, or as 500 ms, at most 24 h")
+    })
 }
 
 impl Kind for HttpTask {

@@ -203,6 +203,8 @@ impl Kind for MethodCall {
             stage: Stage::Asking(arguments),
             asked: None,
             abort: AbortStage::Idle,
+            aborts_under_way: 0,
+            was_told: false,
             stop_by: None,
             leave_at: None,
         }))
@@ -222,10 +224,8 @@ enum AbortStage {
     Calling,
     /// It has returned.
     Called,
-    /// The call was cancelled; whether what aborts was called before.
-    Canceling {
-        called: bool,
-    },
+    /// The call was cancelled.
+    Canceling,
 }
 
 /// A call under way.
@@ -238,6 +238,10 @@ struct CallJob {
     /// Why it is aborted, if it is.
     asked: Option<StopReason>,
     abort: AbortStage,
+    /// How many calls that abort it have not ended.
+    aborts_under_way: usize,
+    /// Whether one has ended well.
+    was_told: bool,
     /// When the method should have ended after an abort.
     stop_by: Option<Instant>,
     /// When the server stops without an end of the call.
@@ -265,6 +269,10 @@ impl Job for CallJob {
         let JobEvent::Naoqi(event) = event else {
             return;
         };
+        if let Event::AbortEnded(result) = &event {
+            self.aborts_under_way = self.aborts_under_way.saturating_sub(1);
+            self.was_told |= result.is_ok();
+        }
         match event {
             Event::Described(about) => self.on_described(about, effects),
             Event::Ended(result) => effects.push(Effect::End(self.outcome(result))),
@@ -273,7 +281,7 @@ impl Job for CallJob {
             Event::AbortEnded(Ok(_)) => self.abort = AbortStage::Called,
             Event::AbortEnded(Err(error)) => {
                 effects.push(Effect::Progress(format!("cannot abort: {error}")));
-                self.cancel(now, false);
+                self.cancel(now);
             }
             Event::Canceled(Cancel::Impossible) => self.give_up_abort(effects),
             Event::Canceled(_) => {}
@@ -295,10 +303,9 @@ impl Job for CallJob {
         self.stop_by = None;
         match self.abort {
             AbortStage::Calling | AbortStage::Called => {
-                let called = self.abort == AbortStage::Called;
-                self.cancel(now, called);
+                self.cancel(now);
             }
-            AbortStage::Idle | AbortStage::Canceling { .. } => self.give_up_abort(effects),
+            AbortStage::Idle | AbortStage::Canceling => self.give_up_abort(effects),
         }
     }
 }
@@ -332,16 +339,17 @@ impl CallJob {
 
     fn begin_abort(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         let Abort::Call(target) = &self.method.abort else {
-            return self.cancel(now, false);
+            return self.cancel(now);
         };
         let arguments = match target.arguments.fill(&self.call) {
             Ok(arguments) => arguments,
             Err(reason) => {
                 effects.push(Effect::Progress(format!("cannot abort: {reason}")));
-                return self.cancel(now, false);
+                return self.cancel(now);
             }
         };
         self.abort = AbortStage::Calling;
+        self.aborts_under_way += 1;
         self.stop_by = now.checked_add(self.method.grace);
         let (client, target, task) = (self.client.clone(), target.clone(), self.task.clone());
         let wait = self.method.grace;
@@ -360,11 +368,11 @@ impl CallJob {
             });
     }
 
-    fn cancel(&mut self, now: Instant, called: bool) {
+    fn cancel(&mut self, now: Instant) {
         let Stage::Called(handle) = self.stage else {
             return;
         };
-        self.abort = AbortStage::Canceling { called };
+        self.abort = AbortStage::Canceling;
         self.stop_by = now.checked_add(self.method.grace);
         let task = self.task.clone();
         self.client.cancel(handle, move |told| {
@@ -389,11 +397,7 @@ impl CallJob {
             self.asked.map_or_else(by_robot, |why| why.to_string())
         };
         // A method that was told to end by another one returns as if nothing had happened.
-        let was_told = self.asked.is_some()
-            && matches!(
-                self.abort,
-                AbortStage::Calling | AbortStage::Called | AbortStage::Canceling { called: true }
-            );
+        let was_told = self.was_told || self.aborts_under_way > 0;
         match result {
             Ok(_) | Err(CallError::Failed(_)) if was_told => Outcome::Aborted(aborted()),
             Ok(value) => Outcome::Completed(value.to_string()),

@@ -108,6 +108,13 @@ impl Template {
         parts.any(|part| matches!(part, Part::Answer(_)))
     }
 
+    /// Whether it differs from task to task of the same goal.
+    #[cfg(feature = "http")]
+    pub(crate) fn names_task(&self) -> bool {
+        let mut parts = self.0.iter();
+        parts.any(|part| matches!(part, Part::Answer(_) | Part::Id))
+    }
+
     /// The parts of the goal that it uses.
     pub(crate) fn goal_paths(&self) -> impl Iterator<Item = &[String]> {
         self.0.iter().filter_map(|part| match part {

@@ -9,6 +9,9 @@ use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
 /// The most bytes of messages that wait for the thread of all streams. Then the oldest is dropped.
 const MOST: usize = 16 << 20;
 
+/// How many messages are passed on in a turn of the thread, so that it does other things, too.
+const BATCH: usize = 256;
+
 /// What a message takes beside its bytes: a node may flood with empty ones.
 const OVERHEAD: usize = 64;
 
@@ -43,6 +46,8 @@ pub(crate) struct ReceivingJob<S> {
     /// Makes the output for a message.
     output: Box<dyn Fn(Vec<u8>) -> Vec<u8> + Send>,
     is_accepted: bool,
+    /// Whether messages wait that the last turn has not passed on.
+    has_more: bool,
 }
 
 impl<S> ReceivingJob<S> {
@@ -61,6 +66,7 @@ impl<S> ReceivingJob<S> {
             subscription: subscribe(inbox),
             output: Box::new(output),
             is_accepted: false,
+            has_more: false,
         }
     }
 }
@@ -71,7 +77,7 @@ impl<S: Send> Job for ReceivingJob<S> {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let is_due = !self.is_accepted || self.subscription.is_err();
+        let is_due = !self.is_accepted || self.has_more || self.subscription.is_err();
         is_due.then(Instant::now)
     }
 
@@ -83,8 +89,9 @@ impl<S: Send> Job for ReceivingJob<S> {
             return effects.push(Effect::End(Outcome::Failed(reason.clone())));
         }
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        let ended = waiting.ended.take();
         let messages = waiting.take();
+        self.has_more = !waiting.messages.is_empty();
+        let ended = waiting.ended.take_if(|_| !self.has_more);
         drop(waiting);
         let outputs = messages.into_iter().map(&self.output);
         effects.extend(outputs.map(Effect::Output));
@@ -117,10 +124,13 @@ impl Waiting {
         was_empty
     }
 
-    /// Takes all messages.
-    fn take(&mut self) -> VecDeque<Vec<u8>> {
-        self.bytes = 0;
-        std::mem::take(&mut self.messages)
+    /// Takes the oldest messages.
+    fn take(&mut self) -> Vec<Vec<u8>> {
+        let count = self.messages.len().min(BATCH);
+        let taken: Vec<_> = self.messages.drain(..count).collect();
+        let bytes = taken.iter().map(|message| OVERHEAD + message.len());
+        self.bytes -= bytes.sum::<usize>();
+        taken
     }
 }
 
@@ -146,5 +156,9 @@ mod tests {
             waiting.push(Vec::new());
         }
         assert!(waiting.messages.len() < MOST / 32);
+        while !waiting.messages.is_empty() {
+            assert!(waiting.take().len() <= BATCH);
+        }
+        assert_eq!(waiting.bytes, 0);
     }
 }
