@@ -67,7 +67,11 @@ pub fn check(bytes: &[u8]) {
 fn request(payload: &[u8]) {
     let pair = pair();
     let Some((sender, nonce, sealed)) = parts(payload) else {
-        assert!(payload.len() < 32 + NONCE, "{} bytes are too short", payload.len());
+        assert!(
+            payload.len() < 32 + NONCE,
+            "{} bytes are too short",
+            payload.len()
+        );
         return;
     };
     // A robot looks up the key by these bytes.
@@ -139,7 +143,10 @@ fn texts(bytes: &[u8]) {
     if let Ok(Some(rules)) = InitRules::parse(text) {
         assert_eq!(InitRules::parse(&rules.to_parameters()), Ok(Some(rules)));
         if let Some(until) = fresh_until(text, rules.boot, rules.until_ms) {
-            assert_eq!(fresh_until(&fresh(rules.boot, until), rules.boot, until), Some(until));
+            assert_eq!(
+                fresh_until(&fresh(rules.boot, until), rules.boot, until),
+                Some(until)
+            );
         }
     }
 }
