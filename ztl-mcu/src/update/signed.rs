@@ -19,7 +19,7 @@ pub(super) struct Check {
 }
 
 impl Check {
-    /// `None` if the key is not a point of the curve. Takes about as long as 10 [steps](Self::step).
+    /// `None` if the key is not a point of the curve. Takes about as long as 17 of the longest [steps](Self::step).
     // Apart, like `step`: its points would be part of the main loop's stack for ever.
     #[inline(never)]
     pub(super) fn new(

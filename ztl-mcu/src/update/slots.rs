@@ -39,7 +39,8 @@ pub struct Image {
 /// partition less 64 bytes: its manifest stands behind it.
 ///
 /// A call of [`verify`](Updater::verify) hashes 128 bytes, or checks one of the 256 bits of the signature. How far it is stays in
-/// RAM: after a reset, the verification begins from its beginning. `docs/update.md` says how long each call takes.
+/// RAM: after a reset, the verification begins from its beginning. `docs/update.md` says how long each call takes; choose a
+/// [link timeout](crate::Identity::link_timeout) that is longer.
 pub struct Slots<DFU, STATE> {
     dfu: DFU,
     state: STATE,
