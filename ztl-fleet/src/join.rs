@@ -26,7 +26,7 @@ use crate::random;
 use crate::seal;
 use crate::seldom::{Seldom, brief};
 use crate::session::{self, ZenohError, key};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex, is_early};
 use asked::{Asked, Clients, Seen};
 use server::ServerState;
 use stop::Started;
@@ -339,7 +339,8 @@ impl Shared {
             info!(target: "fleet", "INIT {} for '{named}' by {}.", init.id.number, asked.who());
             let server = self.server_boot();
             let body = asked.body.clone();
-            return self.run(|rules| {
+            let early_end = is_early(&asked.parameters);
+            return self.run_init(early_end, |rules| {
                 let number = rules.take(asked);
                 let agent = &mut rules.agent;
                 agent.handle_init(now(), number, init, &body, server)
@@ -453,6 +454,11 @@ impl Shared {
 
     /// Carries out what the rules decide, in order.
     fn run(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
+        self.run_init(false, decide);
+    }
+
+    /// The same; an INIT is forwarded with this wish for an early outcome.
+    fn run_init(&self, early_end: bool, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
         let (mut effects, mut unwritten) = self.decide(decide);
         while !effects.is_empty() {
             let mut next = Vec::new();
@@ -470,7 +476,7 @@ impl Shared {
                     AgentEffect::Forward { id, body } => {
                         let said = match unwritten.take() {
                             Some(reason) => ServerSaid::NotSent(reason),
-                            None => self.forward(id, &body),
+                            None => self.forward(id, &body, early_end),
                         };
                         self.decide(|rules| rules.agent.handle_server(now(), id, said))
                     }
@@ -511,8 +517,12 @@ impl Shared {
         (effects, unwritten)
     }
 
-    fn forward(&self, id: InitId, body: &[u8]) -> ServerSaid {
-        match self.client.ask(Some(envelope(id)), body, ANSWER) {
+    fn forward(&self, id: InitId, body: &[u8], early_end: bool) -> ServerSaid {
+        let envelope = Envelope {
+            early_end,
+            ..envelope(id)
+        };
+        match self.client.ask(Some(envelope), body, ANSWER) {
             Ok(answer) => {
                 self.started().note(&answer);
                 let client = crate::wire::hex(&id.client);
