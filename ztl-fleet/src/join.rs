@@ -6,7 +6,7 @@ mod stop;
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SendError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -36,6 +36,8 @@ pub use stop::Stopped;
 const ANSWER: Duration = Duration::from_secs(2);
 /// Most queries at a time; each has a thread.
 const MOST: usize = 128;
+/// Most threads that wait for a query: starting one takes longer than to wake one.
+const MOST_IDLE: usize = 4;
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
 /// How long the fleet is asked who has the name.
@@ -93,7 +95,31 @@ struct Shared {
     server: Mutex<ServerState>,
     started: Mutex<Started>,
     busy: AtomicUsize,
+    /// Threads that wait for a query.
+    idle: Mutex<Vec<Sender<Job>>>,
     ends: Mutex<Sender<JoinEnd>>,
+}
+
+/// What a thread does.
+type Job = (Arc<Shared>, Box<dyn FnOnce(&Arc<Shared>) + Send>);
+
+/// Does this job, and then others, until there are enough threads or the agent ends.
+fn work(job: Job) {
+    let mut next = Some(job);
+    while let Some((shared, act)) = next.take() {
+        act(&shared);
+        shared.busy.fetch_sub(1, Ordering::SeqCst);
+        let (sender, jobs) = channel();
+        let mut idle = shared.idle();
+        if idle.len() >= MOST_IDLE {
+            return;
+        }
+        idle.push(sender);
+        drop(idle);
+        // While it waits, it does not keep the agent.
+        drop(shared);
+        next = jobs.recv().ok();
+    }
 }
 
 /// Limits what strangers can make it log.
@@ -157,6 +183,7 @@ impl Joined {
             server: Mutex::default(),
             started: Mutex::default(),
             busy: AtomicUsize::new(0),
+            idle: Mutex::default(),
             ends: Mutex::new(sender),
             config,
         });
@@ -254,16 +281,24 @@ impl Shared {
         Ok(())
     }
 
+    fn idle(&self) -> MutexGuard<'_, Vec<Sender<Job>>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Acts on a thread of its own, unless there are too many; returns whether it does.
     fn spawn_busy(self: &Arc<Self>, act: impl FnOnce(&Arc<Self>) + Send + 'static) -> bool {
-        let shared = Arc::clone(self);
         if self.busy.fetch_add(1, Ordering::SeqCst) < MOST {
+            let mut job: Job = (Arc::clone(self), Box::new(act));
+            // The one that waits the shortest is woken the fastest.
+            let worker = self.idle().pop();
+            if let Some(worker) = worker {
+                match worker.send(job) {
+                    Ok(()) => return true,
+                    Err(SendError(unsent)) => job = unsent,
+                }
+            }
             let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
-            let thread = thread.spawn(move || {
-                act(&shared);
-                shared.busy.fetch_sub(1, Ordering::SeqCst);
-            });
-            if thread.is_ok() {
+            if thread.spawn(move || work(job)).is_ok() {
                 return true;
             }
         }

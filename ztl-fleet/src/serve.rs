@@ -282,8 +282,7 @@ impl Loop {
             }
             Ask::Outcome(rules) => ("outcome", Some(rules), Vec::new()),
         };
-        let parameters =
-            rules.map_or_else(|| fresh(boot, until_ms), |rules| rules.to_parameters());
+        let parameters = rules.map_or_else(|| fresh(boot, until_ms), |rules| rules.to_parameters());
         let who = self.machine.request_of(query);
         let who = who.and_then(|request| self.who.get(&request));
         let request = Request {
