@@ -6,7 +6,7 @@ mod stop;
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SendError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -26,7 +26,7 @@ use crate::random;
 use crate::seal;
 use crate::seldom::{Seldom, brief};
 use crate::session::{self, ZenohError, key};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex, is_abort};
+use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex, is_abort, is_early};
 use asked::{Asked, Clients, Seen};
 use server::ServerState;
 use stop::Started;
@@ -39,6 +39,8 @@ const MOST: usize = 192;
 /// Most of them that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
 const MOST_WAITING: usize = 128;
 const TOO_MANY: &str = "too many requests are waiting, try again";
+/// Most threads that wait for a query: starting one takes longer than to wake one.
+const MOST_IDLE: usize = 4;
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
 /// How long the fleet is asked who has the name.
@@ -97,7 +99,31 @@ struct Shared {
     started: Mutex<Started>,
     busy: AtomicUsize,
     waiting: AtomicUsize,
+    /// Threads that wait for a query.
+    idle: Mutex<Vec<Sender<Job>>>,
     ends: Mutex<Sender<JoinEnd>>,
+}
+
+/// What a thread does.
+type Job = (Arc<Shared>, Box<dyn FnOnce(&Arc<Shared>) + Send>);
+
+/// Does this job, and then others, until there are enough threads or the agent ends.
+fn work(job: Job) {
+    let mut next = Some(job);
+    while let Some((shared, act)) = next.take() {
+        act(&shared);
+        shared.busy.fetch_sub(1, Ordering::SeqCst);
+        let (sender, jobs) = channel();
+        let mut idle = shared.idle();
+        if idle.len() >= MOST_IDLE {
+            return;
+        }
+        idle.push(sender);
+        drop(idle);
+        // While it waits, it does not keep the agent.
+        drop(shared);
+        next = jobs.recv().ok();
+    }
 }
 
 /// Limits what strangers can make it log.
@@ -162,6 +188,7 @@ impl Joined {
             started: Mutex::default(),
             busy: AtomicUsize::new(0),
             waiting: AtomicUsize::new(0),
+            idle: Mutex::default(),
             ends: Mutex::new(sender),
             config,
         });
@@ -259,16 +286,24 @@ impl Shared {
         Ok(())
     }
 
+    fn idle(&self) -> MutexGuard<'_, Vec<Sender<Job>>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Acts on a thread of its own, unless there are too many; returns whether it does.
     fn spawn_busy(self: &Arc<Self>, act: impl FnOnce(&Arc<Self>) + Send + 'static) -> bool {
-        let shared = Arc::clone(self);
         if self.busy.fetch_add(1, Ordering::SeqCst) < MOST {
+            let mut job: Job = (Arc::clone(self), Box::new(act));
+            // The one that waits the shortest is woken the fastest.
+            let worker = self.idle().pop();
+            if let Some(worker) = worker {
+                match worker.send(job) {
+                    Ok(()) => return true,
+                    Err(SendError(unsent)) => job = unsent,
+                }
+            }
             let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
-            let thread = thread.spawn(move || {
-                act(&shared);
-                shared.busy.fetch_sub(1, Ordering::SeqCst);
-            });
-            if thread.is_ok() {
+            if thread.spawn(move || work(job)).is_ok() {
                 return true;
             }
         }
@@ -348,7 +383,8 @@ impl Shared {
             info!(target: "fleet", "INIT {} for '{named}' by {}.", init.id.number, asked.who());
             let server = self.server_boot();
             let body = asked.body.clone();
-            return self.run(|rules| {
+            let early_end = is_early(&asked.parameters);
+            return self.run_init(early_end, |rules| {
                 let number = rules.take(asked);
                 let agent = &mut rules.agent;
                 agent.handle_init(now(), number, init, &body, server)
@@ -465,6 +501,11 @@ impl Shared {
 
     /// Carries out what the rules decide, in order.
     fn run(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
+        self.run_init(false, decide);
+    }
+
+    /// The same; an INIT is forwarded with this wish for an early outcome.
+    fn run_init(&self, early_end: bool, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
         let mut effects = self.decide(decide);
         while !effects.is_empty() {
             let mut next = Vec::new();
@@ -480,7 +521,7 @@ impl Shared {
                     // Written when it was decided.
                     AgentEffect::Record(_) => continue,
                     AgentEffect::Forward { id, body } => {
-                        let said = self.forward(id, &body);
+                        let said = self.forward(id, &body, early_end);
                         self.decide(|rules| rules.agent.handle_server(now(), id, said))
                     }
                     AgentEffect::AskServer(id) => {
@@ -504,8 +545,12 @@ impl Shared {
         rules.write(effects)
     }
 
-    fn forward(&self, id: InitId, body: &[u8]) -> ServerSaid {
-        match self.client.ask(Some(envelope(id)), body, ANSWER) {
+    fn forward(&self, id: InitId, body: &[u8], early_end: bool) -> ServerSaid {
+        let envelope = Envelope {
+            early_end,
+            ..envelope(id)
+        };
+        match self.client.ask(Some(envelope), body, ANSWER) {
             Ok(answer) => {
                 self.started().note(&answer);
                 let client = crate::wire::hex(&id.client);

@@ -247,6 +247,7 @@ impl Loop {
     fn ask(&self, query: u64, robot: &str, agent: &str, what: Ask, limit: Duration) {
         let (boot, clock_ms) = self.machine.clock(now(), robot);
         let until_ms = clock_ms.saturating_add(VALID_MS);
+        let mut early = "";
         let (what, rules, body) = match what {
             Ask::Request {
                 rules,
@@ -261,16 +262,20 @@ impl Loop {
                     boot,
                     until_ms,
                 });
+                if rules.is_some() && envelope.is_some_and(|envelope| envelope.early_end) {
+                    early = ";early=1";
+                }
                 ("request", rules.or(plain), body)
             }
             Ask::Outcome(rules) => ("outcome", Some(rules), Vec::new()),
         };
+        let parameters = rules.map_or_else(|| fresh(boot, until_ms), |rules| rules.to_parameters());
         let who = self.machine.request_of(query);
         let who = who.and_then(|request| self.who.get(&request));
         let request = Request {
             robot,
             what,
-            parameters: &rules.map_or_else(|| fresh(boot, until_ms), |rules| rules.to_parameters()),
+            parameters: &(parameters + early),
             who: who.map_or("anybody", String::as_str),
             body: &body,
         };

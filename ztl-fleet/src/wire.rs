@@ -99,6 +99,12 @@ pub fn fresh_until(parameters: &str, boot: u32, clock_ms: u64) -> Option<u64> {
     until.filter(|until| is_ours && valid.contains(until))
 }
 
+/// Whether the client of an INIT with these parameters asks for an early outcome ([10.3] of the protocol).
+#[must_use]
+pub fn is_early(parameters: &str) -> bool {
+    value(parameters, "early") == Some("1")
+}
+
 fn value<'a>(parameters: &'a str, key: &str) -> Option<&'a str> {
     let pairs = parameters
         .split(';')

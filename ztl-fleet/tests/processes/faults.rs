@@ -183,7 +183,7 @@ fn task(port: u16, robot: usize, goal: &str, rejected: &AtomicUsize) -> Told {
             Err(TriggerError::Request(error)) if error.nothing_was_sent() => {
                 remote.trigger("do", "it", goal)
             }
-            Err(error) => match remote.ask_outcome() {
+            Err(_) => match remote.ask_outcome() {
                 Some(outcome) if start.elapsed() < PATIENCE => outcome,
                 _ => return Told::Unknown,
             },
@@ -191,7 +191,7 @@ fn task(port: u16, robot: usize, goal: &str, rejected: &AtomicUsize) -> Told {
     };
     match remote.wait(id, LIMIT) {
         Ok(end) => Told::Ended(end.state, end.text),
-        Err(error) => Told::Unknown,
+        Err(_) => Told::Unknown,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
@@ -35,8 +35,8 @@ pub(crate) struct Passed {
 }
 
 struct State {
-    bytes: AtomicU64,
-    chunks: AtomicU64,
+    bytes: AtomicUsize,
+    chunks: AtomicUsize,
     mode: Mutex<Mode>,
     changed: Condvar,
     streams: Mutex<Vec<TcpStream>>,
@@ -49,8 +49,8 @@ impl Line {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = format!("tcp/{}", listener.local_addr().expect("its address"));
         let state = Arc::new(State {
-            bytes: AtomicU64::new(0),
-            chunks: AtomicU64::new(0),
+            bytes: AtomicUsize::new(0),
+            chunks: AtomicUsize::new(0),
             mode: Mutex::new(Mode::Open),
             changed: Condvar::new(),
             streams: Mutex::default(),
@@ -68,8 +68,8 @@ impl Line {
     /// What has passed so far, in both directions.
     pub(crate) fn passed(&self) -> Passed {
         Passed {
-            bytes: self.state.bytes.load(Ordering::Relaxed),
-            chunks: self.state.chunks.load(Ordering::Relaxed),
+            bytes: self.state.bytes.load(Ordering::Relaxed) as u64,
+            chunks: self.state.chunks.load(Ordering::Relaxed) as u64,
         }
     }
 
@@ -132,7 +132,7 @@ fn pass(state: &State, mut from: &TcpStream, mut to: &TcpStream) {
         if !state.wait() || to.write_all(&buffer[..count]).is_err() {
             return;
         }
-        state.bytes.fetch_add(count as u64, Ordering::Relaxed);
+        state.bytes.fetch_add(count, Ordering::Relaxed);
         state.chunks.fetch_add(1, Ordering::Relaxed);
     }
 }
