@@ -23,7 +23,7 @@ const TOLD: Duration = Duration::from_secs(6);
 /// Longest times. An `Abort` waits for one question that is under way, and its answer; three of them delay the polls.
 ///
 /// About one seed in a thousand is a fraction of a millisecond above 50 ms, when many pings are due with the progress of all nodes.
-const HEALTHY: Turns = Turns::bounds(52, 70, 20);
+const HEALTHY: Turns = Turns::bounds(50, 70, 20);
 
 /// The same while another node has this trouble.
 const fn bounds(trouble: Trouble) -> Turns {
