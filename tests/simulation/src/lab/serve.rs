@@ -21,8 +21,6 @@ const MEASURED: [Duration; 2] = [Duration::from_millis(1000), Duration::from_mil
 /// Until all clients know the outcomes.
 const TOLD: Duration = Duration::from_secs(6);
 /// Longest times. An `Abort` waits for one question that is under way, and its answer; three of them delay the polls.
-///
-/// About one seed in a thousand is a fraction of a millisecond above 50 ms, when many pings are due with the progress of all nodes.
 const HEALTHY: Turns = Turns::bounds(50, 70, 20);
 
 /// The same while another node has this trouble.
