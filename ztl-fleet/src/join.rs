@@ -3,10 +3,11 @@
 mod asked;
 mod server;
 mod stop;
+mod threads;
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, SendError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -31,16 +32,13 @@ use asked::{Asked, Clients, Seen};
 use server::ServerState;
 use stop::Started;
 pub use stop::Stopped;
+use threads::Job;
 
 /// Longest wait for the server's answer: as long as a client waits.
 const ANSWER: Duration = Duration::from_secs(2);
-/// Most queries at a time; each has a thread.
-const MOST: usize = 192;
-/// Most of them that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
+/// Most queries at a time that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
 const MOST_WAITING: usize = 128;
 const TOO_MANY: &str = "too many requests are waiting, try again";
-/// Most threads that wait for a query: starting one takes longer than to wake one.
-const MOST_IDLE: usize = 4;
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
 /// How long the fleet is asked who has the name.
@@ -102,28 +100,6 @@ struct Shared {
     /// Threads that wait for a query.
     idle: Mutex<Vec<Sender<Job>>>,
     ends: Mutex<Sender<JoinEnd>>,
-}
-
-/// What a thread does.
-type Job = (Arc<Shared>, Box<dyn FnOnce(&Arc<Shared>) + Send>);
-
-/// Does this job, and then others, until there are enough threads or the agent ends.
-fn work(job: Job) {
-    let mut next = Some(job);
-    while let Some((shared, act)) = next.take() {
-        act(&shared);
-        shared.busy.fetch_sub(1, Ordering::SeqCst);
-        let (sender, jobs) = channel();
-        let mut idle = shared.idle();
-        if idle.len() >= MOST_IDLE {
-            return;
-        }
-        idle.push(sender);
-        drop(idle);
-        // While it waits, it does not keep the agent.
-        drop(shared);
-        next = jobs.recv().ok();
-    }
 }
 
 /// Limits what strangers can make it log.
@@ -284,31 +260,6 @@ impl Shared {
             }
         })?;
         Ok(())
-    }
-
-    fn idle(&self) -> MutexGuard<'_, Vec<Sender<Job>>> {
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Acts on a thread of its own, unless there are too many; returns whether it does.
-    fn spawn_busy(self: &Arc<Self>, act: impl FnOnce(&Arc<Self>) + Send + 'static) -> bool {
-        if self.busy.fetch_add(1, Ordering::SeqCst) < MOST {
-            let mut job: Job = (Arc::clone(self), Box::new(act));
-            // The one that waits the shortest is woken the fastest.
-            let worker = self.idle().pop();
-            if let Some(worker) = worker {
-                match worker.send(job) {
-                    Ok(()) => return true,
-                    Err(SendError(unsent)) => job = unsent,
-                }
-            }
-            let thread = std::thread::Builder::new().name("ztl-fleet-query".to_owned());
-            if thread.spawn(move || work(job)).is_ok() {
-                return true;
-            }
-        }
-        self.busy.fetch_sub(1, Ordering::SeqCst);
-        false
     }
 
     /// Declares what the agent answers.
