@@ -314,6 +314,9 @@ scopes: {/test: {p: {
     k: {http: {for: 1 s, event: {get: 'wss://{safe}:x/', until: {event: x}}}},
     l: {http: {get: 'http://{safe}/', event: {get: 'ws://{safe}/'}}},
     n: {http: {post: 'http://10.0.0.7/', for: soon, done: []}},
+    o: {http: {event: {get: 'ws://10.0.0.7/', until: {field: a, is: '{answer.x}'}}, done: 200}},
+    p: {post: 'http://10.0.0.7/'},
+    q: {http: {post: 'http://10.0.0.7/', abort: no}},
     m: {http: {psot: 'http://10.0.0.7/'}, abort: {post: 'http://10.0.0.7/'}}}}}
 streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event: 1, x: 1}, frame: line}}}";
     std::fs::write(&path, text).expect("to write");
@@ -346,17 +349,21 @@ streams: {/test: {s: {http-event: {get: 'ws://10.0.0.7/{goal.x}'}, only: {event:
         ":14:46: 'until' is missing",
         ":15:47: 'soon' is not a time",
         ":15:59: this list is empty",
-        ":16:16: unknown key 'psot'; did you mean 'post'?",
-        ":16:50: this stands beside http; write it inside: http: {…, abort: …}",
-        ":17:41: no goal has 'x': it is nothing",
-        ":17:85: unknown key 'x'",
-        ":17:99: each message is a frame; leave this out",
+        ":16:69: '{answer}' is known only after the answer",
+        ":16:91: done is about a request, and there is none",
+        ":17:8: nothing does this task; write http: {post: ",
+        ":18:49: without abort, clients cannot abort; leave it out",
+        ":19:16: unknown key 'psot'; did you mean 'post'?",
+        ":19:50: this stands beside http; write it inside: http: {…, abort: …}",
+        ":20:41: no goal has 'x': it is nothing",
+        ":20:85: unknown key 'x'",
+        ":20:99: each message is a frame; leave this out",
     ] {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }
     // Each mistake is told once.
     assert_eq!(
-        ended.stderr.matches("yaml:16:").count(),
+        ended.stderr.matches("yaml:19:").count(),
         2,
         "{}",
         ended.stderr

@@ -318,7 +318,11 @@ impl<'d> ConfigReader<'d> {
             }
             None => {
                 let keys = KINDS.map(|(key, _)| key);
-                fields.lacks_one_of(keys, "nothing does this task", "run: [PROGRAM, ARGUMENT]");
+                let example = match fields.has_one_of(&["get", "post", "put", "patch", "delete"]) {
+                    true => "http: {post: \"http://{robot}/api/halt\"}",
+                    false => "run: [PROGRAM, ARGUMENT]",
+                };
+                fields.lacks_one_of(keys, "nothing does this task", example);
                 None
             }
         };

@@ -34,6 +34,13 @@ impl<'d> ConfigReader<'d> {
         let what = "get: \"ws://{robot}/pubsub\", field: message";
         let mut event = self.yaml.fields(node, what)?;
         let source = self.http_events(node, &mut event, rule);
+        let mut paths = Vec::new();
+        if let Some(source) = &source {
+            source.goal_paths(&mut paths);
+        }
+        if !paths.is_empty() {
+            self.yaml.wrong(node, "a stream has no goal");
+        }
         event.finish(&mut self.yaml);
         let only = fields.optional("only");
         let only = only.map(|node| self.http_condition(node, rule, Of::Event));

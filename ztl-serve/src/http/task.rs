@@ -90,12 +90,19 @@ pub(crate) fn read<'d>(
             .map(Some),
     };
     let done = fields.optional("done");
+    let repeat = fields.optional("repeat");
+    let has_request = !matches!(request, Some(None));
+    for (node, key) in [(done, "done"), (repeat, "repeat")] {
+        if let (Some(node), false) = (node, has_request) {
+            let message = format!("{key} is about a request, and there is none; leave it out");
+            reader.yaml.wrong(node, message);
+        }
+    }
     let done = done.map(|node| reader.http_condition(node, rule, Of::Answer));
     let result = fields.optional("result");
     let result = result.map(|node| reader.http_field(node));
     let limit = fields.optional("limit");
     let limit = limit.map(|node| reader.time(node, LONGEST));
-    let repeat = fields.optional("repeat");
     let repeat = repeat.map(|node| reader.count(node, MOST_REPETITIONS));
     let abort = fields.optional("abort");
     let abort = abort.map(|node| reader.with_answer(|reader| reader.http_abort(node, rule)));
@@ -113,7 +120,7 @@ pub(crate) fn read<'d>(
             progress.map(Box::new).map(After::Progress)
         }
         Some((_, node)) => {
-            let event = reader.http_end_event(node, rule);
+            let event = reader.http_end_event(node, rule, has_request);
             event.map(Box::new).map(After::Event)
         }
         None => Some(After::Nothing),
@@ -184,6 +191,11 @@ impl<'d> ConfigReader<'d> {
         node: &'d Node,
         rule: &GoalRule,
     ) -> Option<(RequestTemplate, Condition)> {
+        if node.is_plainly("no") {
+            let message = "without abort, clients cannot abort; leave it out";
+            self.yaml.wrong(node, message);
+            return None;
+        }
         let what = "post: \"http://{robot}/api/halt\"";
         let mut fields = self.yaml.fields(node, what)?;
         let request = self.http_request(&mut fields, rule, Schemes::Requests);
@@ -215,7 +227,12 @@ impl<'d> ConfigReader<'d> {
         })
     }
 
-    fn http_end_event(&mut self, node: &'d Node, rule: &GoalRule) -> Option<EndEvent> {
+    fn http_end_event(
+        &mut self,
+        node: &'d Node,
+        rule: &GoalRule,
+        has_request: bool,
+    ) -> Option<EndEvent> {
         let what = "get: \"ws://{robot}/pubsub\", until: {field: state, is: idle}";
         let mut fields = self.yaml.fields(node, what)?;
         let source = self.http_events(node, &mut fields, rule);
@@ -223,12 +240,16 @@ impl<'d> ConfigReader<'d> {
         let ready = ready.map(|node| self.http_condition(node, rule, Of::Event));
         let until = fields.required("until", "until: {field: state, is: idle}");
         let failed = fields.optional("failed");
-        let (until, failed) = self.with_answer(|reader| {
+        let read = |reader: &mut Self| {
             (
                 until.and_then(|node| reader.http_condition(node, rule, Of::Event)),
                 failed.map(|node| reader.http_condition(node, rule, Of::Event)),
             )
-        });
+        };
+        let (until, failed) = match has_request {
+            true => self.with_answer(read),
+            false => read(self),
+        };
         let show = fields.optional("show");
         let show = show.map(|node| self.http_field(node));
         fields.finish(&mut self.yaml);
