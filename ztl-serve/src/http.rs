@@ -11,6 +11,7 @@
 //! | `condition` | what an answer or an event means |
 //! | `task` | `http`: the kind |
 //! | `run` | the thread of a task, and the supervisor's side of it |
+//! | `shared` | what both know in common |
 //! | `stream` | `http-event`: events as a stream |
 
 #[cfg(feature = "http")]
@@ -27,6 +28,8 @@ pub(crate) mod hosts;
 mod request;
 #[cfg(feature = "http")]
 mod run;
+#[cfg(feature = "http")]
+mod shared;
 #[cfg(feature = "http")]
 mod sse;
 #[cfg(feature = "http")]
