@@ -38,7 +38,7 @@ pub(crate) fn build(project: &Project, names: &[String]) -> Result<Vec<PathBuf>>
     let cargo_deb = install::cargo_deb(project)?;
     project.build_programs()?;
     let mut packages = Vec::new();
-    for (target, program) in dist::build_all(project, &targets, "debian")? {
+    for (target, program) in dist::build_all(project, &targets, &dist::ZTL, "debian")? {
         let target_dir = program.ancestors().nth(2).context("a target directory")?;
         let triple = target.triple();
         let built = target_dir.join(&triple).join(zig::PROFILE);

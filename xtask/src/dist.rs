@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, ensure};
 use xshell::{Cmd, Shell, cmd};
 
-use crate::project::{COMMAND, Project, TOGETHER};
+use crate::project::{PACKAGE, Project, TOGETHER};
 use crate::zig::{Target, Zig, targets};
 use crate::{capi, install, paths};
 use contents::Contents;
@@ -16,8 +16,27 @@ use contents::Contents;
 /// Maximum size of a program in bytes: 5.25 MiB.
 const MOST: u64 = 21 * 256 * 1024;
 
-/// The features of a static program: all but libzmq, which needs a compiler for C++.
-const STATIC: [&str; 3] = ["--no-default-features", "--features", "static"];
+/// A program that is built statically.
+pub(crate) struct Program {
+    /// The package, and the program.
+    package: &'static str,
+    /// Its features.
+    features: &'static [&'static str],
+}
+
+/// With all features but libzmq, which needs a compiler for C++.
+pub(crate) const ZTL: Program = Program {
+    package: PACKAGE,
+    features: &["--no-default-features", "--features", "static"],
+};
+
+const FLEET: Program = Program {
+    package: "ztl-fleet",
+    features: &[],
+};
+
+/// The processors of computers that carry Zenoh.
+const FLEET_TARGETS: [&str; 2] = ["x86_64", "aarch64"];
 
 /// The emulated kernels, oldest last (`tests/command/dist/old_kernel.py`).
 const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
@@ -30,6 +49,26 @@ pub(crate) fn build(project: &Project, names: &[String], check: bool) -> Result<
         run_all(project, &built)?;
         for target in targets {
             capi::check(project, target)?;
+        }
+    }
+    Ok(())
+}
+
+/// Builds `ztl-fleet` for the named targets, or those of larger computers. `check` also runs each one.
+pub(crate) fn build_fleet(project: &Project, names: &[String], check: bool) -> Result<()> {
+    let sh = &project.sh;
+    let targets = match names {
+        [] => targets(&FLEET_TARGETS)?,
+        names => targets(names)?,
+    };
+    let built = build_all(project, &targets, &FLEET, "ztl-fleet")?;
+    write_sums(sh, release(&built)?)?;
+    if check {
+        install::emulators(sh)?;
+        for (_, path) in &built {
+            // Debian runs it by its emulator, if it is of another processor.
+            cmd!(sh, "{path} --version").run()?;
+            cmd!(sh, "{path} router --check examples/fleet/room/router.yaml").run()?;
         }
     }
     Ok(())
@@ -55,19 +94,23 @@ pub(crate) fn check(project: &Project) -> Result<()> {
 /// Builds the programs for robots, checks their size, and writes the checksums.
 fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
     let sh = &project.sh;
-    let built = build_all(project, targets, "ztl")?;
+    let built = build_all(project, targets, &ZTL, "ztl")?;
     for (_, path) in &built {
         let size = path.metadata()?.len();
         let path = path.display();
         ensure!(size <= MOST, "{path}: {size} bytes are more than {MOST}");
     }
-    let release = release(&built)?;
+    write_sums(sh, release(&built)?)?;
+    Ok(built)
+}
+
+/// Writes the checksums of all files of a directory.
+fn write_sums(sh: &Shell, release: &Path) -> Result<()> {
     let mut files = sh.read_dir(release)?;
     files.retain(|path| !path.ends_with("SHA256SUMS"));
     let names = files.iter().filter_map(|path| path.file_name());
     let sums = cmd!(sh, "env --chdir {release} sha256sum {names...}").read()?;
-    sh.write_file(release.join("SHA256SUMS"), sums + "\n")?;
-    Ok(built)
+    Ok(sh.write_file(release.join("SHA256SUMS"), sums + "\n")?)
 }
 
 /// The directory of the built programs.
@@ -80,6 +123,7 @@ fn release(built: &[(Target, PathBuf)]) -> Result<&Path> {
 pub(crate) fn build_all(
     project: &Project,
     targets: &[Target],
+    program: &Program,
     directory: &str,
 ) -> Result<Vec<(Target, PathBuf)>> {
     let sh = &project.sh;
@@ -91,16 +135,17 @@ pub(crate) fn build_all(
     let commit = commit.unwrap_or_else(|_| "unknown".to_owned());
     let mut built = Vec::new();
     for &target in targets {
-        let contents = Contents::of(project, &zig, target)?;
+        let contents = Contents::of(project, &zig, program, target)?;
+        let package = program.package;
         zig.build(target)?
-            .args(COMMAND)
-            .args(STATIC)
+            .args(["--package", package, "--bin", package])
+            .args(program.features)
             .env("ZTL_BUILD_COMMIT", &commit)
             .env("ZTL_BUILD_TARGET", target.triple())
             .env("ZTL_BUILD_WITH", contents.tools())
             .run()?;
-        let path = release.join(format!("ztl-{}", target.name));
-        sh.copy_file(zig.built(target, "ztl"), &path)?;
+        let path = release.join(format!("{package}-{}", target.name));
+        sh.copy_file(zig.built(target, package), &path)?;
         check_static(sh, &path)?;
         paths::check(project, &path)?;
         contents.write(sh, &path, &commit)?;

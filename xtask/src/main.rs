@@ -65,6 +65,9 @@ enum XtaskCommand {
         /// Also run them, and the C libraries for them.
         #[arg(long)]
         check: bool,
+        /// Build `ztl-fleet` instead; without processors for x86_64 and aarch64.
+        #[arg(long)]
+        fleet: bool,
     },
     /// Build Debian packages of static `ztl` programs.
     Deb {
@@ -146,7 +149,12 @@ fn run(command: XtaskCommand) -> anyhow::Result<()> {
             check,
             glibc,
         } => capi::build(project, &targets, check, glibc),
-        XtaskCommand::Dist { targets, check } => dist::build(project, &targets, check),
+        XtaskCommand::Dist {
+            targets,
+            check,
+            fleet: false,
+        } => dist::build(project, &targets, check),
+        XtaskCommand::Dist { targets, check, .. } => dist::build_fleet(project, &targets, check),
         XtaskCommand::Deb { targets } => deb::build(project, &targets).map(drop),
         XtaskCommand::Firmware { board } => firmware::show(project, board.as_deref()),
         XtaskCommand::Qemu { board, port } => firmware::run_in_qemu(project, &board, port),

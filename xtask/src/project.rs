@@ -9,9 +9,6 @@ use xshell::{Cmd, Shell};
 /// The package of the command `ztl`.
 pub(crate) const PACKAGE: &str = "ztl";
 
-/// The arguments with which Cargo builds the command.
-pub(crate) const COMMAND: [&str; 4] = ["--package", PACKAGE, "--bin", "ztl"];
-
 /// The packages whose programs, tests and examples are built together, so that each library is compiled once: Cargo
 /// compiles one again for each set of features. The C library has fewer, and the simulation its own profile.
 pub(crate) const TOGETHER: &str = "--workspace --exclude ztl-c --exclude ztl-simulation";

@@ -11,9 +11,10 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use xshell::{Shell, cmd};
 
+use super::Program;
 use crate::cross;
 use crate::lock;
-use crate::project::{PACKAGE, Project};
+use crate::project::Project;
 use crate::zig::{MUSL, Target, ZIG, Zig};
 
 /// A component of the program.
@@ -41,10 +42,15 @@ pub(super) struct Contents {
 
 impl Contents {
     /// Collects the contents.
-    pub(super) fn of(project: &Project, zig: &Zig<'_>, target: Target) -> Result<Self> {
-        let mut crates = crates(&project.sh, target)?;
-        let own = crates.iter().position(|part| part.name == PACKAGE);
-        let own = own.context("cargo does not list the package of `ztl`")?;
+    pub(super) fn of(
+        project: &Project,
+        zig: &Zig<'_>,
+        program: &Program,
+        target: Target,
+    ) -> Result<Self> {
+        let mut crates = crates(&project.sh, program, target)?;
+        let own = crates.iter().position(|part| part.name == program.package);
+        let own = own.context("cargo does not list the package of the program")?;
         Ok(Self {
             target,
             own: crates.remove(own),
@@ -62,26 +68,29 @@ impl Contents {
         tools.collect::<Vec<_>>().join(", ")
     }
 
-    /// Writes `ztl-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for all targets.
+    /// Writes `PROGRAM-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for all targets.
     pub(super) fn write(&self, sh: &Shell, program: &Path, commit: &str) -> Result<()> {
         let parts: Vec<&Part> = self.crates.iter().chain(&self.foreign).collect();
         let sum = cmd!(sh, "sha256sum {program}").read()?;
         let sum = sum.split(' ').next().unwrap_or_default();
         let bill = bill(&self.own, &parts, self.target, commit, sum);
-        let name = format!("ztl-{}.cdx.json", self.target.name);
+        let name = format!("{}-{}.cdx.json", self.own.name, self.target.name);
         sh.write_file(program.with_file_name(name), format!("{bill:#}\n"))?;
         let licences = licences(sh, &self.own, &parts)?;
         Ok(sh.write_file(program.with_file_name("LICENSES.txt"), licences)?)
     }
 }
 
-/// The Rust packages, including `ztl` itself; neither macros nor what only the build needs.
-fn crates(sh: &Shell, target: Target) -> Result<Vec<Part>> {
+/// The Rust packages, including the program's; neither macros nor what only the build needs.
+fn crates(sh: &Shell, program: &Program, target: Target) -> Result<Vec<Part>> {
     let triple = target.triple();
+    let Program { package, features } = program;
     let tree =
-        "tree --locked --edges normal,no-proc-macro --prefix none --no-default-features --features static --format {p}|{l}"
-            .split(' ');
-    let tree = cmd!(sh, "cargo {tree...} --package {PACKAGE} --target {triple}").read()?;
+        "tree --locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
+    let tree = cmd!(sh, "cargo {tree...}").args(*features);
+    let tree = tree
+        .args(["--package", package, "--target", &triple])
+        .read()?;
     let lines = tree.lines().map(|line| line.trim_end_matches(" (*)"));
     let lines: BTreeSet<&str> = lines.collect();
     let locked = lock::packages(&sh.read_file("Cargo.lock")?);
@@ -200,7 +209,7 @@ fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) ->
         }
         component
     };
-    let mut program = component("application", own, "ztl", Some(sum));
+    let mut program = component("application", own, &own.name, Some(sum));
     if let Some(fields) = program.as_object_mut() {
         let properties = json!([
             { "name": "ztl:target", "value": target.triple() },
@@ -222,7 +231,8 @@ fn bill(own: &Part, parts: &[&Part], target: Target, commit: &str, sum: &str) ->
 
 /// All licence texts, each once, with the components they apply to.
 fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
-    let mut all = format!("The parts of ztl {}, and their licences.\n\n", own.version);
+    let (name, version) = (&own.name, &own.version);
+    let mut all = format!("The parts of {name} {version}, and their licences.\n\n");
     let mut texts: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for part in std::iter::once(&own).chain(parts) {
         let name = format!("{} {}", part.name, part.version);
@@ -244,6 +254,8 @@ fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dist::ZTL;
+    use crate::project::PACKAGE;
     use crate::zig::targets;
 
     #[test]
@@ -251,7 +263,7 @@ mod tests {
         let sh = &Shell::new().unwrap();
         sh.change_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
         let target = targets(&["x86_64"]).unwrap()[0];
-        let parts = crates(sh, target).unwrap();
+        let parts = crates(sh, &ZTL, target).unwrap();
         let names: BTreeSet<&str> = parts.iter().map(|part| part.name.as_str()).collect();
         for name in "ztl ztl-std ztl-core crypto_box mio clap serde_json".split(' ') {
             assert!(names.contains(name), "{name} in {names:?}");
