@@ -37,6 +37,13 @@ fn messages_go_both_ways() {
     publisher.publish(text("second"));
     robot.wait_for("heard second");
     assert_eq!(publisher.subscribers(), [format!("/{name}")]);
+    let (told, heard) = channel();
+    let own = node.subscribe(&format!("/{name}/in"), string(), move |_, content| {
+        let _ = told.send(content.to_vec());
+    });
+    assert_eq!(heard.recv_timeout(PATIENCE), Ok(text("second")));
+    assert_eq!(publisher.subscribers(), [format!("/{name}")]);
+    drop(own.unwrap());
 
     let (told, heard) = channel();
     let topic = format!("/{name}/out");

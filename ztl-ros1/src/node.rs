@@ -396,15 +396,18 @@ impl Publisher {
             .send(move |engine, _| engine.publish(&topic, &content));
     }
 
-    /// The names of the nodes that receive it.
+    /// The names of the other nodes that receive it: what only this node hears moves no robot.
     #[must_use]
     pub fn subscribers(&self) -> Vec<String> {
         let topic = Arc::clone(&self.topic);
         let (done, result) = channel();
         self.mailbox.send(move |engine, _| {
             let publication = engine.publications.get(&topic);
-            let names = publication.map(|of| of.subscribers.values().map(ToString::to_string));
-            let _ = done.send(names.map(Iterator::collect).unwrap_or_default());
+            let names = publication
+                .into_iter()
+                .flat_map(|of| of.subscribers.values());
+            let others = names.filter(|name| ***name != *engine.name);
+            let _ = done.send(others.map(ToString::to_string).collect());
         });
         result.recv().unwrap_or_default()
     }
