@@ -147,12 +147,10 @@ impl<'d> ConfigReader<'d> {
         let what = format!("a name in ROS, as {example}");
         self.yaml.parsed(node, &what, |text| {
             let name = text.strip_prefix('/').unwrap_or(text);
-            let fits = |part: &str| {
-                let mut chars = part.chars();
-                chars.next().is_some_and(|c| c.is_ascii_alphabetic())
-                    && chars.all(|c| c.is_ascii_alphanumeric() || c == '_')
-            };
-            match name.split('/').all(fits) {
+            let of_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
+            let fits = |part: &str| !part.is_empty() && part.chars().all(of_word);
+            let begins = text.starts_with(|c: char| c == '/' || c.is_ascii_alphabetic());
+            match begins && name.split('/').all(fits) {
                 true => Ok(format!("/{name}")),
                 false => Err(format!("'{text}' is not {what}")),
             }

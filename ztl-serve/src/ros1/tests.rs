@@ -236,6 +236,14 @@ fn wrong_types_names_and_keys_are_mistakes() {
             "2:16: '/cmd vel' is not a name in ROS, as /cmd_vel",
         ),
         (
+            "{ros1-publish: 0/cmd, type: geometry_msgs/Twist}",
+            "2:16: '0/cmd' is not a name in ROS, as /cmd_vel",
+        ),
+        (
+            "{ros1-publish: /motor/0/_cmd, type: Twist}",
+            "2:37: 'Twist' is not a type, as geometry_msgs/Twist",
+        ),
+        (
             "{ros1-service: /dock}",
             "2:1: 'type' is missing; write type: std_srvs/Trigger",
         ),
