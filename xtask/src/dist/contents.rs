@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::env;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
 use xshell::{Shell, cmd};
 
@@ -236,8 +236,11 @@ fn licences(sh: &Shell, own: &Part, parts: &[&Part]) -> Result<String> {
     let mut texts: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for part in std::iter::once(&own).chain(parts) {
         let name = format!("{} {}", part.name, part.version);
-        ensure!(!part.texts.is_empty(), "{name} has no licence text");
-        all += &format!("  {name}: {}\n", part.licence);
+        let note = match part.texts.is_empty() {
+            true => " (its package has no text)",
+            false => "",
+        };
+        all += &format!("  {name}: {}{note}\n", part.licence);
         for path in &part.texts {
             let text = sh.read_binary_file(path)?;
             let text = String::from_utf8_lossy(&text).trim().replace('\r', "");
