@@ -282,6 +282,28 @@ fn an_aborted_update_leaves_the_firmware_and_the_device_serves_again() {
 }
 
 #[test]
+fn a_signal_ends_the_command_also_when_the_gateway_is_gone_or_hangs() {
+    let bench = Bench::new();
+    let (_device, hand) = bench.served("hand", &SLOW);
+    let image = bench.signed(["lab", "simulated", "1.1.0"], "", 40_000);
+    for how in ["STOP", "KILL"] {
+        let gateway = Server::gateway(&[&hand]);
+        gateway.wait_ready("hand");
+        let running = Process::start(&mut update(&gateway, &["hand", &image]));
+        wait_until_sending(&running);
+        gateway.process.signal(how);
+        running.signal("TERM");
+        let ended = running.end(PATIENCE);
+        assert_eq!(ended.code, Some(143), "{ended:?}");
+        let said = "hand: the update may go on, ztl ps shows it: ";
+        assert!(ended.stderr.contains(said), "{ended:?}");
+        if how == "STOP" {
+            gateway.process.signal("CONT");
+        }
+    }
+}
+
+#[test]
 fn a_killed_gateway_leaves_the_firmware_and_the_next_one_goes_on() {
     let bench = Bench::new();
     let (_device, hand) = bench.served("hand", &SLOW);

@@ -28,7 +28,7 @@ Ctrl-C aborts the task, and a second one ends the client at once; the exit code 
 SIGTERM aborts the task too, waits at most 2 s for the answer, and the exit code is 143.";
 
 /// How long to wait after a rejected abort, as the original. Not after SIGTERM.
-const AFTER_ABORT: Duration = Duration::from_secs(5);
+pub(crate) const AFTER_ABORT: Duration = Duration::from_secs(5);
 
 /// Pause between two attempts to abort a task, or to get an answer about it.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -298,7 +298,7 @@ fn is_negative(cause: &RequestError) -> bool {
 }
 
 /// Sends an abort until the server answers: for 5 s, or only once after SIGTERM.
-fn insist(remote: &mut RemoteTask, id: &RemoteId) -> Result<Status, RequestError> {
+pub(crate) fn insist(remote: &mut RemoteTask, id: &RemoteId) -> Result<Status, RequestError> {
     let start = Instant::now();
     loop {
         match remote.send_abort(id) {

@@ -10,9 +10,10 @@ use ztl_std::gateway::{
     LONGEST_IMAGE, LONGEST_PART, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
     UpdateProblem, Updated,
 };
-use ztl_std::{RemoteTask, State, Status};
+use ztl_std::{RemoteTask, RequestError, State, Status};
 
 use super::sign::read as read_file;
+use crate::client::{AFTER_ABORT, insist};
 use crate::exit::{Done, Misuse};
 use crate::param::At;
 use crate::server_query::read;
@@ -28,7 +29,7 @@ const CELLS: usize = 30;
 #[command(
     after_help = "Exit codes: 0 the new firmware runs and is confirmed; 1 not updated; 2 the command line or FILE is wrong; refused by the device:
 3 the signature is wrong, 4 the image is for another board, 5 it is older than what runs; 6 the device went back to the firmware before.
-Ctrl-C aborts the update: the device keeps its firmware, or goes back to it."
+Ctrl-C and SIGTERM abort the update: the device keeps its firmware, or goes back to it. A second one ends the command at once."
 )]
 pub(crate) struct Update {
     #[command(flatten)]
@@ -49,6 +50,7 @@ pub(crate) struct Update {
 impl Update {
     pub(crate) fn run(self) -> Done {
         signals::catch()?;
+        signals::leave_at_the_second();
         let path = self.file.display();
         let file = read_file(&self.file).map_err(Misuse::of)?;
         let parsed = Manifest::parse(&file);
@@ -99,28 +101,44 @@ impl Update {
         let goal = UpdateGoal::Run(options).to_text();
         let task = remote.trigger(&device, UPDATES, &goal)?;
         let mut shown = Progress::default();
-        let mut aborted = false;
-        let status = loop {
-            let waited = remote.wait_with(task.id.clone(), None, |status| {
-                if let Ok(status) = status
-                    && !status.state.is_final()
-                {
-                    shown.show(&device, &status.text);
-                }
-                aborted || !signals::stopped()
-            });
-            match waited {
-                Ok(status) => break status,
-                Err(_) if signals::stopped() && !aborted => {
-                    aborted = true;
-                    // The outcome says whether it was in time.
-                    let _ = remote.send_abort(task.id.clone());
-                }
-                Err(error) => return Err(error.into()),
+        let mut show = |status: &Result<Status, RequestError>| {
+            if let Ok(status) = status
+                && !status.state.is_final()
+            {
+                shown.show(&device, &status.text);
             }
         };
+        let waited = remote.wait_with(task.id.clone(), None, |status| {
+            show(status);
+            !signals::stopped()
+        });
+        let ended = match waited {
+            Err(_) if signals::stopped() => {
+                // The outcome says whether it was in time.
+                let answer = insist(&mut remote, &task.id).map_err(|error| error.to_string());
+                let limit = match answer {
+                    Ok(_) => AFTER_ABORT,
+                    Err(_) => Duration::ZERO,
+                };
+                let waited = remote.wait_with(task.id, Some(limit), |status| {
+                    show(status);
+                    !signals::in_a_hurry()
+                });
+                waited.map_err(|error| answer.err().unwrap_or_else(|| error.to_string()))
+            }
+            waited => waited.map_err(|error| error.to_string()),
+        };
         shown.end();
-        finish(&device, &status)
+        match (ended, signals::exit_code()) {
+            (Ok(status), _) => finish(&device, &status),
+            (Err(reason), Some(code)) => {
+                let text = "the update may go on, ztl ps shows it";
+                let reason = flat(&reason);
+                error_line(format_args!("ztl firmware: {name}: {text}: {reason}"));
+                Ok(code)
+            }
+            (Err(reason), None) => Err(reason.into()),
+        }
     }
 }
 
