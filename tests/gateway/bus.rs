@@ -133,6 +133,27 @@ fn nodes_that_flood_leave_the_others_their_turns() {
 }
 
 #[test]
+fn a_board_that_answers_at_the_address_of_another_one_gets_none_of_its_tasks() {
+    let mut line = Line::of(&[
+        "left=sim:gripper@3",
+        "right=sim:head@3",
+        "mid=sim:gripper@4",
+    ]);
+    line.process.write_line("right off");
+    let (gateway, mut remote) = line.gateway();
+    gateway.wait_ready("arm.left");
+    line.process.write_line("left off");
+    line.process.write_line("right on");
+    // As soon as a search has found it, it is a device of its own.
+    until("it is served under its name", PATIENCE, || {
+        let taken = remote.trigger("arm.left", "pan", "left");
+        assert!(taken.is_err(), "{taken:?}");
+        remote.trigger("arm.right", "pan", "right").ok()
+    });
+    assert_eq!(line.count(" right.pan begins 'left'"), 0);
+}
+
+#[test]
 fn two_nodes_with_one_address_are_named_and_do_not_disturb_the_third() {
     let line = Line::of(&[
         "left=sim:gripper@3",

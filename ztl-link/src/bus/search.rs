@@ -12,6 +12,8 @@ const WAIT: Duration = Duration::from_secs(2);
 const REPEATS: u8 = 2;
 /// A search gives up after this many questions: 32 nodes need about a thousand on a bad line.
 const QUESTIONS: u32 = 10_000;
+/// And when it has found so many nodes, of which a line has at most 32: one of them answers for others, or it is noise.
+const MOST: usize = 64;
 
 /// A node that a search has found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -80,7 +82,7 @@ impl Search {
 
     pub(super) fn has_ended(&self) -> bool {
         let all = self.prefixes.is_empty() && self.next_without().is_none();
-        all || self.questions >= QUESTIONS
+        all || self.questions >= QUESTIONS || self.found.len() >= MOST
     }
 
     pub(super) fn into_found(self) -> Vec<Found> {

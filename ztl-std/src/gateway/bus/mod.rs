@@ -8,7 +8,7 @@ mod worker;
 use std::io;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use ztl_link::BusNeeds;
@@ -26,6 +26,8 @@ use worker::Worker;
 #[derive(Debug, Default)]
 pub(super) struct Seat {
     address: AtomicU8,
+    /// The name of its firmware, as a search has found it.
+    firmware: OnceLock<String>,
     needs: Mutex<BusNeeds>,
 }
 
@@ -37,6 +39,11 @@ impl Seat {
 
     fn set_address(&self, address: u8) {
         self.address.store(address, Ordering::Release);
+    }
+
+    /// The name that its firmware must have. Another board at its address is not it.
+    pub(super) fn firmware(&self) -> Option<&str> {
+        self.firmware.get().map(String::as_str)
     }
 
     fn needs(&self) -> BusNeeds {

@@ -89,6 +89,7 @@ impl Nodes {
                     changes.new.push(self.all.len());
                     let seat = Arc::<Seat>::default();
                     seat.set_address(address);
+                    let _ = seat.firmware.set(one.name.clone());
                     self.all.push(Node {
                         id: one.id,
                         firmware: one.name.clone(),
@@ -114,8 +115,11 @@ impl Nodes {
             if let Some(other) = found.iter().find(|one| one.address == address) {
                 let (name, id) = (&other.name, other.id);
                 let text = format!("'{name}' (id {id:016x}) has its address {address} now");
-                node.problem = Some(text);
-                changes.closed.push(address);
+                // Once: the other node is served there from then on.
+                if node.problem.as_ref() != Some(&text) {
+                    node.problem = Some(text);
+                    changes.closed.push(address);
+                }
             }
         }
         changes
@@ -168,12 +172,18 @@ fn mistake(found: &[Found], one: &Found) -> Option<String> {
     })
 }
 
-/// All mistakes, each once.
+/// All mistakes, each once; of many, the first ones.
 fn problem(found: &[Found]) -> Option<String> {
+    const SHOWN: usize = 4;
     let mut mistakes: Vec<String> = Vec::new();
     for one in found {
         let mistake = mistake(found, one).filter(|mistake| !mistakes.contains(mistake));
         mistakes.extend(mistake);
+    }
+    let more = mistakes.len().saturating_sub(SHOWN);
+    mistakes.truncate(SHOWN);
+    if more > 0 {
+        mistakes.push(format!("and {more} more"));
     }
     (!mistakes.is_empty()).then(|| mistakes.join("; "))
 }
@@ -233,6 +243,17 @@ mod tests {
         let changes = nodes.update(&[found(7, 4, "pan")]);
         assert_eq!((changes.new, changes.closed), (vec![1], vec![4]));
         assert!(nodes.all[0].problem.as_ref().unwrap().contains("'pan'"));
+        // The next search closes nothing again.
+        assert_eq!(nodes.update(&[found(7, 4, "pan")]), Changes::default());
+    }
+
+    #[test]
+    fn of_many_mistakes_only_the_first_are_told() {
+        let mut nodes = Nodes::default();
+        let many: Vec<Found> = (0..64).map(|id| found(id, 0, "")).collect();
+        nodes.update(&many);
+        let problem = nodes.problem().expect("it is told");
+        assert!(problem.ends_with("; and 60 more"), "{problem}");
     }
 
     #[test]

@@ -500,10 +500,13 @@ impl Worker {
             }
             LinkEvent::Begun => self.on_begun(),
             LinkEvent::Reported(text) => self.on_reported(&text),
-            LinkEvent::Up => {
-                self.on_up();
-                self.on_update_up();
-            }
+            LinkEvent::Up => match self.other_board() {
+                Some(other) => self.on_closed(&io::Error::other(other)),
+                None => {
+                    self.on_up();
+                    self.on_update_up();
+                }
+            },
             LinkEvent::Silent => {
                 self.silences += 1;
                 let opener = self.opener.as_ref();
@@ -554,6 +557,15 @@ impl Worker {
         let (name, spec) = (&self.name, &request.shown);
         let task = id.get();
         info!(target: GATEWAY, device = name, task, "Device '{name}': task {task} {spec} {what}");
+    }
+
+    /// Which other board answers at the address of this node on a shared line.
+    fn other_board(&self) -> Option<String> {
+        let seat = self.seat()?;
+        let (wanted, found) = (seat.firmware()?, &self.session.device()?.name);
+        let address = seat.address();
+        (wanted != found)
+            .then(|| format!("'{found}' answers at the address {address} of '{wanted}'"))
     }
 
     fn on_up(&mut self) {
