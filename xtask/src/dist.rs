@@ -65,10 +65,11 @@ pub(crate) fn build_fleet(project: &Project, names: &[String], check: bool) -> R
     write_sums(sh, release(&built)?)?;
     if check {
         install::emulators(sh)?;
-        for (_, path) in &built {
-            // Debian runs it by its emulator, if it is of another processor.
-            cmd!(sh, "{path} --version").run()?;
-            cmd!(sh, "{path} router --check examples/fleet/room/router.yaml").run()?;
+        for (target, path) in &built {
+            let emulator: Vec<&str> = target.emulator.split(' ').collect();
+            let file = "examples/fleet/room/router.yaml";
+            cmd!(sh, "env {emulator...} {path} --version").run()?;
+            cmd!(sh, "env {emulator...} {path} router --check {file}").run()?;
         }
     }
     Ok(())

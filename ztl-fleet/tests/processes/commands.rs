@@ -9,7 +9,7 @@ use ztl_fleet::config::Links;
 use ztl_fleet::session::{self, key};
 use ztl_fleet::wire::Verdict;
 use ztl_std::State;
-use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, reserve_port, start};
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, reserve_port, start, until};
 
 use crate::{Fleet, fleet};
 
@@ -112,6 +112,17 @@ fn a_robot_that_does_not_answer_delays_no_question_to_another() {
         let query = leg.recv().unwrap();
         is_asked_again.recv_timeout(PATIENCE).unwrap();
         query.reply(query.key_expr().clone(), "{}").wait().unwrap();
+    });
+    // A question to a robot that is not known yet has no answer.
+    let tokens = ["arm", "leg"].map(|robot| {
+        let token = robots
+            .liveliness()
+            .declare_token(key(robot, AGENT, "alive"));
+        token.wait().unwrap()
+    });
+    until("both are known", PATIENCE, || {
+        let known = asker.liveliness().get(key("*", AGENT, "alive")).wait();
+        (known.unwrap().iter().count() == tokens.len()).then_some(())
     });
     let agents = ["arm", "leg"].map(|robot| (robot.to_owned(), AGENT.to_owned()));
     let told = Caller::plain(asker).ask_all(&agents, "stop", b"", 2 * PATIENCE);
