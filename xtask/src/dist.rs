@@ -68,8 +68,9 @@ pub(crate) fn build_fleet(project: &Project, names: &[String], check: bool) -> R
         for (target, path) in &built {
             let emulator: Vec<&str> = target.emulator.split(' ').collect();
             let file = "examples/fleet/room/router.yaml";
-            cmd!(sh, "env {emulator...} {path} --version").run()?;
-            cmd!(sh, "env {emulator...} {path} router --check {file}").run()?;
+            let run = || cmd!(sh, "env").args(&emulator).arg(path);
+            run().arg("--version").run()?;
+            run().args(["router", "--check", file]).run()?;
         }
     }
     Ok(())
