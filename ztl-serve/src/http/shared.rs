@@ -100,6 +100,7 @@ impl Shared {
 
 #[cfg(test)]
 mod tests {
+    use super::super::exchange::Answer;
     use super::*;
 
     #[test]
