@@ -8,6 +8,23 @@ use std::time::Duration;
 use ztl_naoqi::{Call, CallError, Client, Endpoint, Event, Limits, Options, Value};
 use ztl_tests::lab::{PATIENCE, Process, installed};
 
+/// The services that the examples use.
+pub(crate) const EXAMPLES_USE: [&str; 13] = [
+    "ALAnimatedSpeech",
+    "ALAnimationPlayer",
+    "ALAutonomousLife",
+    "ALBehaviorManager",
+    "ALLeds",
+    "ALMemory",
+    "ALMotion",
+    "ALPeoplePerception",
+    "ALRobotPosture",
+    "ALSonar",
+    "ALSpeechRecognition",
+    "ALTabletService",
+    "ALTextToSpeech",
+];
+
 /// A process with services, and where it listens.
 pub(crate) struct Robot {
     pub(crate) process: Process,

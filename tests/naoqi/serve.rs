@@ -8,24 +8,7 @@ use ztl_tests::lab::{
     PATIENCE, Process, Scratch, Server, connect_to, end, outcome, reserve_port, start, until, ztl,
 };
 
-use crate::robot::Robot;
-
-/// What the examples use.
-const ALL: [&str; 13] = [
-    "ALAnimatedSpeech",
-    "ALAnimationPlayer",
-    "ALAutonomousLife",
-    "ALBehaviorManager",
-    "ALLeds",
-    "ALMemory",
-    "ALMotion",
-    "ALPeoplePerception",
-    "ALRobotPosture",
-    "ALSonar",
-    "ALSpeechRecognition",
-    "ALTabletService",
-    "ALTextToSpeech",
-];
+use crate::robot::{EXAMPLES_USE, Robot};
 
 /// `ztl serve` for a robot.
 struct Served {
@@ -100,7 +83,7 @@ fn completed(text: &str) -> (State, String) {
 
 #[test]
 fn the_example_for_nao_speaks_moves_and_shows_colors() {
-    let mut robot = Robot::start(&ALL);
+    let mut robot = Robot::start(&EXAMPLES_USE);
     let nao = Served::new(&robot.endpoint, "/nao", &example("nao.yaml"));
     for (handler, component, goal, result, done) in [
         ("tts", "say", "5", "None", "say 5"),
@@ -178,7 +161,7 @@ fn the_example_for_nao_speaks_moves_and_shows_colors() {
 
 #[test]
 fn both_examples_are_right_for_the_services_of_their_robots() {
-    let robot = Robot::start(&ALL);
+    let robot = Robot::start(&EXAMPLES_USE);
     for name in ["nao.yaml", "pepper.yaml"] {
         let ended = check(&robot.endpoint, &example(name));
         assert_eq!(ended.code, Some(0), "{ended:?}");
@@ -516,7 +499,7 @@ streams: {/test: {touch: {naoqi-event: FrontTactilTouched}, stiffness: {naoqi-si
 /// The greeting of a robot, on the services that the examples use.
 #[track_caller]
 fn greets(name: &str, scope: &'static str) {
-    let mut robot = Robot::start(&ALL);
+    let mut robot = Robot::start(&EXAMPLES_USE);
     let text = example(&format!("{name}.yaml"));
     let served = Served::new(&robot.endpoint, scope, &text);
     let scratch = Scratch::new();

@@ -10,23 +10,13 @@ use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{PATIENCE, Process, Server, outcome, until};
 
 use super::place::Place;
-use robot::Robot;
+use robot::{EXAMPLES_USE, Robot};
 
 #[test]
 #[ignore = "for `cargo xtask dist --check`"]
 fn it_serves_nao() {
     let place = Place::new();
-    let mut robot = Robot::start(&[
-        "ALAnimatedSpeech",
-        "ALAnimationPlayer",
-        "ALAutonomousLife",
-        "ALBehaviorManager",
-        "ALLeds",
-        "ALMemory",
-        "ALMotion",
-        "ALRobotPosture",
-        "ALTextToSpeech",
-    ]);
+    let mut robot = Robot::start(&EXAMPLES_USE);
     // The file that the program itself writes, for this NAOqi.
     let file = Process::run(&mut place.ztl("serve --init nao"));
     assert_eq!(file.code, Some(0), "{file:?}");
