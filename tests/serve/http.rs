@@ -1,5 +1,6 @@
 //! `http`, against a server on a thread: requests, what their answers mean, and servers that misbehave.
 
+mod certificates;
 mod events;
 mod hostile;
 mod robots;

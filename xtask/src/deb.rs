@@ -87,7 +87,7 @@ fn stage(project: &Project, program: &Path, stage: &Path) -> Result<()> {
         stage.join("ztl.cdx.json"),
     )?;
     sh.copy_file(
-        program.with_file_name("LICENSES.txt"),
+        program.with_extension("licenses.txt"),
         stage.join("copyright"),
     )?;
     Ok(())

@@ -13,26 +13,29 @@ use crate::zig::{Target, Zig, targets};
 use crate::{capi, install, paths};
 use contents::Contents;
 
-/// Maximum size of a program in bytes: 5.25 MiB.
-const MOST: u64 = 21 * 256 * 1024;
+/// Maximum sizes of a program for processors of 32 and 64 bits, in bytes: 5.25 and 8 MiB.
+const MOST_SMALL: u64 = 21 * 256 * 1024;
+const MOST_FULL: u64 = 8 * 1024 * 1024;
 
 /// A program that is built statically.
 pub(crate) struct Program {
     /// The package, and the program.
     package: &'static str,
-    /// Its features.
-    features: &'static [&'static str],
+    /// Its features for a processor, as options of cargo.
+    features: fn(Target) -> &'static [&'static str],
 }
 
-/// With all features but libzmq, which needs a compiler for C++.
 pub(crate) const ZTL: Program = Program {
     package: PACKAGE,
-    features: &["--no-default-features", "--features", "static"],
+    features: |target| match target.is_32_bit() {
+        true => &["--no-default-features", "--features", "small"],
+        false => &["--no-default-features", "--features", "full"],
+    },
 };
 
 const FLEET: Program = Program {
     package: "ztl-fleet",
-    features: &[],
+    features: |_| &[],
 };
 
 /// The processors of computers that carry Zenoh.
@@ -44,7 +47,7 @@ const KERNELS: [&str; 2] = ["3.2", "2.6.32"];
 /// Builds the named targets, or all. `check` also runs each one and links the C interface for it.
 pub(crate) fn build(project: &Project, names: &[String], check: bool) -> Result<()> {
     let targets = targets(names)?;
-    let built = build_small(project, &targets)?;
+    let built = build_ztl(project, &targets)?;
     if check {
         run_all(project, &built)?;
         for target in targets {
@@ -82,25 +85,29 @@ const LINKED: [&str; 1] = ["i686"];
 
 /// What [`check`] runs.
 pub(crate) fn build_tested(project: &Project) -> Result<()> {
-    build_small(project, &targets(&TESTED)?)?;
+    build_ztl(project, &targets(&TESTED)?)?;
     capi::build(project, &LINKED.map(str::to_owned), false, false)
 }
 
 /// The part that the test command runs.
 pub(crate) fn check(project: &Project) -> Result<()> {
-    run_all(project, &build_small(project, &targets(&TESTED)?)?)?;
+    run_all(project, &build_ztl(project, &targets(&TESTED)?)?)?;
     let mut linked = targets(&LINKED)?.into_iter();
     linked.try_for_each(|target| capi::check(project, target))
 }
 
-/// Builds the programs for robots, checks their size, and writes the checksums.
-fn build_small(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
+/// Builds `ztl`, checks its size, and writes the checksums.
+fn build_ztl(project: &Project, targets: &[Target]) -> Result<Vec<(Target, PathBuf)>> {
     let sh = &project.sh;
     let built = build_all(project, targets, &ZTL, "ztl")?;
-    for (_, path) in &built {
+    for (target, path) in &built {
         let size = path.metadata()?.len();
         let path = path.display();
-        ensure!(size <= MOST, "{path}: {size} bytes are more than {MOST}");
+        let most = match target.is_32_bit() {
+            true => MOST_SMALL,
+            false => MOST_FULL,
+        };
+        ensure!(size <= most, "{path}: {size} bytes are more than {most}");
     }
     write_sums(sh, release(&built)?)?;
     Ok(built)
@@ -141,7 +148,7 @@ pub(crate) fn build_all(
         let package = program.package;
         zig.build(target)?
             .args(["--package", package, "--bin", package])
-            .args(program.features)
+            .args((program.features)(target))
             .env("ZTL_BUILD_COMMIT", &commit)
             .env("ZTL_BUILD_TARGET", target.triple())
             .env("ZTL_BUILD_WITH", contents.tools())

@@ -209,7 +209,7 @@ fn clippy_workspace(project: &Project) -> Result<()> {
 const PARTLY: [(&str, &[&str]); 3] = [
     ("ztl-zmtp", &["--features", "alloc"]),
     ("ztl-std", &["--no-default-features"]),
-    ("ztl", &["--no-default-features", "--features", "static"]),
+    ("ztl", &["--no-default-features", "--features", "small"]),
 ];
 
 fn clippy(project: &Project) -> Result<()> {

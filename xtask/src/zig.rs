@@ -87,6 +87,11 @@ impl Target {
         options.chain(words.map(str::to_owned)).collect()
     }
 
+    /// Whether it is a processor of small robots.
+    pub(crate) fn is_32_bit(&self) -> bool {
+        !["x86_64", "aarch64"].contains(&self.name)
+    }
+
     /// Whether this machine has the processor.
     pub(crate) fn is_here(&self) -> bool {
         self.name == env::consts::ARCH

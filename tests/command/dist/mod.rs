@@ -4,14 +4,26 @@
 //! emulator of its processor in an empty root (`ZTL_DIST_EMULATOR`), or as on an old kernel (`ZTL_DIST_KERNEL`).
 //! The other end is this machine's own build.
 
+mod http;
 mod names;
 mod naoqi;
 mod place;
 
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+
 use ztl_std::{RemoteTask, State, Status};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, ztl};
 
 use place::Place;
+
+/// Whether the program has all that runs beside robots: for 64-bit processors.
+fn is_full() -> bool {
+    let target = std::env::var("ZTL_DIST_TARGET").expect("a target");
+    ["x86_64", "aarch64"]
+        .iter()
+        .any(|processor| target.starts_with(processor))
+}
 
 /// The outcome of a healthy run.
 #[track_caller]
@@ -121,6 +133,40 @@ fn its_client_runs_a_task_on_a_local_server() {
     let mut command = place.ztl("task-client --exit-status -r localhost -s");
     let ended = Process::run(command.args([SCOPE, "-p", &port, "test:dance:waltz"]));
     assert_eq!(ended.code, Some(3), "{ended:?}");
+}
+
+#[test]
+#[ignore = "for `cargo xtask dist --check`"]
+fn its_web_console_and_recordings_work_where_they_are_built_in() {
+    let place = Place::new();
+    let mut web = place.ztl("web -c /dev/null -p");
+    let port = reserve_port();
+    web.arg(port.to_string());
+    let mut record = place.ztl("record");
+    record.arg(place.path_inside("run.mcap"));
+    if !is_full() {
+        for command in [&mut web, &mut record] {
+            let ended = Process::run(command);
+            assert_eq!(ended.code, Some(2), "{ended:?}");
+            assert!(
+                ended.stderr.contains("unrecognized subcommand"),
+                "{ended:?}"
+            );
+        }
+        return;
+    }
+    let console = Process::start(&mut web);
+    console.wait_for("://");
+    let page = TcpStream::connect(("127.0.0.1", port)).and_then(|mut stream| {
+        stream.write_all(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")?;
+        let mut page = String::new();
+        stream.read_to_string(&mut page).map(|_| page)
+    });
+    let page = page.expect("a page");
+    assert!(page.starts_with("HTTP/1.1 200 OK\r\n"), "{page}");
+    // There is nothing to record.
+    let ended = Process::run(&mut record);
+    assert_eq!(ended.code, Some(2), "{ended:?}");
 }
 
 #[test]

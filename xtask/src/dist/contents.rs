@@ -68,16 +68,15 @@ impl Contents {
         tools.collect::<Vec<_>>().join(", ")
     }
 
-    /// Writes `PROGRAM-TARGET.cdx.json`, and `LICENSES.txt`, which is the same for all targets.
+    /// Writes `PROGRAM-TARGET.cdx.json` and `PROGRAM-TARGET.licenses.txt`.
     pub(super) fn write(&self, sh: &Shell, program: &Path, commit: &str) -> Result<()> {
         let parts: Vec<&Part> = self.crates.iter().chain(&self.foreign).collect();
         let sum = cmd!(sh, "sha256sum {program}").read()?;
         let sum = sum.split(' ').next().unwrap_or_default();
         let bill = bill(&self.own, &parts, self.target, commit, sum);
-        let name = format!("{}-{}.cdx.json", self.own.name, self.target.name);
-        sh.write_file(program.with_file_name(name), format!("{bill:#}\n"))?;
+        sh.write_file(program.with_extension("cdx.json"), format!("{bill:#}\n"))?;
         let licences = licences(sh, &self.own, &parts)?;
-        Ok(sh.write_file(program.with_file_name("LICENSES.txt"), licences)?)
+        Ok(sh.write_file(program.with_extension("licenses.txt"), licences)?)
     }
 }
 
@@ -87,7 +86,7 @@ fn crates(sh: &Shell, program: &Program, target: Target) -> Result<Vec<Part>> {
     let Program { package, features } = program;
     let tree =
         "tree --locked --edges normal,no-proc-macro --prefix none --format {p}|{l}".split(' ');
-    let tree = cmd!(sh, "cargo {tree...}").args(*features);
+    let tree = cmd!(sh, "cargo {tree...}").args(features(target));
     let tree = tree
         .args(["--package", package, "--target", &triple])
         .read()?;

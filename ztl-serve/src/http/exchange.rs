@@ -120,7 +120,9 @@ pub(super) fn exchange(request: &Filled, until: Instant) -> Result<Answer, NoAns
             return Ok(Answer { location, ..answer });
         };
         uri = redirected(&uri, &location).ok_or_else(|| NoAnswer {
-            reason: format!("status {status} leads to '{location}', which is not on the same host"),
+            reason: format!(
+                "status {status} leads to '{location}', which is another host, port or scheme"
+            ),
             sent: false,
         })?;
     }
@@ -227,13 +229,21 @@ fn read(status: u16, body: &mut Body, until: Instant) -> Result<Answer, NoAnswer
     })
 }
 
-/// Where a redirect leads, if that is on the same host.
+/// Where a redirect leads, if that is on the same host, at the same port and as encrypted as before.
 fn redirected(from: &Uri, location: &str) -> Option<Uri> {
     let authority = from.authority()?;
     let scheme = from.scheme_str()?;
-    let absolute = match location.starts_with('/') && !location.starts_with("//") {
-        true => format!("{scheme}://{authority}{location}"),
-        false => location.to_owned(),
+    let path = from.path();
+    let begin = location.split(['/', '?', '#']).next()?;
+    let absolute = match location.chars().next()? {
+        _ if begin.ends_with(':') => location.to_owned(),
+        '/' if location.starts_with("//") => format!("{scheme}:{location}"),
+        '/' => format!("{scheme}://{authority}{location}"),
+        '?' => format!("{scheme}://{authority}{path}{location}"),
+        _ => {
+            let (directory, _) = path.rsplit_once('/')?;
+            format!("{scheme}://{authority}{directory}/{location}")
+        }
     };
     let to: Uri = absolute.parse().ok()?;
     let same = to.authority() == Some(authority) && to.scheme_str() == Some(scheme);
@@ -271,7 +281,12 @@ mod tests {
             ("http://10.0.0.8:80/d", None),
             ("https://10.0.0.7:80/d", None),
             ("//10.0.0.8/d", None),
-            ("c", None),
+            ("//10.0.0.7:80/e", Some("http://10.0.0.7:80/e")),
+            ("c", Some("http://10.0.0.7:80/c")),
+            ("../c?d", Some("http://10.0.0.7:80/../c?d")),
+            ("?d", Some("http://10.0.0.7:80/a?d")),
+            ("c?d=http://e", Some("http://10.0.0.7:80/c?d=http://e")),
+            ("mailto:x", Some("http://10.0.0.7:80/mailto:x")),
             ("", None),
         ] {
             let found = redirected(&from, location).map(|uri| uri.to_string());

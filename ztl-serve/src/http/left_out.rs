@@ -6,7 +6,7 @@ use crate::reader::ConfigReader;
 
 impl<'d> ConfigReader<'d> {
     fn http_is_left_out(&mut self, node: &'d Node) {
-        let message = "this ztl has no http, as those for old robots; take one built with the feature http, beside the robot";
+        let message = "this ztl has no http, as the static files for 32-bit processors; run another one beside the robot";
         self.yaml.wrong(node, message);
     }
 
