@@ -215,8 +215,18 @@ fn main() -> ExitCode {
     exit("ztl", done)
 }
 
+/// The commands that a build may leave out.
+const MAY_BE_LEFT_OUT: [&str; 4] = ["firmware", "record", "replay", "web"];
+
 /// The message for a wrong command line.
 fn misuse(error: &clap::Error) -> String {
+    if let Some(ContextValue::String(name)) = error.get(ContextKind::InvalidSubcommand)
+        && MAY_BE_LEFT_OUT.contains(&name.as_str())
+    {
+        return format!(
+            "error: this ztl has no '{name}', as the static files for 32-bit processors; run another ztl beside the robot\n"
+        );
+    }
     let text = error.render().to_string();
     match error.get(ContextKind::SuggestedArg) {
         Some(ContextValue::String(meant)) => text.replace(
