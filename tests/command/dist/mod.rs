@@ -139,7 +139,7 @@ fn its_client_runs_a_task_on_a_local_server() {
 #[ignore = "for `cargo xtask dist --check`"]
 fn its_web_console_and_recordings_work_where_they_are_built_in() {
     let place = Place::new();
-    let mut web = place.ztl("web -c /dev/null -p");
+    let mut web = place.ztl("web --task robot 127.0.0.1 1 /robot -p");
     let port = reserve_port();
     web.arg(port.to_string());
     let mut record = place.ztl("record");
