@@ -2,6 +2,7 @@
 
 mod actions;
 mod hostile;
+mod late;
 mod master;
 mod names;
 mod rig;

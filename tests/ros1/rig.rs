@@ -1,11 +1,14 @@
 //! A master, and nodes in Python with rospy and actionlib.
 
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
 use std::process::Command;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+use ztl_ros1::xmlrpc::Value;
 use ztl_ros1::{
     ActionClient, ActionTypes, Config, EndState, Goal, GoalEnd, GoalEvent, Node, WireType,
 };
@@ -32,7 +35,7 @@ impl Master {
         command.args(["-c", script, &port.to_string()]);
         set_environment(&mut command, port, &logs);
         let process = Process::start(&mut command);
-        let connect = || std::net::TcpStream::connect(("127.0.0.1", port)).ok();
+        let connect = || TcpStream::connect(("127.0.0.1", port)).ok();
         until("the master listens", PATIENCE, connect);
         Self {
             port,
@@ -253,4 +256,52 @@ pub(crate) fn within<T>(limit: Duration, run: impl FnOnce() -> T) -> T {
     let took = start.elapsed();
     assert!(took < limit, "{took:?}");
     value
+}
+
+/// Connects to a topic of a node of ours, as a subscriber that reads only the header of the answer, and has little room for more.
+#[track_caller]
+pub(crate) fn listen(asker: &Node, node: &str, topic: &str, name: &str) -> TcpStream {
+    let uri = until("the node is registered", PATIENCE, || {
+        asker.ask_master("lookupNode", &[node.into()]).ok()
+    });
+    let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
+    let offer = asker.ask(
+        uri.as_str().unwrap(),
+        "requestTopic",
+        &[topic.into(), protocols],
+    );
+    let port = offer.unwrap().as_array().unwrap()[2].as_int().unwrap();
+    let mut stream = narrow(u16::try_from(port).unwrap());
+    let fields = [
+        &format!("callerid={name}"),
+        &format!("topic={topic}"),
+        "md5sum=*",
+        "type=*",
+    ];
+    let fields: Vec<u8> = fields.iter().flat_map(|field| text(field)).collect();
+    let len = u32::try_from(fields.len()).unwrap().to_le_bytes();
+    stream.write_all(&[&len, &fields[..]].concat()).unwrap();
+    let mut len = [0; 4];
+    stream.read_exact(&mut len).unwrap();
+    let mut header = vec![0; u32::from_le_bytes(len) as usize];
+    stream.read_exact(&mut header).unwrap();
+    stream
+}
+
+/// A connection that holds few bytes that were not read.
+fn narrow(port: u16) -> TcpStream {
+    use rustix::net::{AddressFamily, SocketType, connect, socket, sockopt};
+    let socket = socket(AddressFamily::INET, SocketType::STREAM, None).unwrap();
+    sockopt::set_socket_recv_buffer_size(&socket, 2048).unwrap();
+    connect(&socket, &SocketAddr::from(([127, 0, 0, 1], port))).unwrap();
+    socket.into()
+}
+
+/// The node that publishes a topic.
+#[track_caller]
+pub(crate) fn publisher_of(asker: &Node, topic: &str) -> String {
+    until("the topic is published", PATIENCE, || {
+        let survey = asker.survey().ok()?;
+        survey.publishers.get(topic)?.first().cloned()
+    })
 }

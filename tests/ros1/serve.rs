@@ -10,9 +10,10 @@ use ztl_tests::lab::{
 use crate::rig::{Master, unique, wait};
 
 /// A stand-in for a robot, and `ztl serve` for it.
-struct Robot {
-    node: Process,
-    server: Server,
+pub(crate) struct Robot {
+    pub(crate) name: String,
+    pub(crate) node: Process,
+    pub(crate) server: Server,
     publish: u16,
     _scratch: Scratch,
 }
@@ -20,7 +21,7 @@ struct Robot {
 impl Robot {
     /// Serves this file, in which `NAME` is the robot's.
     #[track_caller]
-    fn new(text: &str) -> Self {
+    pub(crate) fn new(text: &str) -> Self {
         let master = Master::shared();
         let name = unique("robot");
         let mut python = master.debian_python();
@@ -40,6 +41,7 @@ impl Robot {
         let mut command = ztl();
         command.arg("serve").arg(&path).args(["-p", "0"]);
         Self {
+            name,
             node,
             server: Server::start(&mut command),
             publish,
@@ -48,19 +50,19 @@ impl Robot {
     }
 
     #[track_caller]
-    fn remote(&self) -> RemoteTask {
+    pub(crate) fn remote(&self) -> RemoteTask {
         connect(&self.server.endpoint()).with_timeout(PATIENCE)
     }
 
     /// [`run`] of the handler `p`.
     #[track_caller]
-    fn run(&self, component: &str, goal: &str) -> Ended {
+    pub(crate) fn run(&self, component: &str, goal: &str) -> Ended {
         run(|| self.remote(), "p", component, goal)
     }
 
     /// The same at once.
     #[track_caller]
-    fn run_once(&self, component: &str, goal: &str) -> Ended {
+    pub(crate) fn run_once(&self, component: &str, goal: &str) -> Ended {
         run_once(&mut self.remote(), "p", component, goal)
     }
 
@@ -82,7 +84,8 @@ pub(crate) fn run(
     component: &str,
     goal: &str,
 ) -> Ended {
-    const NOT_CONNECTED: [&str; 5] = [
+    const NOT_CONNECTED: [&str; 6] = [
+        "has not connected",
         "no node subscribes",
         "no controller receives",
         "no joint state",

@@ -1,14 +1,13 @@
 //! Topics, services and parameters of a real node.
 
-use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
+use std::io::Read as _;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
 use ztl_ros1::xmlrpc::Value;
 use ztl_ros1::{CallError, OpenError, ServiceError};
 use ztl_tests::lab::{PATIENCE, process_status};
 
-use crate::rig::{Master, of, string, text, trigger, unique, wait};
+use crate::rig::{Master, listen, of, string, text, trigger, unique, wait};
 
 /// Waits for a message. rospy may send the last one again to a subscriber that connects.
 #[track_caller]
@@ -135,37 +134,6 @@ fn parameters_are_read() {
     ));
 }
 
-/// Connects to a topic of our node as a subscriber that reads only the header.
-fn slow_subscriber(node: &ztl_ros1::Node, topic: &str) -> TcpStream {
-    let uri = node
-        .ask_master("lookupNode", &[node.name().into()])
-        .unwrap();
-    let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
-    let offer = node
-        .ask(
-            uri.as_str().unwrap(),
-            "requestTopic",
-            &[topic.into(), protocols],
-        )
-        .unwrap();
-    let port = offer.as_array().unwrap()[2].as_int().unwrap();
-    let mut stream = TcpStream::connect(("127.0.0.1", u16::try_from(port).unwrap())).unwrap();
-    let fields = [
-        "callerid=/slow",
-        &format!("topic={topic}"),
-        "md5sum=*",
-        "type=*",
-    ];
-    let fields: Vec<u8> = fields.iter().flat_map(|field| text(field)).collect();
-    let len = u32::try_from(fields.len()).unwrap().to_le_bytes();
-    stream.write_all(&[&len, &fields[..]].concat()).unwrap();
-    let mut len = [0; 4];
-    stream.read_exact(&mut len).unwrap();
-    let mut header = vec![0; u32::from_le_bytes(len) as usize];
-    stream.read_exact(&mut header).unwrap();
-    stream
-}
-
 #[test]
 fn a_slow_subscriber_delays_nobody_and_takes_bounded_memory() {
     let master = Master::shared();
@@ -177,7 +145,7 @@ fn a_slow_subscriber_delays_nobody_and_takes_bounded_memory() {
     wait("the robot is connected", || {
         publisher.subscribers().len() == 1
     });
-    let mut slow = slow_subscriber(&node, &topic);
+    let mut slow = listen(&node, node.name(), &topic, "/slow");
     wait("both are connected", || publisher.subscribers().len() == 2);
     let before = process_status(std::process::id(), "VmRSS:");
     let long = "x".repeat(100_000);

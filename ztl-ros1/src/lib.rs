@@ -16,8 +16,8 @@ pub mod xmlrpc;
 
 pub use action::{EndState, GoalEnd, GoalEvent};
 pub use node::{
-    ActionClient, CallError, Config, Goal, NetError, Node, OpenError, Publisher, ServiceError,
-    StartError, Subscription, TypeConflict,
+    ActionClient, Audience, CallError, Config, Goal, Listener, Loss, NetError, Node, OpenError,
+    Publisher, ServiceError, StartError, Subscription, TypeConflict,
 };
 pub use survey::Survey;
 

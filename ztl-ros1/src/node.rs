@@ -3,14 +3,21 @@
 mod actions;
 mod api;
 mod engine;
+mod explain;
 mod fit;
+mod hosts;
 mod net;
+mod net_error;
+mod outbox;
+mod publications;
 mod registrar;
 mod rpc;
 mod service;
+mod sockets;
 mod topics;
+mod unacknowledged;
 
-use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs, UdpSocket};
+use std::net::Ipv4Addr;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -24,8 +31,12 @@ use crate::xmlrpc::Value;
 use crate::{ActionTypes, WireType};
 use engine::{Engine, Identity};
 pub use fit::TypeConflict;
-pub use net::NetError;
+pub(crate) use hosts::resolve;
+use hosts::{host_towards, own_host, resolve_literal, variable};
 use net::{Net, Wake};
+pub use net_error::NetError;
+use publications::Manner;
+pub use publications::{Audience, Listener, Loss};
 pub use rpc::CallError;
 pub(crate) use rpc::read_offer;
 pub use service::ServiceError;
@@ -158,7 +169,9 @@ impl Node {
         };
         let host = match config.host.clone().or_else(own_host) {
             Some(host) => host,
-            None => host_towards(&address)?,
+            None => host_towards(&address)?.ok_or_else(|| StartError::UnknownHost {
+                host: address.host.clone(),
+            })?,
         };
         // A host that is this machine alone is served to this machine alone.
         let local = resolve_literal(&host).is_some_and(|address| address.is_loopback());
@@ -220,9 +233,43 @@ impl Node {
         ty: WireType,
         latching: bool,
     ) -> Result<Publisher, OpenError> {
+        let manner = Manner {
+            latching,
+            ..Manner::default()
+        };
+        self.publish_as(topic, ty, manner)
+    }
+
+    /// Publishes a topic whose messages must not arrive late, such as velocities. A subscriber that does not acknowledge a
+    /// message within `limit`, and a second for each MiB, is disconnected, and what waits for it is discarded.
+    /// `newest`: a message replaces one that was not sent yet.
+    ///
+    /// # Errors
+    /// If this node publishes the topic with another type.
+    pub fn command_publisher(
+        &self,
+        topic: &str,
+        ty: WireType,
+        limit: Duration,
+        newest: bool,
+    ) -> Result<Publisher, OpenError> {
+        let manner = Manner {
+            latching: false,
+            newest,
+            limit: Some(limit),
+        };
+        self.publish_as(topic, ty, manner)
+    }
+
+    fn publish_as(
+        &self,
+        topic: &str,
+        ty: WireType,
+        manner: Manner,
+    ) -> Result<Publisher, OpenError> {
         let topic = absolute(topic);
         let name = Arc::clone(&topic);
-        self.wait(move |engine, _| engine.advertise(&name, ty, latching, None))??;
+        self.wait(move |engine, _| engine.advertise(&name, ty, manner, None))??;
         Ok(Publisher {
             topic,
             mailbox: self.mailbox.clone(),
@@ -396,20 +443,31 @@ impl Publisher {
             .send(move |engine, _| engine.publish(&topic, &content));
     }
 
-    /// The names of the other nodes that receive it: what only this node hears moves no robot.
+    /// Who receives it.
     #[must_use]
-    pub fn subscribers(&self) -> Vec<String> {
+    pub fn audience(&self) -> Audience {
         let topic = Arc::clone(&self.topic);
         let (done, result) = channel();
         self.mailbox.send(move |engine, _| {
-            let publication = engine.publications.get(&topic);
-            let names = publication
-                .into_iter()
-                .flat_map(|of| of.subscribers.values());
-            let others = names.filter(|name| ***name != *engine.name);
-            let _ = done.send(others.map(ToString::to_string).collect());
+            let _ = done.send(engine.audience(&topic));
         });
         result.recv().unwrap_or_default()
+    }
+
+    /// The names of the other nodes that receive it.
+    #[must_use]
+    pub fn subscribers(&self) -> Vec<String> {
+        let nodes = self.audience().nodes.into_iter();
+        nodes.map(|listener| listener.node).collect()
+    }
+
+    /// Finds out why no node receives it, or why `wanted` does not. The callback gets the reason within half a second, unless
+    /// the node stops.
+    pub fn explain(&self, wanted: Option<&str>, then: impl FnOnce(String) + Send + 'static) {
+        let (topic, wanted) = (Arc::clone(&self.topic), wanted.map(str::to_owned));
+        self.mailbox.send(move |engine, now| {
+            engine.explain_audience(now, topic, wanted, Box::new(then));
+        });
     }
 }
 
@@ -510,54 +568,4 @@ impl fmt::Debug for Goal {
 /// A name that begins with a slash.
 fn absolute(name: &str) -> Arc<str> {
     Arc::from(format!("/{}", name.trim_start_matches('/')))
-}
-
-/// The value of an environment variable that is not empty.
-fn variable(name: &str) -> Option<String> {
-    std::env::var(name).ok().filter(|value| !value.is_empty())
-}
-
-fn own_host() -> Option<String> {
-    variable("ROS_HOSTNAME").or_else(|| variable("ROS_IP"))
-}
-
-/// Under which name or address the other nodes of this master reach this machine.
-fn host_towards(master: &Address) -> Result<String, StartError> {
-    let Some(address) = resolve(&master.host) else {
-        let host = master.host.clone();
-        return Err(StartError::UnknownHost { host });
-    };
-    if address.is_loopback() {
-        // Other machines of the robot need a name that they can resolve.
-        let name = rustix::system::uname();
-        let name = name.nodename().to_string_lossy().into_owned();
-        let known = resolve(&name).is_some();
-        return Ok(if known {
-            name
-        } else {
-            Ipv4Addr::LOCALHOST.to_string()
-        });
-    }
-    // Sends nothing; the system says which address it would use.
-    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
-    socket.connect((address, master.port))?;
-    Ok(socket.local_addr()?.ip().to_string())
-}
-
-/// The address of a host, preferably IPv4, which all nodes of ROS 1 use. May block.
-pub(crate) fn resolve(host: &str) -> Option<IpAddr> {
-    if let Some(address) = resolve_literal(host) {
-        return Some(address);
-    }
-    let addresses: Vec<_> = (host, 0).to_socket_addrs().ok()?.collect();
-    let v4 = addresses.iter().find(|address| address.is_ipv4());
-    v4.or(addresses.first()).map(|address| address.ip())
-}
-
-/// The address of a host, if that needs no lookup.
-fn resolve_literal(host: &str) -> Option<IpAddr> {
-    match host {
-        "localhost" => Some(Ipv4Addr::LOCALHOST.into()),
-        host => host.parse().ok(),
-    }
 }

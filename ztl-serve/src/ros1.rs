@@ -9,12 +9,14 @@
 //! | `shown` | texts with parts of a received message |
 //! | `action` | `ros1-action` |
 //! | `trajectory`, `motion` | `ros1-trajectory`, and the end of a motion by joint states |
+//! | `audience` | who receives what is published |
 //! | `publish` | `ros1-publish` |
 //! | `service` | `ros1-service` |
 //! | `parameter` | `ros1-parameter` |
 //! | `topic` | `ros1-topic`, a stream |
 
 pub(crate) mod action;
+mod audience;
 pub(crate) mod connection;
 mod fit;
 pub(crate) mod message;
@@ -36,6 +38,8 @@ pub(crate) enum Event {
     Goal(GoalEvent),
     /// The encoded response of a service, or why there is none; `unknown`: the service may have carried out the call.
     Response(Result<Vec<u8>, Refusal>),
+    /// Why no node receives a topic.
+    Reason(String),
 }
 
 /// Why a service has not answered.

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use super::engine::Engine;
 use super::fit::TypeConflict;
+use super::publications::Manner;
 use super::rpc::CallError;
 use super::topics::Consumer;
 use crate::action::GoalEvent;
@@ -17,6 +18,10 @@ use crate::{ActionTypes, WireType};
 
 /// How long the master may take to say what exists, for the reason why a goal was not sent.
 const EXPLAIN: Duration = Duration::from_millis(400);
+
+/// How long a server may take to acknowledge a goal or a cancel. It is shorter than the time after which a goal that the
+/// server does not show ends as unknown.
+const GOAL_LIMIT: Duration = Duration::from_secs(2);
 
 /// A simulated clock that has not moved for this long stands still.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -94,8 +99,12 @@ impl Engine {
         }
         let to = |part| topic(name, part);
         let action = || Some(Arc::clone(name));
-        self.advertise(&to("goal"), types.goal.clone(), false, action())?;
-        self.advertise(&to("cancel"), wire::cancel_type(), false, action())?;
+        let manner = Manner {
+            limit: Some(GOAL_LIMIT),
+            ..Manner::default()
+        };
+        self.advertise(&to("goal"), types.goal.clone(), manner, action())?;
+        self.advertise(&to("cancel"), wire::cancel_type(), manner, action())?;
         for (part, ty, kind) in [
             ("status", wire::status_type(), Part::Status),
             ("feedback", types.feedback.clone(), Part::Feedback),
@@ -157,12 +166,7 @@ impl Engine {
                 }),
             };
             if read.is_none() {
-                tracing::warn!(
-                    action = &**name,
-                    caller,
-                    ?part,
-                    "malformed message of an action"
-                );
+                tracing::warn!("malformed {part:?} of the action {name} from {caller}");
             }
         });
     }
@@ -288,7 +292,7 @@ impl Engine {
         let Some(action) = self.actions.get(name) else {
             return String::new();
         };
-        let (links, wanted) = (action.machine.links(), &action.types.goal.name);
+        let links = action.machine.links();
         if let [server] = links.status.as_slice() {
             let parts = [
                 ("goal", &links.goal),
@@ -306,13 +310,18 @@ impl Engine {
             let obstacles = obstacles
                 .iter()
                 .filter_map(|topic| self.subscriptions.get(topic));
+            let sent = ["goal", "cancel"].map(|part| topic(name, part));
+            let mut sent = sent.iter().filter_map(|topic| self.publications.get(topic));
             if let Some(obstacle) = obstacles.flat_map(|of| of.obstacles()).next() {
                 text.push_str(": ");
                 text.push_str(obstacle);
+            } else if let Some(obstacle) = sent.find_map(|of| of.obstacle(server)) {
+                text.push_str(": ");
+                text.push_str(&obstacle);
             } else if missing.iter().any(|part| ["goal", "cancel"].contains(part)) {
                 text.push_str(&format!(
                     ": can it resolve '{}', the host name of this node? Set ROS_HOSTNAME or ROS_IP, or `host`, to what \
-                     it can reach; its type of goals must be {wanted}",
+                     it can reach",
                     self.host
                 ));
             }
@@ -371,7 +380,7 @@ impl Engine {
         };
         let id = self.new_id();
         if let Err(error) = self.subscribe(&topic, ty, id, Consumer::Clock) {
-            tracing::warn!(%error, "the simulated clock is not used");
+            tracing::warn!("the simulated clock is not used: {error}");
         }
     }
 

@@ -81,11 +81,8 @@ impl Engine {
             }
             "shutdown" => {
                 // Its owner decides when it ends.
-                tracing::warn!(
-                    by = text(0),
-                    reason = text(1),
-                    "ignored a request to stop the ROS node"
-                );
+                let (by, reason) = (text(0), text(1));
+                tracing::warn!("ignored a request of {by} to stop the ROS node: {reason}");
                 Value::Int(0)
             }
             _ => return xmlrpc::fault(&format!("unknown method '{method}'")),

@@ -8,11 +8,13 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use super::actions::{Action, Clock};
-use super::net::{ConnectionId, Listener, Net, NetError, NetEvent, PIECE, Read, Wake};
+use super::net::{ConnectionId, Listener, Net, NetEvent, PIECE, Read, Wake};
+use super::net_error::NetError;
+use super::publications::Publication;
 use super::registrar::Registrar;
 use super::rpc::Then;
 use super::service::ServiceCall;
-use super::topics::{Publication, Source, Subscription};
+use super::topics::{Source, Subscription};
 use crate::http;
 use crate::tcpros::Frames;
 
@@ -112,10 +114,11 @@ impl Engine {
     pub(crate) fn run(mut self) {
         while !self.has_stopped(Instant::now()) {
             if let Err(error) = self.turn() {
-                tracing::error!(%error, "the ROS node has stopped");
-                return;
+                tracing::error!("the ROS node has stopped: {error}");
+                break;
             }
         }
+        self.net.close_all();
     }
 
     fn turn(&mut self) -> io::Result<()> {
@@ -208,8 +211,8 @@ impl Engine {
     fn on_closed(&mut self, now: Instant, id: ConnectionId, error: NetError) {
         match self.roles.remove(&id) {
             Some(Role::Rpc(reader, then)) => self.on_rpc_closed(now, reader, then, error),
-            Some(Role::Subscriber(topic)) => self.on_subscriber_closed(id, &topic),
-            Some(Role::Source(source)) => self.on_source_closed(now, &source, error.to_string()),
+            Some(Role::Subscriber(topic)) => self.on_subscriber_closed(id, &topic, &error),
+            Some(Role::Source(source)) => self.on_source_closed(now, &source, &error),
             Some(Role::Service(call)) => call.end(error),
             Some(Role::ApiCaller(_) | Role::NewSubscriber(_)) | None => {}
         }

@@ -1,15 +1,18 @@
 //! The connections of a node: one thread, sockets that never block, queues with an end.
 
 use std::collections::{HashMap, VecDeque};
-use std::io::{self, Read as _, Write as _};
+use std::io::{self, Read as _};
+use std::mem;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use std::{fmt, mem};
 
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
 
+use super::net_error::{NetError, plain};
+use super::outbox::{Outbox, is_later};
+use super::{sockets, unacknowledged};
 use crate::uri::Address;
 
 /// Bytes that are read from a connection in one turn, so that a node that floods keeps no other waiting.
@@ -26,6 +29,9 @@ const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
 
 const WAKER: Token = Token(0);
 const LISTENERS: [(Token, Listener); 2] = [(Token(1), Listener::Api), (Token(2), Listener::Tcpros)];
+
+/// How often a connection that closes is looked at, until everything is acknowledged.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// Longer than any wait.
 const FAR: Duration = Duration::from_secs(3600);
@@ -52,51 +58,6 @@ pub(crate) enum NetEvent {
     Failed(ConnectionId, NetError),
 }
 
-/// Why a connection is closed, or was never open.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum NetError {
-    /// This machine cannot resolve the name of the host.
-    UnknownHost {
-        /// The name.
-        host: String,
-    },
-    /// The other end has closed it.
-    Closed {
-        /// The other end.
-        peer: String,
-    },
-    /// It could not be made, or the system has closed it.
-    Failed {
-        /// The other end.
-        peer: String,
-        /// The error of the system.
-        error: String,
-    },
-    /// There was no answer in time.
-    TimedOut {
-        /// The other end.
-        peer: String,
-    },
-}
-
-impl fmt::Display for NetError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::UnknownHost { host } => write!(
-                f,
-                "this machine cannot resolve the host name '{host}': start the node there with ROS_HOSTNAME or \
-                 ROS_IP set to what others can reach, or add the name to /etc/hosts here"
-            ),
-            Self::Closed { peer } => write!(f, "{peer} has closed the connection"),
-            Self::Failed { peer, error } => write!(f, "no connection to {peer}: {error}"),
-            Self::TimedOut { peer } => write!(f, "no answer from {peer} in time"),
-        }
-    }
-}
-
-impl std::error::Error for NetError {}
-
 /// What [`Net::read`] found.
 pub(crate) enum Read {
     Bytes(usize),
@@ -109,10 +70,8 @@ struct Connection {
     peer: Address,
     /// Missing while the host's name is looked up.
     stream: Option<TcpStream>,
-    queue: VecDeque<Arc<[u8]>>,
-    /// Bytes of the first message in the queue that were sent.
-    sent: usize,
-    /// Close it once the queue is empty.
+    outbox: Outbox,
+    /// Close it once everything is sent.
     closing: bool,
     accepted: bool,
     deadline: Option<Instant>,
@@ -279,19 +238,41 @@ impl Net {
         waiting.into_iter().for_each(|id| self.connect(now, id));
     }
 
-    /// Closes what has passed its deadline.
+    /// Closes what has passed its deadline, and what acknowledges nothing.
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
-        let mut late = Vec::new();
-        for (id, connection) in &self.connections {
-            match connection.deadline {
-                Some(deadline) if deadline <= now => late.push(*id),
-                Some(deadline) => self.next = self.next.min(deadline),
-                None => {}
+        let mut table = unacknowledged::Table::default();
+        let (mut late, mut settled, mut next) = (Vec::new(), Vec::new(), self.next);
+        for (id, connection) in &mut self.connections {
+            if connection.closing && connection.is_settled(&mut table) {
+                settled.push(*id);
+                continue;
+            }
+            if connection.closing && connection.outbox.has_limit() {
+                next = next.min(now + LOOK);
+            }
+            if connection.outbox.deadline().is_some_and(|at| at <= now) {
+                connection.is_settled(&mut table);
+            }
+            let peer = || connection.peer.to_string();
+            match (connection.deadline, connection.outbox.deadline()) {
+                (_, Some(at)) if at <= now => late.push((*id, NetError::Silent { peer: peer() })),
+                (Some(at), _) if at <= now => late.push((*id, NetError::TimedOut { peer: peer() })),
+                (one, other) => {
+                    next = one.into_iter().chain(other).fold(next, Instant::min);
+                }
             }
         }
-        for id in late {
+        self.next = next;
+        for (id, error) in late {
+            if let Some(stream) = self.connections.get(&id).and_then(|of| of.stream.as_ref()) {
+                // What waits is too late.
+                sockets::discard_at_close(stream);
+            }
+            self.fail(id, error);
+        }
+        for id in settled {
             let peer = self.peer(id);
-            self.fail(id, NetError::TimedOut { peer });
+            self.fail(id, NetError::Closed { peer });
         }
         self.hosts.retain(|_, host| match host {
             Host::Asked => true,
@@ -314,18 +295,47 @@ impl Net {
         let Some(connection) = self.connections.get_mut(&id) else {
             return false;
         };
-        let waiting = connection.queue.len();
-        // A message whose sending has begun must be completed.
-        let begun = usize::from(connection.sent > 0);
-        let full = waiting >= most.max(1) + begun;
-        if full {
-            connection.queue.remove(begun);
-        }
-        connection.queue.push_back(message);
-        if waiting == 0 {
+        let was_empty = connection.outbox.is_empty();
+        let full = connection.outbox.push(Instant::now(), message, most);
+        let late = connection.outbox.deadline();
+        if was_empty {
             self.flush(id);
         }
+        self.next = late.map_or(self.next, |late| self.next.min(late));
         full
+    }
+
+    /// From now on, the other end must acknowledge each message within this time. If it does not, the connection fails, and
+    /// the system sends nothing of what waits. So it is also if this process is killed: the system would go on sending for
+    /// minutes, and deliver when the network is back.
+    pub(crate) fn limit(&mut self, id: ConnectionId, limit: Duration) {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return;
+        };
+        connection.outbox.limit(limit);
+        if let Some(stream) = &connection.stream {
+            sockets::limit(stream, limit);
+        }
+    }
+
+    /// Whether all that was sent is acknowledged, on a connection with a limit.
+    pub(crate) fn is_settled(
+        &mut self,
+        id: ConnectionId,
+        table: &mut unacknowledged::Table,
+    ) -> bool {
+        let connection = self.connections.get_mut(&id);
+        connection.is_none_or(|connection| connection.is_settled(table))
+    }
+
+    /// Whether nothing must be sent or acknowledged any more on connections with a limit.
+    pub(crate) fn has_settled(&mut self) -> bool {
+        let mut table = unacknowledged::Table::default();
+        let mut limited = self
+            .connections
+            .values_mut()
+            .filter(|of| of.outbox.has_limit());
+        limited.all(|connection| connection.is_settled(&mut table))
     }
 
     /// Reads at most [`PIECE`] bytes.
@@ -351,10 +361,7 @@ impl Net {
                 Read::Later
             }
             Err(error) if is_later(&error) => Read::Later,
-            Err(error) => Read::Ended(NetError::Failed {
-                peer: connection.peer.to_string(),
-                error: plain(&error),
-            }),
+            Err(error) => Read::Ended(connection.failure(&error)),
         }
     }
 
@@ -362,8 +369,16 @@ impl Net {
         if let Some(mut connection) = self.connections.remove(&id)
             && let Some(stream) = &mut connection.stream
         {
+            if connection.outbox.has_limit() && connection.outbox.is_settled() {
+                sockets::deliver_at_close(stream);
+            }
             let _ = self.poll.registry().deregister(stream);
         }
+    }
+
+    pub(crate) fn close_all(&mut self) {
+        let ids: Vec<ConnectionId> = self.connections.keys().copied().collect();
+        ids.into_iter().for_each(|id| self.close(id));
     }
 
     /// Closes the connection once everything is sent, or after a second.
@@ -405,8 +420,7 @@ impl Net {
             Connection {
                 peer,
                 stream,
-                queue: VecDeque::new(),
-                sent: 0,
+                outbox: Outbox::default(),
                 closing: false,
                 accepted,
                 deadline: None,
@@ -452,7 +466,7 @@ impl Net {
         });
         match stream {
             Ok(stream) => {
-                prepare(&stream);
+                sockets::prepare(&stream);
                 connection.stream = Some(stream);
             }
             Err(error) => {
@@ -493,7 +507,7 @@ impl Net {
             let both = Interest::READABLE | Interest::WRITABLE;
             let registry = self.poll.registry();
             let registered = stream.map(|stream| {
-                prepare(stream);
+                sockets::prepare(stream);
                 registry.register(stream, Token(id.0), both)
             });
             match registered {
@@ -532,23 +546,11 @@ impl Net {
         let Some(stream) = &mut connection.stream else {
             return;
         };
-        while let Some(message) = connection.queue.front() {
-            let rest = message.get(connection.sent..).unwrap_or_default();
-            match stream.write(rest) {
-                Ok(count) if count == rest.len() => {
-                    connection.queue.pop_front();
-                    connection.sent = 0;
-                }
-                Ok(count) => connection.sent += count,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) if is_later(&error) => return,
-                Err(error) => {
-                    let (peer, error) = (connection.peer.to_string(), plain(&error));
-                    return self.fail(id, NetError::Failed { peer, error });
-                }
-            }
+        if let Err(error) = connection.outbox.flush(stream) {
+            let error = connection.failure(&error);
+            return self.fail(id, error);
         }
-        if connection.closing {
+        if connection.closing && connection.outbox.is_settled() {
             let peer = connection.peer.to_string();
             self.fail(id, NetError::Closed { peer });
         }
@@ -568,27 +570,22 @@ impl Net {
     }
 }
 
-/// Small messages are not held back, and the system notices a peer that vanished. It works without, so errors are
-/// ignored.
-fn prepare(stream: &TcpStream) {
-    let _ = stream.set_nodelay(true);
-    let _ = rustix::net::sockopt::set_socket_keepalive(stream, true);
-    #[cfg(target_os = "linux")]
-    {
-        let _ = rustix::net::sockopt::set_tcp_keepidle(stream, Duration::from_secs(20));
-        let _ = rustix::net::sockopt::set_tcp_keepintvl(stream, Duration::from_secs(5));
+impl Connection {
+    fn failure(&self, error: &io::Error) -> NetError {
+        let peer = self.peer.to_string();
+        // The system has waited for what it sent to be acknowledged.
+        if error.kind() == io::ErrorKind::TimedOut && self.outbox.has_limit() {
+            return NetError::Silent { peer };
+        }
+        let error = plain(error);
+        NetError::Failed { peer, error }
     }
-}
 
-/// Whether a call would have to wait: also while the connection is being made.
-fn is_later(error: &io::Error) -> bool {
-    use io::ErrorKind::{NotConnected, WouldBlock};
-    matches!(error.kind(), WouldBlock | NotConnected)
-}
-
-/// The text of an error without its number.
-fn plain(error: &io::Error) -> String {
-    let text = error.to_string();
-    let end = text.find(" (os error").unwrap_or(text.len());
-    text.get(..end).unwrap_or_default().to_lowercase()
+    /// Whether everything was sent, and acknowledged if that is limited.
+    fn is_settled(&mut self, table: &mut unacknowledged::Table) -> bool {
+        if let Some(stream) = &self.stream {
+            self.outbox.acknowledge(stream, table);
+        }
+        self.outbox.is_settled()
+    }
 }

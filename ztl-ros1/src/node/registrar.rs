@@ -31,11 +31,15 @@ pub(crate) struct Registrar {
     /// Topics to unregister: the method and its parameters after the node's name.
     farewells: VecDeque<(&'static str, Vec<Value>)>,
     /// Why the last call failed.
-    pub(crate) obstacle: Option<CallError>,
+    obstacle: Option<CallError>,
+    /// The last reason why the master does not register a topic.
+    refusal: Option<String>,
 }
 
 /// What to register next.
 enum Next {
+    /// Unregister it first.
+    Renewal(Arc<str>),
     Publication(Arc<str>, String),
     Subscription(Arc<str>, String),
     Check,
@@ -52,13 +56,31 @@ impl Engine {
         }
         if let Some((method, params)) = self.registrar.farewells.pop_front() {
             return self.call_master(now, method, params, |engine, _, answer| {
-                engine.note(answer.map(drop));
+                engine.note_answer(answer);
             });
         }
         if self.stopping.is_some() {
             return;
         }
         match self.next_registration() {
+            Next::Renewal(topic) => {
+                let params = vec![topic[..].into(), self.api_uri[..].into()];
+                self.call_master(
+                    now,
+                    "unregisterPublisher",
+                    params,
+                    move |engine, _, answer| {
+                        let publication = engine.publications.get_mut(&topic);
+                        if let (Some(publication), Ok(_) | Err(CallError::Refused { .. })) =
+                            (publication, &answer)
+                        {
+                            publication.renew = false;
+                            publication.registered = false;
+                        }
+                        engine.note_answer(answer);
+                    },
+                );
+            }
             Next::Publication(topic, name) => {
                 let params = vec![topic[..].into(), name[..].into(), self.api_uri[..].into()];
                 self.call_master(
@@ -101,7 +123,7 @@ impl Engine {
                     match answer {
                         // A master without memory answers so.
                         Ok(_) | Err(CallError::Refused { .. }) => {
-                            engine.registrar.obstacle = None;
+                            engine.note(Ok(()));
                             engine.refresh_clock(now);
                         }
                         Err(error) => engine.note(Err(error)),
@@ -125,14 +147,21 @@ impl Engine {
     }
 
     /// Whether all is said that had to be, after the node was stopped.
-    pub(crate) fn has_stopped(&self, now: Instant) -> bool {
+    pub(crate) fn has_stopped(&mut self, now: Instant) -> bool {
         let idle = !self.registrar.calling && self.registrar.farewells.is_empty();
-        self.stopping.is_some_and(|limit| idle || limit <= now)
+        self.stopping
+            .is_some_and(|limit| limit <= now || idle && self.net.has_settled())
     }
 
     /// Begins to stop.
     pub(crate) fn stop(&mut self, now: Instant) {
         self.stopping = Some(now + STOP);
+        let publications = self.publications.values_mut();
+        let subscribers = publications.flat_map(|of| std::mem::take(&mut of.subscribers));
+        for id in subscribers.map(|(id, _)| id) {
+            self.roles.remove(&id);
+            self.net.close_when_sent(now, id);
+        }
         self.registrar.not_before = None;
         for topic in self.publications.keys().cloned().collect::<Vec<_>>() {
             self.unregister("unregisterPublisher", &topic);
@@ -143,6 +172,10 @@ impl Engine {
     }
 
     fn next_registration(&self) -> Next {
+        let renewal = self.publications.iter().find(|(_, of)| of.renew);
+        if let Some((topic, _)) = renewal {
+            return Next::Renewal(Arc::clone(topic));
+        }
         let publication = self.publications.iter().find(|(_, of)| !of.registered);
         if let Some((topic, publication)) = publication {
             return Next::Publication(Arc::clone(topic), publication.ty.name.clone());
@@ -192,22 +225,40 @@ impl Engine {
                 Some(value)
             }
             Err(error) => {
-                tracing::warn!(topic, %error, "the ROS master does not register a topic");
                 self.registrar.not_before = Some(now + CHECK);
-                self.note(Err(error));
+                match error {
+                    // It answers.
+                    CallError::Refused { reason } => {
+                        let text = format!("the ROS master does not register {topic}: {reason}");
+                        if self.registrar.refusal.as_ref() != Some(&text) {
+                            tracing::warn!("{text}");
+                        }
+                        self.registrar.refusal = Some(text);
+                        self.note(Ok(()));
+                    }
+                    error => self.note(Err(error)),
+                }
                 None
             }
         }
+    }
+
+    /// Notes that the master answers, if it does; a refusal is an answer.
+    fn note_answer(&mut self, answer: Result<Value, CallError>) {
+        self.note(match answer {
+            Ok(_) | Err(CallError::Refused { .. }) => Ok(()),
+            Err(error) => Err(error),
+        });
     }
 
     fn note(&mut self, answer: Result<(), CallError>) {
         let obstacle = answer.err();
         match &obstacle {
             Some(error) if self.registrar.obstacle.is_none() => {
-                tracing::warn!(master = self.master, %error, "the ROS master does not answer");
+                tracing::warn!("the ROS master {} does not answer: {error}", self.master);
             }
             None if self.registrar.obstacle.is_some() => {
-                tracing::info!(master = self.master, "the ROS master answers");
+                tracing::warn!("the ROS master {} answers again", self.master);
             }
             _ => {}
         }

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::engine::{Engine, Role};
-use super::net::{ConnectionId, NetError};
+use super::net::ConnectionId;
+use super::net_error::NetError;
 use crate::http;
 use crate::uri::Address;
 use crate::xmlrpc::{self, Value};

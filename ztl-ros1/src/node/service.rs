@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::engine::{Engine, Role};
 use super::fit::fits;
-use super::net::{ConnectionId, NetError};
+use super::net::ConnectionId;
+use super::net_error::NetError;
 use super::rpc::CallError;
 use crate::WireType;
 use crate::tcpros::{FrameError, Frames, Header, LONGEST_HEADER, frame};

@@ -1,4 +1,4 @@
-//! What the node publishes, and what it subscribes to.
+//! What the node subscribes to.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,13 +8,12 @@ use super::actions::Part;
 use super::engine::{Engine, Role};
 use super::fit::{TypeConflict, conflict, fits};
 use super::net::ConnectionId;
+use super::net_error::NetError;
+use super::publications::QUEUE;
 use super::rpc::{CallError, read_offer};
 use crate::WireType;
-use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
+use crate::tcpros::{Frames, Header, LONGEST_HEADER};
 use crate::xmlrpc::Value;
-
-/// Messages that wait for a slow subscriber; then the oldest is dropped.
-const QUEUE: usize = 64;
 
 /// The longest message that is received, in bytes.
 const LONGEST: usize = 64 * 1024 * 1024;
@@ -31,20 +30,6 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
 /// Called with the name of the publishing node and the encoded message.
 pub(crate) type OnMessage = Box<dyn FnMut(&str, &[u8]) + Send>;
-
-/// A topic that the node publishes.
-pub(crate) struct Publication {
-    pub(crate) ty: WireType,
-    pub(crate) registered: bool,
-    /// Nodes that receive it.
-    pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
-    /// Whether new subscribers get the last message.
-    latching: bool,
-    last: Option<Arc<[u8]>>,
-    /// How many owners it has.
-    owners: usize,
-    action: Option<Arc<str>>,
-}
 
 /// A topic that the node subscribes to.
 pub(crate) struct Subscription {
@@ -126,6 +111,24 @@ impl Subscription {
     }
 }
 
+/// Why a publisher is not received from.
+#[derive(Debug, Clone, Copy)]
+enum Cause {
+    /// A person must mend it, such as a type that differs.
+    Lasting,
+    /// Such as a node that has ended.
+    Passing,
+}
+
+impl Cause {
+    const fn of(error: &NetError) -> Self {
+        match error {
+            NetError::UnknownHost { .. } => Self::Lasting,
+            _ => Self::Passing,
+        }
+    }
+}
+
 impl Publisher {
     fn caller(&self) -> Option<&Arc<str>> {
         match &self.state {
@@ -136,64 +139,6 @@ impl Publisher {
 }
 
 impl Engine {
-    /// Publishes a topic, for one more owner.
-    pub(crate) fn advertise(
-        &mut self,
-        topic: &Arc<str>,
-        ty: WireType,
-        latching: bool,
-        action: Option<Arc<str>>,
-    ) -> Result<(), TypeConflict> {
-        if let Some(publication) = self.publications.get_mut(topic) {
-            conflict(topic, &publication.ty, &ty)?;
-            publication.owners += 1;
-            publication.action = publication.action.take().or(action);
-            return Ok(());
-        }
-        let publication = Publication {
-            ty,
-            registered: false,
-            subscribers: BTreeMap::new(),
-            latching,
-            last: None,
-            owners: 1,
-            action,
-        };
-        self.publications.insert(Arc::clone(topic), publication);
-        Ok(())
-    }
-
-    /// One owner releases the topic. Messages that were published before are still sent.
-    pub(crate) fn unadvertise(&mut self, now: Instant, topic: &str) {
-        let Some(publication) = self.publications.get_mut(topic) else {
-            return;
-        };
-        publication.owners -= 1;
-        if publication.owners == 0 {
-            let subscribers = std::mem::take(&mut publication.subscribers);
-            self.publications.remove(topic);
-            for id in subscribers.into_keys() {
-                self.roles.remove(&id);
-                self.net.close_when_sent(now, id);
-            }
-            self.unregister("unregisterPublisher", topic);
-        }
-    }
-
-    /// Sends a message to all subscribers.
-    pub(crate) fn publish(&mut self, topic: &str, content: &[u8]) {
-        let Some(publication) = self.publications.get_mut(topic) else {
-            return;
-        };
-        let message: Arc<[u8]> = Arc::from(frame(content));
-        for id in publication.subscribers.keys() {
-            self.net.send(*id, Arc::clone(&message), QUEUE);
-        }
-        if publication.latching {
-            publication.last = Some(message);
-        }
-    }
-
     /// Subscribes to a topic, for one more consumer.
     pub(crate) fn subscribe(
         &mut self,
@@ -283,7 +228,7 @@ impl Engine {
             }
         }
         if uris.len() > MOST_PUBLISHERS {
-            tracing::warn!(topic, "only {MOST_PUBLISHERS} publishers are used");
+            tracing::warn!("{topic} has many publishers: only {MOST_PUBLISHERS} are received");
         }
         self.relinked.extend(subscription.action.clone());
         self.retry_sources(now);
@@ -337,9 +282,14 @@ impl Engine {
         let Some(publisher) = publisher.filter(|of| matches!(of.state, State::Asking)) else {
             return;
         };
-        let offer = answer.map_err(|error| error.to_string()).and_then(|value| {
+        let cause = |error: &CallError| match error {
+            CallError::Net(error) => Cause::of(error),
+            _ => Cause::Passing,
+        };
+        let offer = answer.map_err(|error| (error.to_string(), cause(&error)));
+        let offer = offer.and_then(|value| {
             let malformed = || format!("{uri} offers no TCPROS for {topic}");
-            read_offer(&value).ok_or_else(malformed)
+            read_offer(&value).ok_or_else(|| (malformed(), Cause::Lasting))
         });
         match offer {
             Ok(address) => {
@@ -365,7 +315,7 @@ impl Engine {
                 };
                 self.roles.insert(id, Role::Source(source));
             }
-            Err(error) => self.on_no_source(now, topic, uri, error),
+            Err((error, cause)) => self.on_no_source(now, topic, uri, error, cause),
         }
     }
 
@@ -407,7 +357,7 @@ impl Engine {
                 (Err(error), _) => error.to_string(),
             };
             self.net.close(id);
-            self.on_source_closed(now, &source, error);
+            self.on_no_source(now, &source.topic, &source.uri, error, Cause::Lasting);
             return None;
         }
     }
@@ -453,12 +403,13 @@ impl Engine {
         Ok(caller)
     }
 
-    pub(crate) fn on_source_closed(&mut self, now: Instant, source: &Source, error: String) {
-        self.on_no_source(now, &source.topic, &source.uri, error);
+    pub(crate) fn on_source_closed(&mut self, now: Instant, source: &Source, error: &NetError) {
+        let cause = Cause::of(error);
+        self.on_no_source(now, &source.topic, &source.uri, error.to_string(), cause);
     }
 
     /// There is no connection to this publisher.
-    fn on_no_source(&mut self, now: Instant, topic: &str, uri: &str, error: String) {
+    fn on_no_source(&mut self, now: Instant, topic: &str, uri: &str, error: String, cause: Cause) {
         let Some(subscription) = self.subscriptions.get_mut(topic) else {
             return;
         };
@@ -467,7 +418,11 @@ impl Engine {
             return;
         };
         if publisher.obstacle.as_ref() != Some(&error) {
-            tracing::debug!(topic, uri, error, "not connected to a publisher");
+            // One that only has ended is not worth a warning.
+            match cause {
+                Cause::Lasting => tracing::warn!("{topic} is not received from {uri}: {error}"),
+                Cause::Passing => tracing::debug!("{topic} is not received from {uri}: {error}"),
+            }
         }
         let again = now + publisher.pause;
         publisher.pause = (publisher.pause * 2).min(LONGEST_PAUSE);
@@ -496,75 +451,6 @@ impl Engine {
         }
         if let Some(subscription) = self.subscriptions.get_mut(topic) {
             subscription.consumers = consumers;
-        }
-    }
-
-    pub(crate) fn on_subscriber_bytes(
-        &mut self,
-        now: Instant,
-        id: ConnectionId,
-        mut frames: Frames,
-        bytes: &[u8],
-    ) -> Option<Role> {
-        frames.handle_bytes(bytes);
-        let header = match frames.poll_frame(LONGEST_HEADER) {
-            Ok(None) => return Some(Role::NewSubscriber(frames)),
-            Ok(Some(content)) => Header::parse(content),
-            Err(error) => Err(error),
-        };
-        let accepted = header.map_err(|error| error.to_string());
-        match accepted.and_then(|header| self.accept_subscriber(id, &header)) {
-            Ok(topic) => {
-                self.net.set_deadline(id, None);
-                Some(Role::Subscriber(topic))
-            }
-            Err(error) => {
-                tracing::debug!(peer = self.net.peer(id), error, "refused a subscriber");
-                let header = Header::new([("error", &error[..])]);
-                self.net.send(id, Arc::from(header.encode()), QUEUE);
-                self.net.close_when_sent(now, id);
-                None
-            }
-        }
-    }
-
-    fn accept_subscriber(&mut self, id: ConnectionId, header: &Header) -> Result<Arc<str>, String> {
-        let topic: Arc<str> = Arc::from(header.get("topic"));
-        let Some(publication) = self.publications.get_mut(&topic) else {
-            return Err(format!("{} does not publish '{topic}'", self.name));
-        };
-        let (ty, theirs) = (&publication.ty, header.get("md5sum"));
-        if !fits(&ty.md5, theirs) {
-            return Err(format!(
-                "{topic} is {} with MD5 sum {}, and not {} with {theirs}",
-                ty.name,
-                ty.md5,
-                header.get("type")
-            ));
-        }
-        let answer = Header::new([
-            ("callerid", &self.name[..]),
-            ("topic", &topic),
-            ("type", &ty.name),
-            ("md5sum", &ty.md5),
-            ("message_definition", &ty.definition),
-            ("latching", if publication.latching { "1" } else { "0" }),
-        ]);
-        self.net.send(id, Arc::from(answer.encode()), QUEUE);
-        if let Some(last) = &publication.last {
-            self.net.send(id, Arc::clone(last), QUEUE);
-        }
-        publication
-            .subscribers
-            .insert(id, Arc::from(header.get("callerid")));
-        self.relinked.extend(publication.action.clone());
-        Ok(topic)
-    }
-
-    pub(crate) fn on_subscriber_closed(&mut self, id: ConnectionId, topic: &str) {
-        if let Some(publication) = self.publications.get_mut(topic) {
-            publication.subscribers.remove(&id);
-            self.relinked.extend(publication.action.clone());
         }
     }
 }

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
+use super::audience::EXPLAIN;
 use crate::human::human_time;
 use crate::kind::{Outcome, StopReason};
 
@@ -44,6 +45,8 @@ pub(super) enum Action {
     Begin,
     /// Sends the empty trajectory.
     Stop,
+    /// Finds out why no controller receives the topic, and calls [`Motion::explained`].
+    Explain,
     Progress(String),
     End(Outcome),
 }
@@ -51,6 +54,9 @@ pub(super) enum Action {
 #[derive(Debug)]
 enum Phase {
     Waiting {
+        until: Instant,
+    },
+    Explaining {
         until: Instant,
     },
     Moving {
@@ -87,7 +93,9 @@ impl Motion {
     /// Ends the motion early.
     pub(super) fn stop(&mut self, now: Instant, why: StopReason, actions: &mut Vec<Action>) {
         match self.phase {
-            Phase::Waiting { .. } => self.end(why.before_start(), actions),
+            Phase::Waiting { .. } | Phase::Explaining { .. } => {
+                self.end(why.before_start(), actions);
+            }
             Phase::Moving { .. } => {
                 self.begin_stop(now, Outcome::Aborted(why.to_string()));
             }
@@ -95,20 +103,33 @@ impl Motion {
         }
     }
 
-    /// Does what is due. `is_heard`: whether a controller subscribes.
+    /// Why no controller receives the topic.
+    pub(super) fn explained(&mut self, reason: String, actions: &mut Vec<Action>) {
+        if let Phase::Explaining { .. } = self.phase {
+            self.end(Outcome::Rejected(reason), actions);
+        }
+    }
+
+    /// Does what is due. `heard`: whether a controller subscribes, or why not.
     pub(super) fn handle(
         &mut self,
         now: Instant,
-        is_heard: bool,
+        heard: Result<(), &str>,
         seen: &Seen,
         actions: &mut Vec<Action>,
     ) {
         match &self.phase {
             Phase::Waiting { until } => {
                 let until = *until;
-                self.wait(now, until, is_heard, seen, actions);
+                self.wait(now, until, heard.is_ok(), seen, actions);
             }
-            Phase::Moving { .. } => self.watch(now, is_heard, seen, actions),
+            Phase::Explaining { until } if *until <= now => {
+                let waited = human_time(BEGIN);
+                let reason = format!("no controller receives the topic within {waited}");
+                self.explained(reason, actions);
+            }
+            Phase::Explaining { .. } => {}
+            Phase::Moving { .. } => self.watch(now, heard, seen, actions),
             Phase::Stopping { .. } | Phase::Ended => {}
         }
         self.settle(now, seen, actions);
@@ -131,18 +152,24 @@ impl Motion {
                 next_progress: now + PROGRESS,
             };
         } else if until <= now {
-            let waited = human_time(BEGIN);
-            let reason = match missing.filter(|_| is_heard) {
-                Some(joint) => {
-                    format!("no joint state of {joint} within {waited}, so nothing was moved")
-                }
-                None => format!("no controller receives the topic within {waited}"),
+            let Some(joint) = missing.filter(|_| is_heard) else {
+                let until = now + EXPLAIN;
+                self.phase = Phase::Explaining { until };
+                return actions.push(Action::Explain);
             };
+            let waited = human_time(BEGIN);
+            let reason = format!("no joint state of {joint} within {waited}, so nothing was moved");
             self.end(Outcome::Rejected(reason), actions);
         }
     }
 
-    fn watch(&mut self, now: Instant, is_heard: bool, seen: &Seen, actions: &mut Vec<Action>) {
+    fn watch(
+        &mut self,
+        now: Instant,
+        heard: Result<(), &str>,
+        seen: &Seen,
+        actions: &mut Vec<Action>,
+    ) {
         let missing = self.missing(now, seen);
         let (joint, distance) = self.farthest(seen);
         let tolerance = self.target.tolerance;
@@ -160,10 +187,8 @@ impl Motion {
             Some(format!(
                 "{UNKNOWN_OUTCOME}no joint state of {joint} for {silence}; the controller was told to stop"
             ))
-        } else if !is_heard {
-            Some(format!(
-                "{UNKNOWN_OUTCOME}the controller has left the topic"
-            ))
+        } else if let Err(reason) = heard {
+            Some(format!("{UNKNOWN_OUTCOME}{reason}"))
         } else if *until <= now {
             let limit = human_time(limit);
             Some(format!(

@@ -1,33 +1,33 @@
 //! `ros1-publish`: a message, once or at a rate, and a stop message at the end.
 
+mod job;
+
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_ros1::Publisher;
 use ztl_ros1::message::{Count, Element, FieldType, MessageType, Primitive};
 use ztl_std::describe::GoalRule;
 use ztl_yaml::{Fields, Node, NodeValue};
 
+use self::job::{Plan, PublishJob};
+use super::audience::{ACKNOWLEDGE, Wire};
 use super::connection::{Connection, wire};
 use super::message::{MessageTemplate, goal_part, rule_of_goals};
 use crate::call::Call;
 use crate::human::human_time;
-use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
+use crate::kind::{JobContext, Kind, Outcome, STOP_TIME, Services, Start};
 use crate::program::template::Template;
 use crate::reader::{ComponentContext, ConfigReader};
 
 /// The rate where the file gives none.
 const INTERVAL: Duration = Duration::from_millis(100);
-/// How long a task waits for a subscriber.
-const SUBSCRIBE: Duration = Duration::from_millis(1500);
-/// How often a task that waits looks for one, and one that runs looks whether any is left.
-const LOOK: Duration = Duration::from_millis(50);
-/// How often the stop message is sent, and the pause after each.
-const STOPS: u32 = 5;
-const STOP_PAUSE: Duration = Duration::from_millis(50);
 /// The longest time between two messages, where the file does not say it.
 const DEAD_MAN: Duration = Duration::from_millis(500);
+/// The shortest and the longest time that a node may take to acknowledge one of many messages. A healthy node takes up to
+/// 200 ms.
+const ACKNOWLEDGE_AT_LEAST: Duration = Duration::from_millis(250);
+const ACKNOWLEDGE_AT_MOST: Duration = Duration::from_secs(2);
 /// The longest task.
 const LONGEST: Duration = Duration::from_hours(24);
 
@@ -36,6 +36,7 @@ const LONGEST: Duration = Duration::from_hours(24);
 pub(crate) struct Publish {
     connection: Arc<Connection>,
     topic: String,
+    subscriber: Option<String>,
     message_type: Arc<MessageType>,
     message: MessageTemplate,
     stop: Option<MessageTemplate>,
@@ -82,6 +83,7 @@ pub(crate) fn read<'d>(
     let interval = rate.and_then(|node| reader.rate(node));
     let length = length_node.map(|node| reader.length(node, context.rule));
     let dead_man = dead_man_node.and_then(|node| reader.time(node, LONGEST));
+    let subscriber = reader.subscriber(fields);
     let is_repeated = rate.or(length_node).is_some();
     let interval = interval.unwrap_or(INTERVAL);
     if let (Some(node), Some(dead_man)) = (dead_man_node, dead_man) {
@@ -117,6 +119,7 @@ pub(crate) fn read<'d>(
     Some(Arc::new(Publish {
         connection: Arc::clone(&reader.ros1.connection),
         topic: topic?,
+        subscriber: subscriber.map(|(_, name)| name),
         message_type,
         message,
         stop,
@@ -160,15 +163,6 @@ impl<'d> ConfigReader<'d> {
     }
 }
 
-/// What a task sends.
-#[derive(Debug)]
-struct Plan {
-    message: Vec<u8>,
-    stop: Option<Vec<u8>>,
-    repeat: Option<(Duration, Duration)>,
-    length: Option<Duration>,
-}
-
 impl Publish {
     fn publisher(&self) -> Result<Arc<Publisher>, String> {
         let mut publisher = self
@@ -179,9 +173,18 @@ impl Publish {
             return Ok(Arc::clone(publisher));
         }
         let node = self.connection.node()?;
-        let made = node.publisher(&self.topic, wire(&self.message_type), false);
+        let (limit, newest) = (self.acknowledge(), self.repeat.is_some());
+        let made = node.command_publisher(&self.topic, wire(&self.message_type), limit, newest);
         let made = Arc::new(made.map_err(|error| error.to_string())?);
         Ok(Arc::clone(publisher.insert(made)))
+    }
+
+    /// How long a node may take to acknowledge a message: one that comes later than `dead-man` is too late.
+    fn acknowledge(&self) -> Duration {
+        let dead_man = self.repeat.as_ref().map(|repeat| repeat.dead_man);
+        dead_man.map_or(ACKNOWLEDGE, |dead_man| {
+            dead_man.clamp(ACKNOWLEDGE_AT_LEAST, ACKNOWLEDGE_AT_MOST)
+        })
     }
 
     fn plan(&self, call: &Call) -> Result<Plan, String> {
@@ -213,6 +216,7 @@ impl Publish {
                 .as_ref()
                 .map(|repeat| (repeat.interval, repeat.dead_man)),
             length,
+            acknowledge: self.acknowledge(),
         })
     }
 }
@@ -272,7 +276,11 @@ impl Kind for Publish {
         let _ = self.publisher();
     }
 
-    fn start(self: Arc<Self>, call: Arc<Call>, _: JobContext, _: &Services) -> Start {
+    fn stop_time(&self) -> Duration {
+        self.acknowledge() + STOP_TIME
+    }
+
+    fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, _: &Services) -> Start {
         let prepared = self
             .plan(&call)
             .and_then(|plan| Ok((plan, self.publisher()?)));
@@ -281,192 +289,13 @@ impl Kind for Publish {
                 Instant::now(),
                 &self.topic,
                 plan,
-                publisher,
+                Box::new(Wire {
+                    publisher,
+                    subscriber: self.subscriber.clone(),
+                    task,
+                }),
             ))),
             Err(reason) => Start::Ended(Outcome::Rejected(reason)),
-        }
-    }
-}
-
-/// Where messages go; a fake in tests.
-trait Outlet: Send + Sync {
-    fn publish(&self, bytes: Vec<u8>);
-    fn is_heard(&self) -> bool;
-}
-
-impl Outlet for Publisher {
-    fn publish(&self, bytes: Vec<u8>) {
-        Self::publish(self, bytes);
-    }
-
-    fn is_heard(&self) -> bool {
-        !self.subscribers().is_empty()
-    }
-}
-
-/// Messages that go out for a task.
-struct PublishJob {
-    topic: String,
-    plan: Plan,
-    outlet: Arc<dyn Outlet>,
-    phase: Phase,
-}
-
-enum Phase {
-    /// Until a node subscribes.
-    Waiting {
-        until: Instant,
-        next: Instant,
-    },
-    Running {
-        until: Option<Instant>,
-        next: Instant,
-        last: Instant,
-        look: Instant,
-    },
-    /// The stop message goes out.
-    Stopping {
-        outcome: Outcome,
-        left: u32,
-        next: Instant,
-    },
-    Ended,
-}
-
-impl PublishJob {
-    fn new(now: Instant, topic: &str, plan: Plan, outlet: Arc<dyn Outlet>) -> Self {
-        Self {
-            topic: topic.to_owned(),
-            plan,
-            outlet,
-            phase: Phase::Waiting {
-                until: now + SUBSCRIBE,
-                next: now,
-            },
-        }
-    }
-
-    fn begin(&mut self, now: Instant, effects: &mut Vec<Effect>) {
-        effects.push(Effect::Accept);
-        self.outlet.publish(self.plan.message.clone());
-        let Some((interval, _)) = self.plan.repeat else {
-            return self.begin_stop(now, Outcome::Completed("True".to_owned()));
-        };
-        self.phase = Phase::Running {
-            until: self.plan.length.and_then(|length| now.checked_add(length)),
-            next: now + interval,
-            last: now,
-            look: now + LOOK,
-        };
-    }
-
-    /// Sends the stop message several times, and then ends.
-    fn begin_stop(&mut self, now: Instant, outcome: Outcome) {
-        let left = if self.plan.stop.is_some() { STOPS } else { 0 };
-        self.phase = Phase::Stopping {
-            outcome,
-            left,
-            next: now,
-        };
-    }
-
-    fn run(&mut self, now: Instant) {
-        let Some((interval, dead_man)) = self.plan.repeat else {
-            return;
-        };
-        let Phase::Running {
-            until,
-            next,
-            last,
-            look,
-        } = &mut self.phase
-        else {
-            return;
-        };
-        let pause = now.saturating_duration_since(*last);
-        if pause > dead_man {
-            let (pause, limit) = (pause.as_millis(), human_time(dead_man));
-            return self.begin_stop(now, Outcome::Failed(format!(
-                "no message went out for {pause} ms, longer than dead-man: {limit}; this machine was suspended or overloaded"
-            )));
-        }
-        if until.is_some_and(|until| until <= now) {
-            return self.begin_stop(now, Outcome::Completed("True".to_owned()));
-        }
-        if *look <= now {
-            *look = now + LOOK;
-            if !self.outlet.is_heard() {
-                let topic = &self.topic;
-                let reason = format!("{UNKNOWN_OUTCOME}no node subscribes to {topic} any more");
-                return self.begin_stop(now, Outcome::Failed(reason));
-            }
-        }
-        if *next <= now {
-            self.outlet.publish(self.plan.message.clone());
-            *last = now;
-            // A message that goes out late is not made up for.
-            *next = (*next + interval).max(now + interval / 2);
-        }
-    }
-}
-
-impl Job for PublishJob {
-    fn stop(&mut self, now: Instant, why: StopReason, effects: &mut Vec<Effect>) {
-        match self.phase {
-            Phase::Waiting { .. } => {
-                self.phase = Phase::Ended;
-                effects.push(Effect::End(why.before_start()));
-            }
-            Phase::Running { .. } => self.begin_stop(now, Outcome::Aborted(why.to_string())),
-            Phase::Stopping { .. } | Phase::Ended => {}
-        }
-        self.handle_timeout(now, effects);
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        match &self.phase {
-            Phase::Waiting { next, .. } | Phase::Stopping { next, .. } => Some(*next),
-            Phase::Running {
-                until, next, look, ..
-            } => until.iter().chain([next, look]).min().copied(),
-            Phase::Ended => None,
-        }
-    }
-
-    fn handle_timeout(&mut self, now: Instant, effects: &mut Vec<Effect>) {
-        if let Phase::Waiting { until, next } = &mut self.phase
-            && *next <= now
-        {
-            *next = now + LOOK;
-            let is_over = *until <= now;
-            if self.outlet.is_heard() {
-                self.begin(now, effects);
-            } else if is_over {
-                self.phase = Phase::Ended;
-                let (topic, waited) = (&self.topic, human_time(SUBSCRIBE));
-                let reason = format!("no node subscribes to {topic} within {waited}");
-                effects.push(Effect::End(Outcome::Rejected(reason)));
-            }
-        }
-        self.run(now);
-        if let Phase::Stopping {
-            outcome,
-            left,
-            next,
-        } = &mut self.phase
-            && *next <= now
-        {
-            match (left.checked_sub(1), &self.plan.stop) {
-                (Some(fewer), Some(stop)) => {
-                    *left = fewer;
-                    *next = now + STOP_PAUSE;
-                    self.outlet.publish(stop.clone());
-                }
-                _ => {
-                    effects.push(Effect::End(outcome.clone()));
-                    self.phase = Phase::Ended;
-                }
-            }
         }
     }
 }

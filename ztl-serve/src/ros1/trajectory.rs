@@ -8,12 +8,14 @@ use ztl_ros1::{Publisher, Subscription};
 use ztl_std::describe::{GoalField, GoalRule, GoalValue};
 use ztl_yaml::{Fields, Node};
 
+use super::Event;
+use super::audience::{ACKNOWLEDGE, Outlet as _, Wire};
 use super::connection::{Connection, wire};
 use super::fit::fit;
 use super::motion::{Action, Motion, STOP_TIME, Seen, Target};
 use super::names::UsedType;
 use crate::call::Call;
-use crate::kind::{Effect, Job, JobContext, Kind, Outcome, Services, Start, StopReason};
+use crate::kind::{Effect, Job, JobContext, JobEvent, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
 
 /// The action whose goals are trajectories.
@@ -299,6 +301,7 @@ fn set(message: &mut Value, name: &str, value: Value) -> Result<(), String> {
 pub(crate) struct Controller {
     connection: Arc<Connection>,
     topic: String,
+    subscriber: Option<String>,
     joint_states: String,
     trajectory: Trajectory,
     message: Arc<MessageType>,
@@ -311,7 +314,7 @@ pub(crate) struct Controller {
 /// The topics of a controller.
 #[derive(Debug)]
 struct Link {
-    publisher: Publisher,
+    publisher: Arc<Publisher>,
     /// What was heard of the joints.
     seen: Arc<Mutex<Seen>>,
     _subscription: Subscription,
@@ -328,6 +331,7 @@ pub(crate) fn read<'d>(
     let topic = reader.ros1_name(node, "/arm_controller/command");
     let joints = fields.required("joints", "joints: [shoulder_pan_joint, elbow_flex_joint]");
     let trajectory = joints.and_then(|node| Trajectory::read(reader, node, fields));
+    let subscriber = reader.subscriber(fields);
     let states_node = fields.optional("joint-states");
     let states = states_node.map(|node| reader.ros1_name(node, "/joint_states"));
     let states = states.unwrap_or_else(|| Some("/joint_states".to_owned()));
@@ -363,6 +367,7 @@ pub(crate) fn read<'d>(
     Some(Arc::new(Controller {
         connection: Arc::clone(&reader.ros1.connection),
         topic: topic?,
+        subscriber: subscriber.map(|(_, name)| name),
         joint_states: states?,
         trajectory: trajectory?,
         message: message?,
@@ -406,8 +411,8 @@ impl Controller {
             return Ok(Arc::clone(link));
         }
         let node = self.connection.node()?;
-        let publisher = node.publisher(&self.topic, wire(&self.message), false);
-        let publisher = publisher.map_err(|error| error.to_string())?;
+        let publisher = node.command_publisher(&self.topic, wire(&self.message), ACKNOWLEDGE, true);
+        let publisher = Arc::new(publisher.map_err(|error| error.to_string())?);
         let joints = self.trajectory.joints.clone();
         let seen = Arc::new(Mutex::new(vec![None; joints.len()]));
         let (shared, message) = (Arc::clone(&seen), Arc::clone(&self.joint_state));
@@ -463,7 +468,7 @@ impl Kind for Controller {
         let _ = self.link();
     }
 
-    fn start(self: Arc<Self>, call: Arc<Call>, _: JobContext, _: &Services) -> Start {
+    fn start(self: Arc<Self>, call: Arc<Call>, task: JobContext, _: &Services) -> Start {
         let prepared = self
             .trajectory
             .positions(&call)
@@ -488,6 +493,12 @@ impl Kind for Controller {
         match prepared {
             Ok((target, bytes, stop, link)) => Start::Running(Box::new(MotionJob {
                 motion: Motion::new(Instant::now(), target),
+                outlet: Wire {
+                    publisher: Arc::clone(&link.publisher),
+                    subscriber: self.subscriber.clone(),
+                    task,
+                },
+                begun: Instant::now(),
                 link,
                 bytes,
                 stop,
@@ -501,6 +512,9 @@ impl Kind for Controller {
 /// A motion with its topics.
 struct MotionJob {
     motion: Motion,
+    outlet: Wire,
+    /// When the motion began.
+    begun: Instant,
     link: Arc<Link>,
     /// The trajectory, and the empty one.
     bytes: Vec<u8>,
@@ -516,6 +530,14 @@ impl Job for MotionJob {
         self.act(actions, effects);
     }
 
+    fn handle_event(&mut self, _: Instant, event: JobEvent, effects: &mut Vec<Effect>) {
+        if let JobEvent::Ros1(Event::Reason(reason)) = event {
+            let mut actions = Vec::new();
+            self.motion.explained(reason, &mut actions);
+            self.act(actions, effects);
+        }
+    }
+
     fn poll_timeout(&self) -> Option<Instant> {
         Some(self.next)
     }
@@ -525,24 +547,31 @@ impl Job for MotionJob {
             return;
         }
         self.next = now + TICK;
-        let is_heard = !self.link.publisher.subscribers().is_empty();
+        let heard = self.outlet.look(self.begun);
+        let heard = match &heard.lost {
+            Some(lost) => Err(lost.as_str()),
+            None if heard.nodes.is_empty() => Err("the controller has left the topic"),
+            None => Ok(()),
+        };
         let seen = self.link.seen.lock();
         let seen = seen.unwrap_or_else(PoisonError::into_inner).clone();
         let mut actions = Vec::new();
-        self.motion.handle(now, is_heard, &seen, &mut actions);
+        self.motion.handle(now, heard, &seen, &mut actions);
         self.act(actions, effects);
     }
 }
 
 impl MotionJob {
-    fn act(&self, actions: Vec<Action>, effects: &mut Vec<Effect>) {
+    fn act(&mut self, actions: Vec<Action>, effects: &mut Vec<Effect>) {
         for action in actions {
             match action {
                 Action::Begin => {
-                    self.link.publisher.publish(self.bytes.clone());
+                    self.begun = Instant::now();
+                    self.outlet.publish(self.bytes.clone());
                     effects.push(Effect::Accept);
                 }
-                Action::Stop => self.link.publisher.publish(self.stop.clone()),
+                Action::Stop => self.outlet.publish(self.stop.clone()),
+                Action::Explain => self.outlet.explain(),
                 Action::Progress(text) => effects.push(Effect::Progress(text)),
                 Action::End(outcome) => effects.push(Effect::End(outcome)),
             }

@@ -29,6 +29,13 @@ impl Bench {
         }
     }
 
+    fn heard(&self) -> Result<(), &'static str> {
+        match self.is_heard {
+            true => Ok(()),
+            false => Err("the controller has left the topic"),
+        }
+    }
+
     /// Lets this time pass, with joints that stay where they are if they are heard.
     fn pass(&mut self, time: Duration, places: Option<[f64; 2]>) {
         let end = self.now + time;
@@ -39,7 +46,7 @@ impl Bench {
             }
             let (now, seen) = (self.now, self.seen.clone());
             self.motion
-                .handle(now, self.is_heard, &seen, &mut self.actions);
+                .handle(now, self.heard(), &seen, &mut self.actions);
         }
     }
 

@@ -1,21 +1,34 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::super::audience::{Heard, Outlet};
+use super::job::{STOP_PAUSE, STOPS};
 use super::*;
+use crate::kind::{Effect, Job as _, StopReason};
 
 /// A topic without a node.
 struct FakeTopic {
     sent: Mutex<Vec<Vec<u8>>>,
     is_heard: AtomicBool,
+    is_behind: AtomicBool,
+    is_lost: AtomicBool,
 }
 
-impl Outlet for FakeTopic {
+impl Outlet for Arc<FakeTopic> {
     fn publish(&self, bytes: Vec<u8>) {
         self.sent.lock().expect("no panic").push(bytes);
     }
 
-    fn is_heard(&self) -> bool {
-        self.is_heard.load(Ordering::Relaxed)
+    fn look(&self, _: Instant) -> Heard {
+        let is_there = self.is_heard.load(Ordering::Relaxed);
+        let lost = self.is_lost.load(Ordering::Relaxed);
+        Heard {
+            nodes: is_there.then(|| "/base".to_owned()).into_iter().collect(),
+            has_all: !self.is_behind.load(Ordering::Relaxed),
+            lost: lost.then(|| "/base was disconnected".to_owned()),
+        }
     }
+
+    fn explain(&self) {}
 }
 
 struct Bench {
@@ -34,15 +47,18 @@ impl Bench {
         let topic = Arc::new(FakeTopic {
             sent: Mutex::default(),
             is_heard: AtomicBool::new(is_heard),
+            is_behind: AtomicBool::new(false),
+            is_lost: AtomicBool::new(false),
         });
         let plan = Plan {
             message: vec![GO],
             stop: Some(vec![STOP]),
             repeat,
             length,
+            acknowledge: ACKNOWLEDGE,
         };
         let now = Instant::now();
-        let outlet: Arc<dyn Outlet> = Arc::<FakeTopic>::clone(&topic);
+        let outlet = Box::new(Arc::clone(&topic));
         Self {
             now,
             job: PublishJob::new(now, "/cmd_vel", plan, outlet),
@@ -159,4 +175,42 @@ fn without_a_rate_the_message_goes_out_once() {
     bench.pass(1000 * MS);
     assert_eq!(bench.sent(), [GO, STOP, STOP, STOP, STOP, STOP]);
     assert_eq!(bench.ended, Some(Outcome::Completed("True".to_owned())));
+}
+
+#[test]
+fn a_task_ends_as_completed_only_after_its_last_message_is_acknowledged() {
+    for repeat in [DRIVE, None] {
+        let mut bench = Bench::new(repeat, Some(200 * MS), true);
+        bench.topic.is_behind.store(true, Ordering::Relaxed);
+        bench.pass(900 * MS);
+        assert_eq!(bench.ended, None);
+        bench.topic.is_behind.store(false, Ordering::Relaxed);
+        bench.pass(10 * MS);
+        assert_eq!(bench.ended, Some(Outcome::Completed("True".to_owned())));
+
+        let mut bench = Bench::new(repeat, Some(200 * MS), true);
+        bench.topic.is_behind.store(true, Ordering::Relaxed);
+        bench.pass(3000 * MS);
+        let reason =
+            "unknown: a node that subscribes to /cmd_vel has not acknowledged the last message";
+        assert_eq!(bench.ended, Some(Outcome::Failed(reason.to_owned())));
+    }
+}
+
+#[test]
+fn a_node_that_was_disconnected_makes_the_outcome_unknown_also_of_an_abort() {
+    let lost = Outcome::Failed("unknown: /base was disconnected".to_owned());
+    let mut bench = Bench::new(DRIVE, None, true);
+    bench.pass(100 * MS);
+    bench.topic.is_lost.store(true, Ordering::Relaxed);
+    bench.pass(500 * MS);
+    assert_eq!(bench.ended, Some(lost.clone()));
+    let mut bench = Bench::new(DRIVE, None, true);
+    bench.pass(100 * MS);
+    bench.topic.is_behind.store(true, Ordering::Relaxed);
+    bench.stop(StopReason::Client);
+    bench.pass(100 * MS);
+    bench.topic.is_lost.store(true, Ordering::Relaxed);
+    bench.pass(500 * MS);
+    assert_eq!(bench.ended, Some(lost));
 }

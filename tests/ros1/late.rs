@@ -1,0 +1,128 @@
+//! Commands that would arrive late, after the network or the subscriber was away.
+
+use std::io::{ErrorKind, Read as _};
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use ztl_std::State::{Completed, Failed};
+use ztl_tests::lab::{PATIENCE, end, start, until};
+
+use crate::rig::{Master, listen, publisher_of, string, text, unique, wait};
+use crate::serve::Robot;
+
+/// Has a message wait for a subscriber that reads nothing.
+fn behind(publisher: &ztl_ros1::Publisher) {
+    publisher.publish(text(&"x".repeat(16 << 20)));
+    let is_behind = || publisher.audience().nodes.iter().any(|node| !node.has_all);
+    wait("the message waits", is_behind);
+}
+
+#[test]
+fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again() {
+    let master = Master::shared();
+    let topic = unique("/commands");
+    let node = master.node();
+    let limit = Duration::from_millis(300);
+    let publisher = node.command_publisher(&topic, string(), limit, true);
+    let publisher = publisher.unwrap();
+    let mut slow = listen(&node, node.name(), &topic, "/slow");
+    behind(&publisher);
+    // These are replaced by the newest, and come too late.
+    (0..10).for_each(|number| publisher.publish(text(&format!("late {number}"))));
+    wait("it is disconnected", || publisher.subscribers().is_empty());
+    let lost = publisher.audience().lost;
+    assert_eq!(lost.len(), 1);
+    assert_eq!(lost[0].node, "/slow");
+    assert!(lost[0].reason.contains("has not acknowledged"), "{lost:?}");
+    let mut received = Vec::new();
+    slow.set_read_timeout(Some(PATIENCE)).unwrap();
+    let error = slow.read_to_end(&mut received).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::ConnectionReset);
+    assert!(received.len() < 16 << 20, "{} bytes", received.len());
+
+    let (told, reason) = channel();
+    publisher.explain(Some("/slow"), move |text| drop(told.send(text)));
+    let reason = reason.recv_timeout(PATIENCE).unwrap();
+    assert!(reason.starts_with("/slow was disconnected: "), "{reason}");
+    let _again = listen(&node, node.name(), &topic, "/slow");
+    let all = || publisher.audience().nodes.iter().all(|node| node.has_all);
+    wait("it has all", || publisher.subscribers().len() == 1 && all());
+}
+
+#[test]
+fn a_node_that_stops_discards_what_waits() {
+    let master = Master::shared();
+    let topic = unique("/commands");
+    let limit = Duration::from_secs(3600);
+    let node = master.node();
+    let publisher = node.command_publisher(&topic, string(), limit, true);
+    let publisher = publisher.unwrap();
+    let mut slow = listen(&node, node.name(), &topic, "/slow");
+    behind(&publisher);
+    node.stop();
+    slow.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut received = Vec::new();
+    let error = slow.read_to_end(&mut received).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::ConnectionReset);
+    assert!(received.len() < 16 << 20, "{} bytes", received.len());
+}
+
+/// One of 200 Hz fills the little room of a subscriber that reads nothing.
+const FAST: &str = "scopes: {/test: {p: {
+    drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 200 Hz, for: '{goal.seconds}',
+            message: {linear: {x: '{goal.speed}'}}, stop: {}},
+    bound: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, subscriber: /NAME, rate: 200 Hz, for: 1 s, message: {linear: {x: 0.5}}},
+    absent: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, subscriber: /absent}}}}";
+
+#[test]
+fn a_task_whose_subscriber_takes_nothing_more_is_unknown_and_nothing_of_it_arrives_late() {
+    let robot = Robot::new(FAST);
+    let asker = Master::shared().node();
+    let topic = format!("/{}/cmd_vel", robot.name);
+    let node = publisher_of(&asker, &topic);
+    assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
+    let mut slow = listen(&asker, &node, &topic, "/slow");
+    let mut remote = robot.remote();
+    let task = start(&mut remote, "p", "drive", "{speed: 0.5, seconds: 60}");
+    let (state, text) = end(&mut remote, task);
+    assert_eq!(state, Failed);
+    assert!(
+        text.starts_with("unknown: /slow was disconnected: "),
+        "{text}"
+    );
+    let mut late = Vec::new();
+    slow.set_read_timeout(Some(PATIENCE)).unwrap();
+    let error = slow.read_to_end(&mut late).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::ConnectionReset);
+    // What its machine had taken: the messages of less than half a second.
+    assert!(late.len() < 60 * 52, "{} bytes", late.len());
+
+    // The file names the node that counts, so another one stops nothing.
+    let _slow = listen(&asker, &node, &topic, "/slow");
+    assert_eq!(robot.run("bound", ""), Ok((Completed, "True".to_owned())));
+}
+
+#[test]
+fn a_killed_server_leaves_no_late_command() {
+    let robot = Robot::new(&FAST.replace("200 Hz", "200 Hz, dead-man: 2 s"));
+    let asker = Master::shared().node();
+    let topic = format!("/{}/cmd_vel", robot.name);
+    let node = publisher_of(&asker, &topic);
+    assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
+    let mut slow = listen(&asker, &node, &topic, "/slow");
+    let mut remote = robot.remote();
+    start(&mut remote, "p", "drive", "{speed: 0.5, seconds: 60}");
+    let count = || robot.node.stdout().lines().count();
+    let before = count();
+    // More than the slow one has room for.
+    until("it drives", PATIENCE, || {
+        (count() > before + 150).then_some(())
+    });
+    robot.server.process.signal("KILL");
+    robot.server.process.end(PATIENCE);
+    slow.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut late = Vec::new();
+    let error = slow.read_to_end(&mut late).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::ConnectionReset);
+    assert!(late.len() < 100 * 52, "{} bytes", late.len());
+}

@@ -1,0 +1,63 @@
+//! Why connections fail.
+
+use std::{fmt, io};
+
+/// Why a connection is closed, or was never open.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum NetError {
+    /// This machine cannot resolve the name of the host.
+    UnknownHost {
+        /// The name.
+        host: String,
+    },
+    /// The other end has closed it.
+    Closed {
+        /// The other end.
+        peer: String,
+    },
+    /// It could not be made, or the system has closed it.
+    Failed {
+        /// The other end.
+        peer: String,
+        /// The error of the system.
+        error: String,
+    },
+    /// It has acknowledged nothing for too long: the network is cut, or the node hangs.
+    Silent {
+        /// The other end.
+        peer: String,
+    },
+    /// There was no answer in time.
+    TimedOut {
+        /// The other end.
+        peer: String,
+    },
+}
+
+impl fmt::Display for NetError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownHost { host } => write!(
+                f,
+                "this machine cannot resolve the host name '{host}': start the node there with ROS_HOSTNAME or \
+                 ROS_IP set to what others can reach, or add the name to /etc/hosts here"
+            ),
+            Self::Closed { peer } => write!(f, "{peer} has closed the connection"),
+            Self::Failed { peer, error } => write!(f, "no connection to {peer}: {error}"),
+            Self::Silent { peer } => {
+                write!(f, "{peer} has not acknowledged what was sent to it in time")
+            }
+            Self::TimedOut { peer } => write!(f, "no answer from {peer} in time"),
+        }
+    }
+}
+
+impl std::error::Error for NetError {}
+
+/// The text of an error without its number.
+pub(crate) fn plain(error: &io::Error) -> String {
+    let text = error.to_string();
+    let end = text.find(" (os error").unwrap_or(text.len());
+    text.get(..end).unwrap_or_default().to_lowercase()
+}

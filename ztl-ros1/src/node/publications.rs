@@ -1,0 +1,311 @@
+//! What the node publishes, and who receives it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::engine::{Engine, Role};
+use super::fit::{TypeConflict, conflict, fits};
+use super::net::ConnectionId;
+use super::net_error::NetError;
+use super::unacknowledged;
+use crate::WireType;
+use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
+
+/// Messages that wait for a slow subscriber; then the oldest is dropped.
+pub(crate) const QUEUE: usize = 64;
+
+/// Nodes that are remembered because they were lost or refused.
+const MOST_REMEMBERED: usize = 64;
+
+/// How messages of a topic are sent.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Manner {
+    /// Whether new subscribers get the last message.
+    pub(crate) latching: bool,
+    /// Whether a message replaces one that was not sent yet.
+    pub(crate) newest: bool,
+    /// How long a subscriber may take to acknowledge a message. Then it is disconnected.
+    pub(crate) limit: Option<Duration>,
+}
+
+/// Who receives a topic of this node.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Audience {
+    /// The other nodes that are connected: what only this node hears moves no robot.
+    pub nodes: Vec<Listener>,
+    /// Nodes that were disconnected, because they have not acknowledged a message in time.
+    pub lost: Vec<Loss>,
+}
+
+/// A node that receives a topic.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Listener {
+    /// Its name.
+    pub node: String,
+    /// Whether it has acknowledged all messages.
+    pub has_all: bool,
+}
+
+/// A node that was disconnected.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Loss {
+    /// Its name.
+    pub node: String,
+    /// When.
+    pub at: Instant,
+    /// Why.
+    pub reason: String,
+}
+
+/// A topic that the node publishes.
+pub(crate) struct Publication {
+    pub(crate) ty: WireType,
+    pub(crate) registered: bool,
+    /// It is to be registered anew, so that nodes that do not know that they were disconnected connect again.
+    pub(crate) renew: bool,
+    /// Nodes that receive it.
+    pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
+    manner: Manner,
+    last: Option<Arc<[u8]>>,
+    /// How many owners it has.
+    owners: usize,
+    action: Option<Arc<str>>,
+    lost: Vec<Loss>,
+    /// Nodes that were refused, and why.
+    refused: Vec<(String, String)>,
+}
+
+impl Engine {
+    /// Publishes a topic, for one more owner.
+    pub(crate) fn advertise(
+        &mut self,
+        topic: &Arc<str>,
+        ty: WireType,
+        manner: Manner,
+        action: Option<Arc<str>>,
+    ) -> Result<(), TypeConflict> {
+        if let Some(publication) = self.publications.get_mut(topic) {
+            conflict(topic, &publication.ty, &ty)?;
+            publication.owners += 1;
+            publication.action = publication.action.take().or(action);
+            let before = &mut publication.manner;
+            before.latching |= manner.latching;
+            before.newest &= manner.newest;
+            before.limit = before.limit.into_iter().chain(manner.limit).min();
+            if let Some(limit) = before.limit {
+                for id in publication.subscribers.keys() {
+                    self.net.limit(*id, limit);
+                }
+            }
+            return Ok(());
+        }
+        let publication = Publication {
+            ty,
+            registered: false,
+            renew: false,
+            subscribers: BTreeMap::new(),
+            manner,
+            last: None,
+            owners: 1,
+            action,
+            lost: Vec::new(),
+            refused: Vec::new(),
+        };
+        self.publications.insert(Arc::clone(topic), publication);
+        Ok(())
+    }
+
+    /// One owner releases the topic. Messages that were published before are still sent.
+    pub(crate) fn unadvertise(&mut self, now: Instant, topic: &str) {
+        let Some(publication) = self.publications.get_mut(topic) else {
+            return;
+        };
+        publication.owners -= 1;
+        if publication.owners == 0 {
+            let subscribers = std::mem::take(&mut publication.subscribers);
+            self.publications.remove(topic);
+            for id in subscribers.into_keys() {
+                self.roles.remove(&id);
+                self.net.close_when_sent(now, id);
+            }
+            self.unregister("unregisterPublisher", topic);
+        }
+    }
+
+    /// Sends a message to all subscribers.
+    pub(crate) fn publish(&mut self, topic: &str, content: &[u8]) {
+        let Some(publication) = self.publications.get_mut(topic) else {
+            return;
+        };
+        let message: Arc<[u8]> = Arc::from(frame(content));
+        let most = if publication.manner.newest { 1 } else { QUEUE };
+        for id in publication.subscribers.keys() {
+            self.net.send(*id, Arc::clone(&message), most);
+        }
+        if publication.manner.latching {
+            publication.last = Some(message);
+        }
+    }
+
+    pub(crate) fn on_subscriber_bytes(
+        &mut self,
+        now: Instant,
+        id: ConnectionId,
+        mut frames: Frames,
+        bytes: &[u8],
+    ) -> Option<Role> {
+        frames.handle_bytes(bytes);
+        let header = match frames.poll_frame(LONGEST_HEADER) {
+            Ok(None) => return Some(Role::NewSubscriber(frames)),
+            Ok(Some(content)) => Header::parse(content),
+            Err(error) => Err(error),
+        };
+        let accepted = header.map_err(|error| error.to_string());
+        match accepted.and_then(|header| self.accept_subscriber(id, &header)) {
+            Ok(topic) => {
+                self.net.set_deadline(id, None);
+                Some(Role::Subscriber(topic))
+            }
+            Err(error) => {
+                tracing::debug!(peer = self.net.peer(id), error, "refused a subscriber");
+                let header = Header::new([("error", &error[..])]);
+                self.net.send(id, Arc::from(header.encode()), QUEUE);
+                self.net.close_when_sent(now, id);
+                None
+            }
+        }
+    }
+
+    fn accept_subscriber(&mut self, id: ConnectionId, header: &Header) -> Result<Arc<str>, String> {
+        let topic: Arc<str> = Arc::from(header.get("topic"));
+        let Some(publication) = self.publications.get_mut(&topic) else {
+            return Err(format!("{} does not publish '{topic}'", self.name));
+        };
+        let (ty, theirs) = (&publication.ty, header.get("md5sum"));
+        if !fits(&ty.md5, theirs) {
+            let error = format!(
+                "{topic} is {} with MD5 sum {}, and not {} with {theirs}",
+                ty.name,
+                ty.md5,
+                header.get("type")
+            );
+            publication.refuse(header, &error);
+            return Err(error);
+        }
+        let answer = Header::new([
+            ("callerid", &self.name[..]),
+            ("topic", &topic),
+            ("type", &ty.name),
+            ("md5sum", &ty.md5),
+            ("message_definition", &ty.definition),
+            (
+                "latching",
+                if publication.manner.latching {
+                    "1"
+                } else {
+                    "0"
+                },
+            ),
+        ]);
+        if let Some(limit) = publication.manner.limit {
+            self.net.limit(id, limit);
+        }
+        self.net.send(id, Arc::from(answer.encode()), QUEUE);
+        if let Some(last) = &publication.last {
+            self.net.send(id, Arc::clone(last), QUEUE);
+        }
+        let caller = header.get("callerid");
+        publication.refused.retain(|(node, _)| node != caller);
+        publication.subscribers.insert(id, Arc::from(caller));
+        self.relinked.extend(publication.action.clone());
+        Ok(topic)
+    }
+
+    pub(crate) fn on_subscriber_closed(&mut self, id: ConnectionId, topic: &str, error: &NetError) {
+        let Some(publication) = self.publications.get_mut(topic) else {
+            return;
+        };
+        self.relinked.extend(publication.action.clone());
+        let Some(node) = publication.subscribers.remove(&id) else {
+            return;
+        };
+        if let NetError::Silent { .. } = error {
+            let reason = error.to_string();
+            tracing::warn!(
+                "disconnected {node} from {topic}, and discarded what waited for it: {reason}"
+            );
+            publication.lose(&node, reason);
+        }
+    }
+
+    /// Who receives a topic.
+    pub(crate) fn audience(&mut self, topic: &str) -> Audience {
+        let Some(publication) = self.publications.get(topic) else {
+            return Audience::default();
+        };
+        let mut table = unacknowledged::Table::default();
+        let others = publication.subscribers.iter();
+        let others = others.filter(|(_, node)| ***node != *self.name);
+        let listener = |(id, node): (&ConnectionId, &Arc<str>)| Listener {
+            node: node.to_string(),
+            has_all: self.net.is_settled(*id, &mut table),
+        };
+        Audience {
+            nodes: others.map(listener).collect(),
+            lost: publication.lost.clone(),
+        }
+    }
+}
+
+impl Publication {
+    fn refuse(&mut self, header: &Header, error: &str) {
+        let node = header.get("callerid").to_owned();
+        if self
+            .refused
+            .iter()
+            .any(|(known, why)| *known == node && why == error)
+        {
+            return;
+        }
+        self.refused.retain(|(known, _)| *known != node);
+        self.refused.truncate(MOST_REMEMBERED - 1);
+        tracing::warn!("refused the subscriber {node}: {error}");
+        self.refused.push((node, error.to_owned()));
+    }
+
+    fn lose(&mut self, node: &str, reason: String) {
+        self.lost.retain(|loss| loss.node != node);
+        self.lost.truncate(MOST_REMEMBERED - 1);
+        self.lost.push(Loss {
+            node: node.to_owned(),
+            at: Instant::now(),
+            reason,
+        });
+        // To a node that is connected, this would be a disturbance.
+        self.renew = self.subscribers.is_empty();
+    }
+
+    /// Nodes that were disconnected and are not connected again.
+    fn losses(&self) -> impl Iterator<Item = &Loss> {
+        let is_there = |node: &str| self.subscribers.values().any(|known| **known == *node);
+        self.lost.iter().filter(move |loss| !is_there(&loss.node))
+    }
+
+    /// Why a node, or any if `node` is empty, does not receive the topic, as far as this node knows.
+    pub(crate) fn obstacle(&self, node: &str) -> Option<String> {
+        let is_it = |known: &str| node.is_empty() || known == node;
+        let mut refused = self.refused.iter();
+        if let Some((node, error)) = refused.find(|(known, _)| is_it(known)) {
+            return Some(format!(
+                "{node} has another definition of the type: {error}"
+            ));
+        }
+        let mut losses = self.losses();
+        let Loss { node, reason, .. } = losses.find(|loss| is_it(&loss.node))?;
+        Some(format!(
+            "{node} was disconnected: {reason}. It connects again when its network is back, after up to two minutes, or when it \
+             is restarted"
+        ))
+    }
+}
