@@ -301,7 +301,13 @@ fn narrow(port: u16) -> TcpStream {
 #[track_caller]
 pub(crate) fn publisher_of(asker: &Node, topic: &str) -> String {
     until("the topic is published", PATIENCE, || {
-        let survey = asker.survey().ok()?;
-        survey.publishers.get(topic)?.first().cloned()
+        let state = asker.ask_master("getSystemState", &[]).ok()?;
+        let mut published = state.as_array()?.first()?.as_array()?.iter();
+        published.find_map(|row| match row.as_array()? {
+            [name, nodes] if name.as_str() == Some(topic) => {
+                nodes.as_array()?.first()?.as_str().map(str::to_owned)
+            }
+            _ => None,
+        })
     })
 }

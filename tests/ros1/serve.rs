@@ -100,7 +100,12 @@ pub(crate) fn run(
 }
 
 #[track_caller]
-fn run_once(remote: &mut RemoteTask, handler: &str, component: &str, goal: &str) -> Ended {
+pub(crate) fn run_once(
+    remote: &mut RemoteTask,
+    handler: &str,
+    component: &str,
+    goal: &str,
+) -> Ended {
     match outcome(remote, handler, component, goal) {
         (Rejected, reason) => Err(reason),
         ended => Ok(ended),
@@ -379,8 +384,11 @@ scopes: {{/test: {{p: {{
         ),
         "robot.yaml:6:26: warning: the master knows no service /no/such/dock; ".to_owned(),
         format!(
-            "robot.yaml:7:25: warning: the action server /{lost} of /{lost} cannot be reached: \
+            "robot.yaml:7:25: warning: the action server of /{lost}, /{lost}, cannot be reached: \
              this machine cannot resolve the host name 'no-such-robot.invalid'"
+        ),
+        format!(
+            "robot.yaml:3:26: warning: /{name} subscribes to /{name}/goal, but has not connected: "
         ),
         "warning: the master knows no topic /joint_stats; ".to_owned(),
         "warning: this machine cannot resolve its own name 'no-such-ztl.invalid'; ".to_owned(),
@@ -389,7 +397,7 @@ scopes: {{/test: {{p: {{
     }
     assert_eq!(
         ended.stderr.matches("warning: ").count(),
-        7,
+        8,
         "{}",
         ended.stderr
     );

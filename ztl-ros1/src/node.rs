@@ -492,6 +492,19 @@ pub struct Subscription {
     mailbox: Mailbox,
 }
 
+impl Subscription {
+    /// Why nothing is received, if this node knows.
+    #[must_use]
+    pub fn obstacle(&self) -> Option<String> {
+        let topic = Arc::clone(&self.topic);
+        let (done, result) = channel();
+        self.mailbox.send(move |engine, _| {
+            let _ = done.send(engine.why_silent(&topic));
+        });
+        result.recv().unwrap_or_default()
+    }
+}
+
 impl fmt::Debug for Subscription {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_tuple("Subscription").field(&self.topic).finish()

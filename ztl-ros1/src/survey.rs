@@ -13,14 +13,16 @@ const AT_ONCE: usize = 64;
 /// What a master knows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Survey {
-    /// Topics with their types; the type of a topic without publishers may be `*`.
+    /// Topics with their types; the type of a topic without publishers may be `*`. Those that only `ztl` uses are left out.
     pub topics: BTreeMap<String, String>,
     /// Actions with their types, such as `control_msgs/FollowJointTrajectoryAction`.
     pub actions: BTreeMap<String, String>,
-    /// The names of the nodes that publish a topic.
+    /// The names of the nodes that publish a topic, without those of `ztl`.
     pub publishers: BTreeMap<String, Vec<String>>,
-    /// Services.
-    pub services: Vec<String>,
+    /// The names of the nodes that subscribe to a topic, without those of `ztl`.
+    pub subscribers: BTreeMap<String, Vec<String>>,
+    /// Services, with the names of their nodes.
+    pub servers: BTreeMap<String, Vec<String>>,
     /// Nodes with the addresses of their APIs, and what is wrong with each: its host name cannot be resolved here, or
     /// it does not answer.
     pub nodes: BTreeMap<String, (String, Option<String>)>,
@@ -33,8 +35,8 @@ impl Node {
     /// # Errors
     /// If the master does not answer.
     pub fn survey(&self) -> Result<Survey, CallError> {
-        let topics = pairs(&self.ask_master("getTopicTypes", &[])?);
-        let published = pairs(&self.ask_master("getPublishedTopics", &["".into()])?);
+        let mut topics = pairs(&self.ask_master("getTopicTypes", &[])?);
+        let mut published = pairs(&self.ask_master("getPublishedTopics", &["".into()])?);
         let state = self.ask_master("getSystemState", &[])?;
         let parts = state.as_array().unwrap_or_default();
         let lists: Vec<_> = parts.iter().map(lists).collect();
@@ -42,11 +44,22 @@ impl Node {
         let names: Vec<_> = names.into_iter().collect();
         let nodes = names.chunks(AT_ONCE);
         let nodes = nodes.flat_map(|names| self.look_at(names)).collect();
-        let list = |index: usize| lists.get(index).cloned().unwrap_or_default();
+        let list = |index: usize| {
+            let mut list = lists.get(index).cloned().unwrap_or_default();
+            list.values_mut()
+                .for_each(|nodes| nodes.retain(|node| !is_ztl(node)));
+            list.retain(|_, nodes| !nodes.is_empty());
+            list
+        };
+        let (publishers, subscribers) = (list(0), list(1));
+        // The master remembers the types of topics that nobody uses any more.
+        topics.retain(|topic, _| publishers.contains_key(topic) || subscribers.contains_key(topic));
+        published.retain(|topic, _| publishers.contains_key(topic));
         Ok(Survey {
             actions: actions(&published),
-            publishers: list(0),
-            services: list(2).into_keys().collect(),
+            publishers,
+            subscribers,
+            servers: list(2),
             topics,
             nodes,
         })
@@ -71,6 +84,19 @@ impl Node {
         let names = names.iter().map(|name| (*name).clone());
         names.zip(asked.into_iter().map(state)).collect()
     }
+}
+
+/// Whether a node is one of `ztl`, of this or another process: such a node moves no robot.
+pub(crate) fn is_ztl(node: &str) -> bool {
+    let mut parts = node.rsplitn(3, '_');
+    let is = |part: Option<&str>, fits: fn(char) -> bool| {
+        part.is_some_and(|part| !part.is_empty() && part.chars().all(fits))
+    };
+    is(parts.next(), |c| c.is_ascii_hexdigit())
+        && is(parts.next(), |c| c.is_ascii_digit())
+        && parts
+            .next()
+            .is_some_and(|name| name == "/ztl" || name.starts_with("/ztl_"))
 }
 
 /// Reads a list of topics or services, each with a list of nodes.
@@ -130,6 +156,22 @@ pub(crate) fn action_names(topics: &BTreeMap<String, String>) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nodes_of_ztl_are_known_by_their_names() {
+        for name in ["/ztl_1_0000abcd", "/ztl_doctor_77_deadbeef"] {
+            assert!(is_ztl(name), "{name}");
+        }
+        for name in [
+            "/ztl",
+            "/ztl_base",
+            "/base_1_0000abcd",
+            "/ztl_x_0000abcd",
+            "/ztlx_1_0a",
+        ] {
+            assert!(!is_ztl(name), "{name}");
+        }
+    }
 
     #[test]
     fn actions_are_found_among_topics() {

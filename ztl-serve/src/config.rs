@@ -21,7 +21,8 @@ use crate::naoqi;
 use crate::program::processes::ProcessRegistry;
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::ros1::connection::Connection;
-use crate::ros1::names::{UsedName, missing};
+use crate::ros1::names::missing;
+use crate::ros1::used_name::UsedName;
 use crate::stream::read::cannot_have_streams;
 use crate::stream::{StreamConfig, Streams};
 

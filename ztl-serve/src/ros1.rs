@@ -5,7 +5,7 @@
 //! | `connection` | the node that all share, and `ros1` at the top of the file |
 //! | `types` | types by their names in the file, and the names in ROS that have them |
 //! | `message`, `fit` | messages with placeholders, read from YAML and filled with a goal |
-//! | `names` | what of these is not there |
+//! | `used_name`, `names` | the names in ROS that the file uses, and what of these is not there |
 //! | `shown` | texts with parts of a received message |
 //! | `action` | `ros1-action` |
 //! | `trajectory`, `motion` | `ros1-trajectory`, and the end of a motion by joint states |
@@ -29,6 +29,7 @@ mod shown;
 pub(crate) mod topic;
 pub(crate) mod trajectory;
 mod types;
+pub(crate) mod used_name;
 
 use ztl_ros1::GoalEvent;
 

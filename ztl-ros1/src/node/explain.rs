@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use super::engine::Engine;
 use super::registrar::uris;
 use super::rpc::CallError;
+use crate::survey::is_ztl;
 use crate::xmlrpc::Value;
 
 /// How long the master and then a node may take to answer.
@@ -69,6 +70,21 @@ impl Engine {
         );
     }
 
+    /// Why nothing is received under a topic, as far as this node knows.
+    pub(crate) fn why_silent(&self, topic: &str) -> Option<String> {
+        let subscription = self.subscriptions.get(topic)?;
+        if let Some(error) = self.registrar.obstacle() {
+            return Some(format!(
+                "the ROS master {} does not answer: {error}",
+                self.master
+            ));
+        }
+        if subscription.has_publishers() {
+            return subscription.obstacles().next().map(str::to_owned);
+        }
+        Some(format!("no node publishes {topic}"))
+    }
+
     /// The master says who subscribes to what.
     fn on_state(&mut self, now: Instant, question: Question, answer: Result<Value, CallError>) {
         let state = match answer {
@@ -86,7 +102,7 @@ impl Engine {
             _ => None,
         });
         let mut nodes = nodes.unwrap_or_default();
-        nodes.retain(|node| **node != *self.name);
+        nodes.retain(|node| !is_ztl(node));
         let node = nodes.iter().find(|node| question.concerns(node));
         let reason = match (node, &question.wanted) {
             (Some(node), _) => return self.ask_where(now, question, node.clone()),

@@ -10,10 +10,15 @@ use super::net::ConnectionId;
 use super::net_error::NetError;
 use super::unacknowledged;
 use crate::WireType;
+use crate::survey::is_ztl;
 use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
 
 /// Messages that wait for a slow subscriber; then the oldest is dropped.
 pub(crate) const QUEUE: usize = 64;
+
+/// How often a topic that has lost a node is registered anew: while the node's machine may not know it.
+const RENEWALS: u32 = 30;
+const RENEWAL: Duration = Duration::from_secs(10);
 
 /// Nodes that are remembered because they were lost or refused.
 const MOST_REMEMBERED: usize = 64;
@@ -32,7 +37,7 @@ pub(crate) struct Manner {
 /// Who receives a topic of this node.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Audience {
-    /// The other nodes that are connected: what only this node hears moves no robot.
+    /// The nodes that are connected, without those of `ztl`, which move no robot.
     pub nodes: Vec<Listener>,
     /// Nodes that were disconnected, because they have not acknowledged a message in time.
     pub lost: Vec<Loss>,
@@ -62,8 +67,8 @@ pub struct Loss {
 pub(crate) struct Publication {
     pub(crate) ty: WireType,
     pub(crate) registered: bool,
-    /// It is to be registered anew, so that nodes that do not know that they were disconnected connect again.
-    pub(crate) renew: bool,
+    /// How often it is still to be registered anew, and when next: nodes that were disconnected connect again.
+    renewals: (u32, Option<Instant>),
     /// Nodes that receive it.
     pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
     manner: Manner,
@@ -103,7 +108,7 @@ impl Engine {
         let publication = Publication {
             ty,
             registered: false,
-            renew: false,
+            renewals: (0, None),
             subscribers: BTreeMap::new(),
             manner,
             last: None,
@@ -217,6 +222,7 @@ impl Engine {
         }
         let caller = header.get("callerid");
         publication.refused.retain(|(node, _)| node != caller);
+        publication.renewals = (0, None);
         publication.subscribers.insert(id, Arc::from(caller));
         self.relinked.extend(publication.action.clone());
         Ok(topic)
@@ -246,7 +252,7 @@ impl Engine {
         };
         let mut table = unacknowledged::Table::default();
         let others = publication.subscribers.iter();
-        let others = others.filter(|(_, node)| ***node != *self.name);
+        let others = others.filter(|(_, node)| !is_ztl(node));
         let listener = |(id, node): (&ConnectionId, &Arc<str>)| Listener {
             node: node.to_string(),
             has_all: self.net.is_settled(*id, &mut table),
@@ -282,8 +288,21 @@ impl Publication {
             at: Instant::now(),
             reason,
         });
-        // To a node that is connected, this would be a disturbance.
-        self.renew = self.subscribers.is_empty();
+        self.renewals = (RENEWALS, None);
+    }
+
+    /// When to register the topic anew, if a node was lost and no other is connected, which that would disturb. A node in C++
+    /// connects again at the first time, one in Python after its own end of the connection has been closed.
+    pub(crate) fn renewal(&self) -> Option<Option<Instant>> {
+        let (left, at) = self.renewals;
+        let is_useful = left > 0 && self.subscribers.is_empty();
+        is_useful.then_some(at)
+    }
+
+    /// It is not registered any more.
+    pub(crate) fn on_unregistered(&mut self, now: Instant) {
+        self.registered = false;
+        self.renewals = (self.renewals.0.saturating_sub(1), Some(now + RENEWAL));
     }
 
     /// Nodes that were disconnected and are not connected again.

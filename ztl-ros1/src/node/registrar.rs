@@ -36,6 +36,13 @@ pub(crate) struct Registrar {
     refusal: Option<String>,
 }
 
+impl Registrar {
+    /// Why the master does not answer.
+    pub(crate) const fn obstacle(&self) -> Option<&CallError> {
+        self.obstacle.as_ref()
+    }
+}
+
 /// What to register next.
 enum Next {
     /// Unregister it first.
@@ -62,20 +69,19 @@ impl Engine {
         if self.stopping.is_some() {
             return;
         }
-        match self.next_registration() {
+        match self.next_registration(now) {
             Next::Renewal(topic) => {
                 let params = vec![topic[..].into(), self.api_uri[..].into()];
                 self.call_master(
                     now,
                     "unregisterPublisher",
                     params,
-                    move |engine, _, answer| {
+                    move |engine, now, answer| {
                         let publication = engine.publications.get_mut(&topic);
                         if let (Some(publication), Ok(_) | Err(CallError::Refused { .. })) =
                             (publication, &answer)
                         {
-                            publication.renew = false;
-                            publication.registered = false;
+                            publication.on_unregistered(now);
                         }
                         engine.note_answer(answer);
                     },
@@ -171,10 +177,13 @@ impl Engine {
         }
     }
 
-    fn next_registration(&self) -> Next {
-        let renewal = self.publications.iter().find(|(_, of)| of.renew);
-        if let Some((topic, _)) = renewal {
-            return Next::Renewal(Arc::clone(topic));
+    fn next_registration(&mut self, now: Instant) -> Next {
+        for (topic, publication) in &self.publications {
+            match publication.renewal() {
+                Some(Some(at)) if at > now => self.net.wake_by(at),
+                Some(_) => return Next::Renewal(Arc::clone(topic)),
+                None => {}
+            }
         }
         let publication = self.publications.iter().find(|(_, of)| !of.registered);
         if let Some((topic, publication)) = publication {

@@ -103,6 +103,10 @@ impl Subscription {
             .any(|of| of.caller().is_none() && of.obstacle.is_none())
     }
 
+    pub(crate) fn has_publishers(&self) -> bool {
+        !self.publishers.is_empty()
+    }
+
     /// Why publishers cannot be received from.
     pub(crate) fn obstacles(&self) -> impl Iterator<Item = &str> {
         self.publishers

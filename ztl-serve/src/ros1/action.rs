@@ -14,6 +14,7 @@ use super::connection::{Connection, wire};
 use super::message::{MessageTemplate, rule_of_goals};
 use super::shown::ShownMessage;
 use super::trajectory::{MOVE_BASE, MoveBase, TRAJECTORY_ACTION, Trajectory};
+use super::used_name::UsedType;
 use crate::call::Call;
 use crate::kind::{
     Effect, Job, JobContext, JobEvent, Kind, Outcome, STOP_TIME, Services, Start, StopReason,
@@ -52,7 +53,7 @@ pub(crate) fn read<'d>(
     let fields = fields?;
     let name = "/arm_controller/follow_joint_trajectory";
     let example = "type: move_base_msgs/MoveBaseAction";
-    let (name, types) = reader.ros1_typed_name::<ActionType>(node, fields, name, example);
+    let (name, types) = reader.ros1_typed_name(node, fields, name, example, UsedType::action);
     let message = fields.optional("message");
     let joints = fields.optional("joints");
     let frame = fields.optional("frame");

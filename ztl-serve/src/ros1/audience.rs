@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ztl_ros1::Publisher;
-use ztl_yaml::{Fields, Node};
+use ztl_yaml::Fields;
 
 use super::Event;
 use crate::kind::{JobContext, JobEvent};
@@ -75,8 +75,8 @@ impl Outlet for Wire {
 
 impl<'d> ConfigReader<'d> {
     /// Reads `subscriber`: the node that must receive the topic.
-    pub(super) fn subscriber(&mut self, fields: &mut Fields<'d>) -> Option<(&'d Node, String)> {
+    pub(super) fn subscriber(&mut self, fields: &mut Fields<'d>) -> Option<String> {
         let node = fields.optional("subscriber")?;
-        Some((node, self.ros1_name(node, "/base_controller")?))
+        self.ros1_name(node, "/base_controller")
     }
 }

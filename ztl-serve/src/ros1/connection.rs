@@ -7,7 +7,7 @@ use ztl_ros1::message::{Definitions, MessageType};
 use ztl_ros1::{Config, Node as RosNode};
 use ztl_yaml::{Diagnostic, Node};
 
-use super::names::UsedName;
+use super::used_name::UsedName;
 use crate::reader::ConfigReader;
 
 /// How the node is called in ROS, before what makes its name unique.

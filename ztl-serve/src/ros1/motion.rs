@@ -38,6 +38,15 @@ pub(super) struct Target {
 /// The last position of each joint, and when it arrived.
 pub(super) type Seen = Vec<Option<(Instant, f64)>>;
 
+/// Says why there are no joint states, if that is known.
+pub(super) type Unseen<'u> = &'u dyn Fn() -> Option<String>;
+
+fn why(unseen: Unseen<'_>) -> String {
+    unseen()
+        .map(|reason| format!(": {reason}"))
+        .unwrap_or_default()
+}
+
 /// What the owner of the motion does.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Action {
@@ -116,12 +125,13 @@ impl Motion {
         now: Instant,
         heard: Result<(), &str>,
         seen: &Seen,
+        unseen: Unseen<'_>,
         actions: &mut Vec<Action>,
     ) {
         match &self.phase {
             Phase::Waiting { until } => {
                 let until = *until;
-                self.wait(now, until, heard.is_ok(), seen, actions);
+                self.wait(now, until, heard.is_ok(), seen, unseen, actions);
             }
             Phase::Explaining { until } if *until <= now => {
                 let waited = human_time(BEGIN);
@@ -129,7 +139,7 @@ impl Motion {
                 self.explained(reason, actions);
             }
             Phase::Explaining { .. } => {}
-            Phase::Moving { .. } => self.watch(now, heard, seen, actions),
+            Phase::Moving { .. } => self.watch(now, heard, seen, unseen, actions),
             Phase::Stopping { .. } | Phase::Ended => {}
         }
         self.settle(now, seen, actions);
@@ -141,6 +151,7 @@ impl Motion {
         until: Instant,
         is_heard: bool,
         seen: &Seen,
+        unseen: Unseen<'_>,
         actions: &mut Vec<Action>,
     ) {
         let missing = self.missing(now, seen);
@@ -158,7 +169,10 @@ impl Motion {
                 return actions.push(Action::Explain);
             };
             let waited = human_time(BEGIN);
-            let reason = format!("no joint state of {joint} within {waited}, so nothing was moved");
+            let reason = format!(
+                "no joint state of {joint} within {waited}, so nothing was moved{}",
+                why(unseen)
+            );
             self.end(Outcome::Rejected(reason), actions);
         }
     }
@@ -168,6 +182,7 @@ impl Motion {
         now: Instant,
         heard: Result<(), &str>,
         seen: &Seen,
+        unseen: Unseen<'_>,
         actions: &mut Vec<Action>,
     ) {
         let missing = self.missing(now, seen);
@@ -185,7 +200,8 @@ impl Motion {
         let failed = if let Some(joint) = missing {
             let silence = human_time(SILENCE);
             Some(format!(
-                "{UNKNOWN_OUTCOME}no joint state of {joint} for {silence}; the controller was told to stop"
+                "{UNKNOWN_OUTCOME}no joint state of {joint} for {silence}; the controller was told to stop{}",
+                why(unseen)
             ))
         } else if let Err(reason) = heard {
             Some(format!("{UNKNOWN_OUTCOME}{reason}"))

@@ -1,109 +1,28 @@
-//! Whether the topics, actions and services of a file are there: asked by `--check`, while the robot runs.
+//! Whether the topics, actions, services and parameters of a file are there: asked by `--check`, while the robot runs.
 
 use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
 
-use ztl_ros1::message::{ActionType, MessageType, ServiceType};
-use ztl_ros1::{Node as RosNode, Survey};
-use ztl_yaml::{Diagnostic, Node, closest};
+use ztl_ros1::xmlrpc::Value;
+use ztl_ros1::{Node as RosNode, Publisher, Survey};
+use ztl_yaml::{Diagnostic, closest};
 
 use super::connection::Connection;
-use crate::reader::ConfigReader;
+use super::used_name::{Known, NameKind, UsedName};
 
-/// A name in ROS that the file uses.
-#[derive(Debug, Clone)]
-pub(crate) struct UsedName {
-    /// Where the file has it; its message is still to be written.
-    place: Diagnostic,
-    name: String,
-    of: UsedType,
-}
+/// How long nodes may take to connect to what they would receive.
+const CONNECT: Duration = Duration::from_secs(2);
+const LOOK: Duration = Duration::from_millis(20);
+/// How long the reason may take why they do not.
+const EXPLAIN: Duration = Duration::from_secs(1);
 
-/// The type of a used name.
-#[derive(Debug, Clone)]
-pub(crate) struct UsedType {
-    kind: NameKind,
-    /// As the file has it.
-    ty: String,
-    /// The definitions that this machine has for it.
-    known: Vec<Known>,
-}
-
-/// What a name is of.
-#[derive(Debug, Clone, Copy)]
-enum NameKind {
-    Action,
-    Topic,
-    Service,
-}
-
-/// A definition that this machine has for a topic or service.
-#[derive(Debug, Clone)]
-struct Known {
-    /// What follows the used name.
-    suffix: &'static str,
-    ty: String,
-    md5: String,
-}
-
-impl Known {
-    fn of(suffix: &'static str, message: &MessageType) -> Self {
-        Self {
-            suffix,
-            ty: message.name().to_owned(),
-            md5: message.md5().to_owned(),
-        }
-    }
-}
-
-impl UsedType {
-    pub(crate) fn action(ty: &ActionType) -> Self {
-        Self {
-            kind: NameKind::Action,
-            ty: ty.name.clone(),
-            known: vec![
-                Known::of("/result", &ty.action_result),
-                Known::of("/feedback", &ty.action_feedback),
-            ],
-        }
-    }
-
-    pub(crate) fn topic(ty: &MessageType) -> Self {
-        Self {
-            kind: NameKind::Topic,
-            ty: ty.name().to_owned(),
-            known: vec![Known::of("", ty)],
-        }
-    }
-
-    pub(crate) fn service(ty: &ServiceType) -> Self {
-        let known = Known {
-            suffix: "",
-            ty: ty.name.clone(),
-            md5: ty.md5.clone(),
-        };
-        Self {
-            kind: NameKind::Service,
-            ty: ty.name.clone(),
-            known: vec![known],
-        }
-    }
-}
-
-impl<'d> ConfigReader<'d> {
-    /// Notes a name that the file uses.
-    pub(crate) fn uses_name(&mut self, node: &'d Node, name: Option<&String>, of: UsedType) {
-        if let Some(name) = name {
-            self.ros1.names.push(UsedName {
-                place: self.yaml.mistake(node, ""),
-                name: name.clone(),
-                of,
-            });
-        }
-    }
-}
+/// What is wrong with a name, and a remedy.
+type Mistake = (String, String);
 
 /// Asks the master for these names. Returns the names that are missing or have another type, or why they cannot be checked;
-/// blocks for some seconds if nodes do not answer.
+/// blocks for some seconds if nodes do not answer. For a moment, this machine is a publisher of the topics that tasks
+/// publish, since only then nodes show their type; nothing is sent.
 pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<Diagnostic> {
     let Some(first) = names.first() else {
         return Vec::new();
@@ -122,12 +41,19 @@ pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<D
     match surveyed {
         Ok((survey, node)) => {
             let wrong = |name: &UsedName| {
-                let known = name.mistake(&survey);
-                let known = known.or_else(|| name.lost_server(&survey));
+                let known = name.mistake(&survey, || missing_parameter(&node, &name.name));
+                let known = known.or_else(|| name.unreachable(&survey));
                 known.or_else(|| name.other_definition(&survey, &node))
             };
-            let wrong = names.iter().filter_map(|name| Some((name, wrong(name)?)));
-            warnings.extend(wrong.map(|(name, (mistake, help))| name.warning(mistake, Some(help))));
+            let wrong: Vec<_> = names.iter().map(wrong).collect();
+            let right = names.iter().zip(&wrong);
+            let right = right.filter(|(_, wrong)| wrong.is_none());
+            let refused = refusals(&node, &survey, right.map(|(name, _)| name));
+            let mut refused = refused.into_iter();
+            for (name, wrong) in names.iter().zip(wrong) {
+                let wrong = wrong.or_else(|| refused.next().flatten());
+                warnings.extend(wrong.map(|(mistake, help)| name.warning(mistake, Some(help))));
+            }
         }
         Err(error) => {
             let help = "start the robot's ROS to have its names checked, too".to_owned();
@@ -137,29 +63,63 @@ pub(crate) fn missing(connection: &Arc<Connection>, names: &[UsedName]) -> Vec<D
     warnings
 }
 
+/// Why nodes do not receive what tasks would publish, for each of these names.
+fn refusals<'n>(
+    node: &RosNode,
+    survey: &Survey,
+    names: impl Iterator<Item = &'n UsedName>,
+) -> Vec<Option<Mistake>> {
+    let publish = |name: &UsedName| {
+        let Known { suffix, .. } = name.of.published.as_ref()?;
+        let topic = format!("{}{suffix}", name.name);
+        let wanted = name.awaited(survey, &topic)?;
+        let wire = name.of.published.as_ref()?.wire();
+        let publisher = node.publisher(&topic, wire, false).ok()?;
+        Some((publisher, wanted))
+    };
+    let published: Vec<_> = names.map(publish).collect();
+    let is_there =
+        |(publisher, wanted): &(Publisher, String)| publisher.subscribers().contains(wanted);
+    let until = Instant::now() + CONNECT;
+    while Instant::now() < until && !published.iter().flatten().all(is_there) {
+        std::thread::sleep(LOOK);
+    }
+    let reason = |published: Option<(Publisher, String)>| {
+        let (publisher, wanted) = published.filter(|published| !is_there(published))?;
+        let (told, reason) = channel();
+        publisher.explain(Some(&wanted), move |reason| drop(told.send(reason)));
+        let reason = reason.recv_timeout(EXPLAIN).ok()?;
+        let help = "a task would be rejected with this reason".to_owned();
+        Some((reason, help))
+    };
+    published.into_iter().map(reason).collect()
+}
+
 impl UsedName {
-    fn warning(&self, message: String, help: Option<String>) -> Diagnostic {
-        let mut warning = self.place.clone();
-        warning.message = format!("warning: {message}");
-        warning.help = help;
-        warning
+    /// The node that must receive a topic of this name: that of the file, or the first.
+    fn awaited(&self, survey: &Survey, topic: &str) -> Option<String> {
+        let subscribers = survey.subscribers.get(topic)?;
+        let named = self.of.subscriber.as_ref();
+        named.or(subscribers.first()).cloned()
     }
 
-    /// What is wrong with the name, and a remedy.
-    fn mistake(&self, survey: &Survey) -> Option<(String, String)> {
+    /// What is wrong with the name. `unset`: whether the parameter of this name is not set.
+    fn mistake(&self, survey: &Survey, unset: impl FnOnce() -> Option<Mistake>) -> Option<Mistake> {
         let name = &self.name;
-        let (there, what) = match self.of.kind {
-            NameKind::Action => (survey.actions.get(name), "action"),
-            NameKind::Topic => (survey.topics.get(name), "topic"),
+        let what = self.of.kind.what();
+        let there = match self.of.kind {
+            NameKind::Action => survey.actions.get(name),
+            NameKind::Published | NameKind::Received => survey.topics.get(name),
             // The master does not know the types of services.
-            NameKind::Service if survey.services.contains(name) => return None,
-            NameKind::Service => (None, "service"),
+            NameKind::Service if survey.servers.contains_key(name) => return None,
+            NameKind::Parameter => return unset(),
+            NameKind::Service => None,
         };
         let Some(there) = there else {
             let known: Vec<&String> = match self.of.kind {
                 NameKind::Action => survey.actions.keys().collect(),
-                NameKind::Topic => survey.topics.keys().collect(),
-                NameKind::Service => survey.services.iter().collect(),
+                NameKind::Service => survey.servers.keys().collect(),
+                _ => survey.topics.keys().collect(),
             };
             let known = known.iter().map(|name| name.as_str());
             let help = match closest(name, known) {
@@ -173,32 +133,88 @@ impl UsedName {
         };
         // A node may subscribe to any type.
         let fits = *there == self.of.ty || there == "*";
-        (!fits).then(|| other_type(what, name, there, &self.of.ty))
+        match fits {
+            true => self.wrong_direction(survey),
+            false => Some(other_type(what, name, there, &self.of.ty)),
+        }
     }
 
-    /// Why no node that serves the action can be reached, and a remedy. The master also names nodes that were killed.
-    fn lost_server(&self, survey: &Survey) -> Option<(String, String)> {
-        let NameKind::Action = self.of.kind else {
-            return None;
+    /// Whether nobody is at the other end of the topic.
+    fn wrong_direction(&self, survey: &Survey) -> Option<Mistake> {
+        let name = &self.name;
+        let nodes = |of: &std::collections::BTreeMap<String, Vec<String>>| {
+            of.get(name).map(|nodes| nodes.join(", "))
         };
-        let servers = survey.publishers.get(&format!("{}/status", self.name))?;
+        let (publishers, subscribers) = (nodes(&survey.publishers), nodes(&survey.subscribers));
+        match (self.of.kind, publishers, subscribers) {
+            (NameKind::Published, Some(publishers), None) => Some((
+                format!("no node subscribes to {name}, which {publishers} publishes"),
+                "to receive a topic, write ros1-topic among the streams".to_owned(),
+            )),
+            (NameKind::Received, None, Some(subscribers)) => Some((
+                format!("no node publishes {name}, to which {subscribers} subscribes"),
+                "to publish a topic, write ros1-publish".to_owned(),
+            )),
+            (NameKind::Published, _, Some(subscribers)) => self.who_receives(survey, &subscribers),
+            _ => None,
+        }
+    }
+
+    /// Whether the node that must receive the topic does, or which it is if several do.
+    fn who_receives(&self, survey: &Survey, subscribers: &str) -> Option<Mistake> {
+        let (name, nodes) = (&self.name, survey.subscribers.get(&self.name)?);
+        match &self.of.subscriber {
+            Some(wanted) if !nodes.contains(wanted) => Some((
+                format!("{wanted} does not subscribe to {name}; there are: {subscribers}"),
+                format!("write subscriber: {}", nodes.first()?),
+            )),
+            None if nodes.len() > 1 => Some((
+                format!(
+                    "several nodes receive {name}, and each counts as the robot's: {subscribers}"
+                ),
+                format!(
+                    "name the one that must receive it, such as subscriber: {}",
+                    nodes.first()?
+                ),
+            )),
+            _ => None,
+        }
+    }
+
+    /// Why no node that is needed can be reached. The master also names nodes that were killed.
+    fn unreachable(&self, survey: &Survey) -> Option<Mistake> {
+        let name = &self.name;
+        let (nodes, what) = match self.of.kind {
+            NameKind::Action => {
+                let nodes = survey.publishers.get(&format!("{name}/status"));
+                (nodes, format!("the action server of {name}"))
+            }
+            NameKind::Published => (
+                survey.subscribers.get(name),
+                format!("the subscriber of {name}"),
+            ),
+            NameKind::Received => (
+                survey.publishers.get(name),
+                format!("the publisher of {name}"),
+            ),
+            NameKind::Service => (survey.servers.get(name), format!("the server of {name}")),
+            NameKind::Parameter => return None,
+        };
+        let counts = |node: &&String| self.of.subscriber.as_ref().is_none_or(|of| of == *node);
         let obstacle = |node: &String| {
             let (_, wrong) = survey.nodes.get(node)?;
             Some((node.clone(), wrong.clone()?))
         };
-        let obstacles: Option<Vec<_>> = servers.iter().map(obstacle).collect();
+        let obstacles: Option<Vec<_>> = nodes?.iter().filter(counts).map(obstacle).collect();
         let (node, wrong) = obstacles?.into_iter().next()?;
         Some((
-            format!(
-                "the action server {node} of {} cannot be reached: {wrong}",
-                self.name
-            ),
-            "if it was killed, start it again".to_owned(),
+            format!("{what}, {node}, cannot be reached: {wrong}"),
+            "if it hangs or was killed, start it again".to_owned(),
         ))
     }
 
-    /// Whether the robot has another definition of its type, and a remedy. Asks the nodes that publish or serve it.
-    fn other_definition(&self, survey: &Survey, node: &RosNode) -> Option<(String, String)> {
+    /// Whether the robot has another definition of its type. Asks the nodes that publish or serve it.
+    fn other_definition(&self, survey: &Survey, node: &RosNode) -> Option<Mistake> {
         self.of.known.iter().find_map(|known| {
             let name = format!("{}{}", self.name, known.suffix);
             let (what, there) = match self.of.kind {
@@ -222,8 +238,24 @@ impl UsedName {
     }
 }
 
+/// Whether the parameter is not set.
+fn missing_parameter(node: &RosNode, name: &str) -> Option<Mistake> {
+    let is_set = node.ask_master("hasParam", &[name.into()]).ok()?;
+    if is_set != Value::Bool(false) {
+        return None;
+    }
+    let names = node.ask_master("getParamNames", &[]).ok();
+    let names = names.as_ref().and_then(Value::as_array).unwrap_or_default();
+    let names = names.iter().filter_map(Value::as_str);
+    let help = match closest(name, names) {
+        Some(known) => format!("did you mean '{known}'?"),
+        None => "it may be set later: a task asks anew".to_owned(),
+    };
+    Some((format!("the parameter {name} is not set"), help))
+}
+
 /// A name is of a type that the file does not expect.
-fn other_type(what: &str, name: &str, there: &str, needed: &str) -> (String, String) {
+fn other_type(what: &str, name: &str, there: &str, needed: &str) -> Mistake {
     (
         format!("{what} {name} is of the type {there}, not {needed}"),
         format!("write type: {there}"),
@@ -232,61 +264,168 @@ fn other_type(what: &str, name: &str, there: &str, needed: &str) -> (String, Str
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use ztl_yaml::Document;
 
+    use super::super::used_name::UsedType;
     use super::*;
+
+    fn map<T: Clone>(pairs: &[(&str, T)]) -> BTreeMap<String, T> {
+        let pairs = pairs.iter().cloned();
+        pairs
+            .map(|(name, value)| (name.to_owned(), value))
+            .collect()
+    }
+
+    fn nodes(rows: &[(&str, &[&str])]) -> BTreeMap<String, Vec<String>> {
+        let row = |nodes: &[&str]| nodes.iter().map(|node| (*node).to_owned()).collect();
+        rows.iter()
+            .map(|(name, of)| ((*name).to_owned(), row(of)))
+            .collect()
+    }
+
+    /// A robot that hangs in parts.
+    fn survey() -> Survey {
+        let twist = "geometry_msgs/Twist".to_owned();
+        let frozen = || {
+            (
+                "http://base:1/".to_owned(),
+                Some("no answer from base:1 in time".to_owned()),
+            )
+        };
+        let topics = ["/cmd_vel", "/odom", "/frozen", "/many"];
+        let mut topics = map(&topics.map(|name| (name, twist.clone())));
+        topics.insert("/odd".to_owned(), "*".to_owned());
+        Survey {
+            topics,
+            actions: map(&[("/move_base", "move_base_msgs/MoveBaseAction".to_owned())]),
+            publishers: nodes(&[("/odom", &["/base"])]),
+            subscribers: nodes(&[
+                ("/cmd_vel", &["/base"]),
+                ("/odd", &["/base"]),
+                ("/frozen", &["/lidar"]),
+                ("/many", &["/rostopic", "/base"]),
+            ]),
+            servers: nodes(&[("/dock", &["/base"]), ("/scan", &["/lidar"])]),
+            nodes: map(&[
+                ("/lidar", frozen()),
+                ("/base", ("http://base:2/".to_owned(), None)),
+            ]),
+        }
+    }
+
+    #[track_caller]
+    fn said(kind: NameKind, name: &str, ty: &str, subscriber: Option<&str>, expected: &str) {
+        let document = Document::parse("robot.yaml", b"x: 1").expect("YAML");
+        let used = UsedName {
+            place: document.mistake(document.root().span, ""),
+            name: name.to_owned(),
+            of: UsedType {
+                kind,
+                ty: ty.to_owned(),
+                known: Vec::new(),
+                published: None,
+                subscriber: subscriber.map(str::to_owned),
+            },
+        };
+        let survey = survey();
+        let found = used.mistake(&survey, || None);
+        let found = found.or_else(|| used.unreachable(&survey));
+        let found = found.map(|(mistake, help)| used.warning(mistake, Some(help)).sentence());
+        let found = found.unwrap_or_default();
+        assert_eq!(
+            found.trim_start_matches("robot.yaml:1:1: warning: "),
+            expected
+        );
+    }
+
+    #[test]
+    fn what_is_right_is_not_told() {
+        let twist = "geometry_msgs/Twist";
+        said(NameKind::Published, "/cmd_vel", twist, None, "");
+        said(NameKind::Published, "/cmd_vel", twist, Some("/base"), "");
+        said(NameKind::Published, "/odd", twist, None, "");
+        said(NameKind::Published, "/many", twist, Some("/base"), "");
+        said(NameKind::Received, "/odom", twist, None, "");
+        said(NameKind::Service, "/dock", "std_srvs/Trigger", None, "");
+    }
 
     #[test]
     fn a_name_that_is_not_there_and_another_type_are_told() {
-        let survey = Survey {
-            topics: [("/cmd_vel", "geometry_msgs/Twist"), ("/odd", "*")]
-                .map(|(name, kind)| (name.to_owned(), kind.to_owned()))
-                .into(),
-            actions: [(
-                "/move_base".to_owned(),
-                "move_base_msgs/MoveBaseAction".to_owned(),
-            )]
-            .into(),
-            services: vec!["/dock".to_owned()],
-            ..Survey::default()
-        };
-        let document = Document::parse("robot.yaml", b"x: 1").expect("YAML");
-        let said = |name: &str, kind, ty: &str| {
-            let place = document.mistake(document.root().span, "");
-            let used = UsedName {
-                place,
-                name: name.to_owned(),
-                of: UsedType {
-                    kind,
-                    ty: ty.to_owned(),
-                    known: Vec::new(),
-                },
-            };
-            let (mistake, help) = used.mistake(&survey)?;
-            Some(used.warning(mistake, Some(help)).sentence())
-        };
         let twist = "geometry_msgs/Twist";
-        let trigger = "std_srvs/Trigger";
-        assert_eq!(said("/cmd_vel", NameKind::Topic, twist), None);
-        assert_eq!(said("/odd", NameKind::Topic, twist), None);
-        assert_eq!(said("/dock", NameKind::Service, trigger), None);
-        assert_eq!(
-            said("/cmdvel", NameKind::Topic, twist).as_deref(),
-            Some(
-                "robot.yaml:1:1: warning: the master knows no topic /cmdvel; did you mean '/cmd_vel'?"
-            ),
+        said(
+            NameKind::Published,
+            "/cmdvel",
+            twist,
+            None,
+            "the master knows no topic /cmdvel; did you mean '/cmd_vel'?",
         );
-        assert_eq!(
-            said("/undock_now", NameKind::Service, trigger).as_deref(),
-            Some(
-                "robot.yaml:1:1: warning: the master knows no service /undock_now; `ztl doctor --ros1 --json` lists the services"
-            ),
+        said(
+            NameKind::Service,
+            "/undock_now",
+            "std_srvs/Trigger",
+            None,
+            "the master knows no service /undock_now; `ztl doctor --ros1 --json` lists the services",
         );
-        assert_eq!(
-            said("/move_base", NameKind::Action, "actionlib/TestAction").as_deref(),
-            Some(
-                "robot.yaml:1:1: warning: action /move_base is of the type move_base_msgs/MoveBaseAction, not actionlib/TestAction; write type: move_base_msgs/MoveBaseAction"
-            ),
+        said(
+            NameKind::Action,
+            "/move_base",
+            "actionlib/TestAction",
+            None,
+            "action /move_base is of the type move_base_msgs/MoveBaseAction, not actionlib/TestAction; write type: move_base_msgs/MoveBaseAction",
+        );
+    }
+
+    #[test]
+    fn a_topic_without_another_end_is_told_and_who_receives_one() {
+        let twist = "geometry_msgs/Twist";
+        said(
+            NameKind::Published,
+            "/odom",
+            twist,
+            None,
+            "no node subscribes to /odom, which /base publishes; to receive a topic, write ros1-topic among the streams",
+        );
+        said(
+            NameKind::Received,
+            "/cmd_vel",
+            twist,
+            None,
+            "no node publishes /cmd_vel, to which /base subscribes; to publish a topic, write ros1-publish",
+        );
+        said(
+            NameKind::Published,
+            "/many",
+            twist,
+            None,
+            "several nodes receive /many, and each counts as the robot's: /rostopic, /base; name the one that must receive it, such as subscriber: /rostopic",
+        );
+        said(
+            NameKind::Published,
+            "/cmd_vel",
+            twist,
+            Some("/arm"),
+            "/arm does not subscribe to /cmd_vel; there are: /base; write subscriber: /base",
+        );
+    }
+
+    #[test]
+    fn a_node_that_hangs_is_told() {
+        let help = "cannot be reached: no answer from base:1 in time; if it hangs or was killed, start it again";
+        said(
+            NameKind::Published,
+            "/frozen",
+            "geometry_msgs/Twist",
+            None,
+            &format!("the subscriber of /frozen, /lidar, {help}"),
+        );
+        said(
+            NameKind::Service,
+            "/scan",
+            "std_srvs/Trigger",
+            None,
+            &format!("the server of /scan, /lidar, {help}"),
         );
     }
 }

@@ -7,6 +7,7 @@ use ztl_std::describe::{GoalRule, GoalValue};
 use ztl_yaml::{Fields, Node};
 
 use super::connection::Connection;
+use super::used_name::UsedType;
 use crate::call::Call;
 use crate::kind::{Effect, JobContext, Kind, Outcome, Services, Start};
 use crate::reader::{ComponentContext, ConfigReader};
@@ -26,9 +27,11 @@ pub(crate) fn read<'d>(
     _: Option<&mut Fields<'d>>,
     _: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
+    let name = reader.ros1_name(node, "/robot_description");
+    reader.uses_name(node, name.as_ref(), UsedType::parameter());
     Some(Arc::new(Parameter {
         connection: Arc::clone(&reader.ros1.connection),
-        name: reader.ros1_name(node, "/robot_description")?,
+        name: name?,
     }))
 }
 

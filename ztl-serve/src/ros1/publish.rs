@@ -14,6 +14,7 @@ use self::job::{Plan, PublishJob};
 use super::audience::{ACKNOWLEDGE, Wire};
 use super::connection::{Connection, wire};
 use super::message::{MessageTemplate, goal_part, rule_of_goals};
+use super::used_name::UsedType;
 use crate::call::Call;
 use crate::human::human_time;
 use crate::kind::{JobContext, Kind, Outcome, STOP_TIME, Services, Start};
@@ -69,12 +70,10 @@ pub(crate) fn read<'d>(
     context: ComponentContext<'_>,
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
-    let (topic, message_type) = reader.ros1_typed_name::<Arc<MessageType>>(
-        node,
-        fields,
-        "/cmd_vel",
-        "type: geometry_msgs/Twist",
-    );
+    let subscriber = reader.subscriber(fields);
+    let used = |ty: &Arc<MessageType>| UsedType::published(ty, subscriber.clone());
+    let (topic, message_type) =
+        reader.ros1_typed_name(node, fields, "/cmd_vel", "type: geometry_msgs/Twist", used);
     let message = fields.optional("message");
     let stop = fields.optional("stop");
     let rate = fields.optional("rate");
@@ -83,7 +82,6 @@ pub(crate) fn read<'d>(
     let interval = rate.and_then(|node| reader.rate(node));
     let length = length_node.map(|node| reader.length(node, context.rule));
     let dead_man = dead_man_node.and_then(|node| reader.time(node, LONGEST));
-    let subscriber = reader.subscriber(fields);
     let is_repeated = rate.or(length_node).is_some();
     let interval = interval.unwrap_or(INTERVAL);
     if let (Some(node), Some(dead_man)) = (dead_man_node, dead_man) {
@@ -119,7 +117,7 @@ pub(crate) fn read<'d>(
     Some(Arc::new(Publish {
         connection: Arc::clone(&reader.ros1.connection),
         topic: topic?,
-        subscriber: subscriber.map(|(_, name)| name),
+        subscriber,
         message_type,
         message,
         stop,

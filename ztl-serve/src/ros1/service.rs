@@ -12,6 +12,7 @@ use ztl_yaml::{Fields, Node};
 use super::connection::Connection;
 use super::message::{MessageTemplate, rule_of_goals};
 use super::shown::ShownMessage;
+use super::used_name::UsedType;
 use super::{Event, Refusal};
 use crate::call::Call;
 use crate::kind::{
@@ -45,7 +46,7 @@ pub(crate) fn read<'d>(
 ) -> Option<Arc<dyn Kind>> {
     let fields = fields?;
     let example = "type: std_srvs/Trigger";
-    let (name, service) = reader.ros1_typed_name::<ServiceType>(node, fields, "/dock", example);
+    let (name, service) = reader.ros1_typed_name(node, fields, "/dock", example, UsedType::service);
     let message = fields.optional("message");
     let result = fields.optional("result");
     let limit = fields.optional("limit");

@@ -7,6 +7,7 @@ use ztl_yaml::{Fields, Node};
 
 use super::connection::{Connection, wire};
 use super::shown::has;
+use super::used_name::UsedType;
 use crate::kind::{Job, JobContext};
 use crate::reader::ConfigReader;
 use crate::stream::received::{Inbox, ReceivingJob};
@@ -27,8 +28,13 @@ impl<'d> ConfigReader<'d> {
     /// Reads a topic as a stream: its name, `type` and `field`.
     pub(crate) fn ros1_topic(&mut self, node: &'d Node, fields: &mut Fields<'d>) -> Option<Topic> {
         let example = "type: sensor_msgs/JointState";
-        let (name, message) =
-            self.ros1_typed_name::<Arc<MessageType>>(node, fields, "/joint_states", example);
+        let (name, message) = self.ros1_typed_name(
+            node,
+            fields,
+            "/joint_states",
+            example,
+            |ty: &Arc<MessageType>| UsedType::received(ty),
+        );
         let field = fields.optional("field");
         let path = field.and_then(|node| self.yaml.text(node, "a field, as data"));
         let message = message?;

@@ -13,7 +13,7 @@ use super::audience::{ACKNOWLEDGE, Outlet as _, Wire};
 use super::connection::{Connection, wire};
 use super::fit::fit;
 use super::motion::{Action, Motion, STOP_TIME, Seen, Target};
-use super::names::UsedType;
+use super::used_name::UsedType;
 use crate::call::Call;
 use crate::kind::{Effect, Job, JobContext, JobEvent, Kind, Outcome, Services, Start, StopReason};
 use crate::reader::{ComponentContext, ConfigReader};
@@ -317,7 +317,7 @@ struct Link {
     publisher: Arc<Publisher>,
     /// What was heard of the joints.
     seen: Arc<Mutex<Seen>>,
-    _subscription: Subscription,
+    subscription: Subscription,
 }
 
 /// Reads a controller.
@@ -358,16 +358,17 @@ pub(crate) fn read<'d>(
         }
     });
     if let Some(message) = &message {
-        reader.uses_name(node, topic.as_ref(), UsedType::topic(message));
+        let used = UsedType::published(message, subscriber.clone());
+        reader.uses_name(node, topic.as_ref(), used);
     }
     if let Some(joint_state) = &joint_state {
         let node = states_node.unwrap_or(node);
-        reader.uses_name(node, states.as_ref(), UsedType::topic(joint_state));
+        reader.uses_name(node, states.as_ref(), UsedType::received(joint_state));
     }
     Some(Arc::new(Controller {
         connection: Arc::clone(&reader.ros1.connection),
         topic: topic?,
-        subscriber: subscriber.map(|(_, name)| name),
+        subscriber,
         joint_states: states?,
         trajectory: trajectory?,
         message: message?,
@@ -426,7 +427,7 @@ impl Controller {
         let made = Arc::new(Link {
             publisher,
             seen,
-            _subscription: subscription.map_err(|error| error.to_string())?,
+            subscription: subscription.map_err(|error| error.to_string())?,
         });
         Ok(Arc::clone(link.insert(made)))
     }
@@ -556,7 +557,8 @@ impl Job for MotionJob {
         let seen = self.link.seen.lock();
         let seen = seen.unwrap_or_else(PoisonError::into_inner).clone();
         let mut actions = Vec::new();
-        self.motion.handle(now, heard, &seen, &mut actions);
+        let unseen = || self.link.subscription.obstacle();
+        self.motion.handle(now, heard, &seen, &unseen, &mut actions);
         self.act(actions, effects);
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ztl_ros1::message::{ActionType, DefinitionError, Definitions, MessageType, ServiceType};
 use ztl_yaml::{Fields, Node, closest};
 
-use super::names::UsedType;
+use super::used_name::UsedType;
 use crate::reader::ConfigReader;
 
 /// A type that the file names.
@@ -20,9 +20,6 @@ pub(crate) trait NamedType: Sized {
     const NAMES: fn(&mut Definitions) -> Vec<String>;
 
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError>;
-
-    /// What has this type, and its definitions.
-    fn used(&self) -> UsedType;
 }
 
 impl NamedType for Arc<MessageType> {
@@ -30,10 +27,6 @@ impl NamedType for Arc<MessageType> {
     const WHAT: &'static str = "a message";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::message_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::message;
-
-    fn used(&self) -> UsedType {
-        UsedType::topic(self)
-    }
 }
 
 impl NamedType for ServiceType {
@@ -41,10 +34,6 @@ impl NamedType for ServiceType {
     const WHAT: &'static str = "a service";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::service_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::service;
-
-    fn used(&self) -> UsedType {
-        UsedType::service(self)
-    }
 }
 
 impl NamedType for ActionType {
@@ -52,27 +41,24 @@ impl NamedType for ActionType {
     const WHAT: &'static str = "an action";
     const NAMES: fn(&mut Definitions) -> Vec<String> = Definitions::action_names;
     const FIND: fn(&mut Definitions, &str) -> Result<Self, DefinitionError> = Definitions::action;
-
-    fn used(&self) -> UsedType {
-        UsedType::action(self)
-    }
 }
 
 impl<'d> ConfigReader<'d> {
-    /// Reads the name of a topic, a service or an action from `node`, and its `type` from `fields`. Both are noted for
-    /// `--check`.
+    /// Reads the name of a topic, a service or an action from `node`, and its `type` from `fields`. `used`
+    /// says for what, and both are noted for `--check`.
     pub(crate) fn ros1_typed_name<T: NamedType>(
         &mut self,
         node: &'d Node,
         fields: &mut Fields<'d>,
         name_example: &str,
         type_example: &'static str,
+        used: impl FnOnce(&T) -> UsedType,
     ) -> (Option<String>, Option<T>) {
         let name = self.ros1_name(node, name_example);
         let named_type = fields.required("type", type_example);
         let named_type = named_type.and_then(|node| self.ros1_type::<T>(node));
         if let Some(named_type) = &named_type {
-            self.uses_name(node, name.as_ref(), named_type.used());
+            self.uses_name(node, name.as_ref(), used(named_type));
         }
         (name, named_type)
     }

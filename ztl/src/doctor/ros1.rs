@@ -14,6 +14,12 @@ const HEARD: Duration = Duration::from_secs(2);
 /// The largest difference of clocks that does no harm.
 const CLOCKS: f64 = 0.5;
 const STATUS: &str = "actionlib_msgs/GoalStatusArray";
+/// Types of commands.
+const MOVING: [&str; 3] = [
+    "geometry_msgs/Twist",
+    "geometry_msgs/TwistStamped",
+    "trajectory_msgs/JointTrajectory",
+];
 const ABOUT: &str = "ros1";
 
 /// Checks a master, its nodes and its actions; without an address, that of `ROS_MASTER_URI` or of this machine.
@@ -43,18 +49,20 @@ pub(super) fn master(address: Option<&str>) -> Vec<Finding> {
         "nodes": survey.nodes.len(),
         "topics": survey.topics,
         "actions": survey.actions,
-        "services": survey.services,
+        "services": survey.servers.keys().collect::<Vec<_>>(),
+        "subscribers": survey.subscribers,
     });
     let text = format!(
         "master {uri}: {} nodes, {} topics, {} services, {} actions",
         survey.nodes.len(),
         survey.topics.len(),
-        survey.services.len(),
+        survey.servers.len(),
         survey.actions.len()
     );
     let mut found = vec![Finding::good(ABOUT, text).with(counts)];
     found.extend(nodes(&survey));
     found.extend(actions(&survey));
+    found.extend(commands(&survey));
     found.extend(clock(&node, &survey));
     node.stop();
     found
@@ -85,6 +93,27 @@ fn actions(survey: &Survey) -> impl Iterator<Item = Finding> {
                 "run `ztl serve` where its package is, or add its directory to ROS_PACKAGE_PATH",
             ),
         }
+    })
+}
+
+/// Who receives the topics that move a robot.
+fn commands(survey: &Survey) -> impl Iterator<Item = Finding> {
+    let moves = survey
+        .topics
+        .iter()
+        .filter(|(_, kind)| MOVING.contains(&kind.as_str()));
+    moves.map(|(topic, kind)| match survey.subscribers.get(topic) {
+        Some(nodes) => {
+            let nodes = nodes.join(", ");
+            Finding::good(
+                ABOUT,
+                format!("topic {topic} ({kind}) is received by {nodes}"),
+            )
+        }
+        None => Finding::note(
+            ABOUT,
+            format!("topic {topic} ({kind}) is received by no node"),
+        ),
     })
 }
 

@@ -46,7 +46,7 @@ impl Bench {
             }
             let (now, seen) = (self.now, self.seen.clone());
             self.motion
-                .handle(now, self.heard(), &seen, &mut self.actions);
+                .handle(now, self.heard(), &seen, &|| None, &mut self.actions);
         }
     }
 

@@ -87,6 +87,14 @@ impl PublishJob {
     fn begin(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         effects.push(Effect::Accept);
         self.begun = now;
+        let mut nodes = self.outlet.look(now).nodes;
+        nodes.dedup();
+        if nodes.len() > 1 {
+            let (topic, nodes) = (&self.topic, nodes.join(", "));
+            tracing::info!(
+                "{topic} goes to {nodes}; `subscriber` names the one that must receive it"
+            );
+        }
         self.outlet.publish(self.plan.message.clone());
         let Some((interval, _)) = self.plan.repeat else {
             return self.begin_stop(now, Outcome::Completed("True".to_owned()));
