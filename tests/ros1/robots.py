@@ -10,6 +10,11 @@ import os
 import re
 import sys
 
+# The node that drives the base of each robot. rospy takes its namespace when it is imported.
+NODES = {"fetch": "/cmd_vel_mux", "care-o-bot-4": "/base/twist_mux", "turtlebot3": "/turtlebot3_core"}
+NAMESPACE, NODE = NODES[sys.argv[1]].rsplit("/", 1)
+os.environ["ROS_NAMESPACE"] = NAMESPACE or "/"
+
 import actionlib
 import rospy
 from genpy.dynamic import generate_dynamic
@@ -167,7 +172,7 @@ ROBOTS = {"fetch": Fetch, "care-o-bot-4": CareOBot, "turtlebot3": TurtleBot}
 
 
 def main():
-    rospy.init_node("robot", disable_signals=True, disable_rosout=True)
+    rospy.init_node(NODE, disable_signals=True, disable_rosout=True)
     robot = ROBOTS[sys.argv[1]](Definitions(sys.argv[2]))
     say("ready")
     for line in sys.stdin:
