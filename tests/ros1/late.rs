@@ -1,4 +1,4 @@
-//! Commands that would arrive late, after the network or the subscriber was away.
+//! Commands that would arrive late, after the network or the subscriber was away, and goals of a server that was killed.
 
 use std::io::{ErrorKind, Read as _};
 use std::sync::mpsc::channel;
@@ -125,4 +125,39 @@ fn a_killed_server_leaves_no_late_command() {
     let error = slow.read_to_end(&mut late).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::ConnectionReset);
     assert!(late.len() < 100 * 52, "{} bytes", late.len());
+}
+
+#[test]
+fn a_goal_that_a_killed_server_has_left_is_cancelled_by_another_one() {
+    let name = unique("left");
+    let action = Master::shared().action(&name, &name);
+    let text = format!(
+        "scopes: {{/test: {{p: {{count: {{ros1-action: /{name}, type: actionlib/TestAction}}}}}}}}"
+    );
+    let first = Robot::new(&text);
+    let other = Robot::new(&text);
+    assert!(first.run("count", "1").is_ok());
+    assert!(other.run("count", "1").is_ok());
+    let mut remote = other.remote();
+    let held = start(&mut remote, "p", "count", "4");
+    start(&mut first.remote(), "p", "count", "4");
+    until("both goals are there", PATIENCE, || {
+        (action.stdout().matches("goal 4").count() == 2).then_some(())
+    });
+    first.server.process.signal("KILL");
+    first.server.process.end(PATIENCE);
+    let next = Robot::new(&text);
+    let said = format!("cancels a goal of /{name}: /ztl_");
+    until("the goal is cancelled", PATIENCE, || {
+        let told = [&other, &next].map(|robot| robot.server.process.stderr().contains(&said));
+        (told.contains(&true) && action.stdout().contains("cancel /ztl_")).then_some(())
+    });
+    // That of a server that lives goes on.
+    let mut action = action;
+    action.write_line("finish");
+    let end = remote.wait(held, Some(PATIENCE)).expect("an end");
+    assert_eq!(
+        (end.state, end.text),
+        (Completed, "{'result': 7}".to_owned())
+    );
 }

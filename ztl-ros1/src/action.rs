@@ -1,5 +1,6 @@
 //! The client of actionlib's actions: a state machine without I/O, and the messages that it sends and reads.
 
+mod foreign;
 pub(crate) mod machine;
 pub(crate) mod wire;
 

@@ -9,6 +9,7 @@ mod hosts;
 mod net;
 mod net_error;
 mod outbox;
+mod owners;
 mod publications;
 mod registrar;
 mod rpc;

@@ -2,12 +2,13 @@
 //!
 //! A goal is sent once, and only when the action server is connected to all five topics. It ends in the state that the
 //! server reports, or as unknown if no server can report it any more. A goal that ended as unknown is cancelled when a
-//! server still shows it.
+//! server still shows it, and so is a goal of a process of `ztl` that was killed.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::foreign::Foreign;
 use super::wire::{GoalStatus, Status};
 use super::{EndState, GoalEnd, GoalEvent};
 
@@ -49,6 +50,12 @@ pub(crate) enum Effect {
         id: String,
     },
     Event(GoalKey, GoalEvent),
+    /// The server shows this goal of another process of `ztl`: find out whether that process was killed, and then call
+    /// [`Machine::adopt`].
+    Foreign {
+        id: String,
+        node: String,
+    },
     /// No server was there in time: find out why, and call [`Machine::handle_explanation`].
     Explain(GoalKey),
 }
@@ -132,6 +139,7 @@ pub(crate) struct Machine {
     prefix: String,
     goals: BTreeMap<GoalKey, Goal>,
     orphans: HashMap<String, Orphan>,
+    foreign: Foreign,
     links: Links,
     /// Until then the connections for goals are too new.
     settling: Option<Instant>,
@@ -144,6 +152,7 @@ impl Machine {
             prefix,
             goals: BTreeMap::new(),
             orphans: HashMap::new(),
+            foreign: Foreign::default(),
             links: Links::default(),
             settling: None,
         }
@@ -229,6 +238,11 @@ impl Machine {
                     let id = status.id.clone().into_owned();
                     effects.push(Effect::SendCancel { id });
                 }
+            } else if matches!(status.status, Status::Pending | Status::Active)
+                && let Some(node) = self.foreign.owner_to_ask(now, &status.id, &self.prefix)
+            {
+                let (id, node) = (status.id.clone().into_owned(), node.to_owned());
+                effects.push(Effect::Foreign { id, node });
             }
         }
         let lost = self.goals.iter().filter(|(key, goal)| {
@@ -476,18 +490,23 @@ impl Machine {
 
     fn end_unknown(&mut self, now: Instant, key: GoalKey, text: String, effects: &mut Vec<Effect>) {
         if let Some(goal) = self.goals.get(&key) {
-            if self.orphans.len() >= MOST_ORPHANS {
-                let oldest = self.orphans.iter().min_by_key(|(_, orphan)| orphan.until);
-                let oldest = oldest.map(|(id, _)| id.clone()).unwrap_or_default();
-                self.orphans.remove(&oldest);
-            }
-            let orphan = Orphan {
-                until: now + ORPHAN,
-                cancel_at: now,
-            };
-            self.orphans.insert(goal.id.clone(), orphan);
+            self.adopt(now, goal.id.clone());
         }
         self.end(key, EndState::Unknown, text, None, effects);
+    }
+
+    /// From now on, cancels this goal whenever the server shows it.
+    pub(crate) fn adopt(&mut self, now: Instant, id: String) {
+        if self.orphans.len() >= MOST_ORPHANS {
+            let oldest = self.orphans.iter().min_by_key(|(_, orphan)| orphan.until);
+            let oldest = oldest.map(|(id, _)| id.clone()).unwrap_or_default();
+            self.orphans.remove(&oldest);
+        }
+        let orphan = Orphan {
+            until: now + ORPHAN,
+            cancel_at: now,
+        };
+        self.orphans.insert(id, orphan);
     }
 
     fn end(

@@ -40,7 +40,7 @@ pub(crate) enum Part {
 /// An action, as its client sees it.
 pub(crate) struct Action {
     types: ActionTypes,
-    machine: Machine,
+    pub(super) machine: Machine,
     owners: HashMap<GoalKey, OnEvent>,
     seq: u32,
 }
@@ -216,7 +216,7 @@ impl Engine {
     }
 
     /// Has the machine of an action do something, and does what it wants.
-    fn with_action(
+    pub(super) fn with_action(
         &mut self,
         now: Instant,
         name: &Arc<str>,
@@ -256,6 +256,7 @@ impl Engine {
                     on_event(event);
                 }
             }
+            Effect::Foreign { id, node } => self.look_for_owner(now, name, id, node),
             Effect::Explain(key) => self.explain(now, name, key),
         }
     }

@@ -577,6 +577,9 @@ impl Connection {
         if error.kind() == io::ErrorKind::TimedOut && self.outbox.has_limit() {
             return NetError::Silent { peer };
         }
+        if error.kind() == io::ErrorKind::ConnectionRefused {
+            return NetError::Refused { peer };
+        }
         let error = plain(error);
         NetError::Failed { peer, error }
     }

@@ -16,6 +16,11 @@ pub enum NetError {
         /// The other end.
         peer: String,
     },
+    /// Nothing listens at this address.
+    Refused {
+        /// The address.
+        peer: String,
+    },
     /// It could not be made, or the system has closed it.
     Failed {
         /// The other end.
@@ -44,6 +49,7 @@ impl fmt::Display for NetError {
                  ROS_IP set to what others can reach, or add the name to /etc/hosts here"
             ),
             Self::Closed { peer } => write!(f, "{peer} has closed the connection"),
+            Self::Refused { peer } => write!(f, "no connection to {peer}: connection refused"),
             Self::Failed { peer, error } => write!(f, "no connection to {peer}: {error}"),
             Self::Silent { peer } => {
                 write!(f, "{peer} has not acknowledged what was sent to it in time")
