@@ -294,6 +294,15 @@ fn services_and_parameters_answer() {
         "{text}"
     );
     assert_eq!(robot.run("unset", "").expect("no rejection").0, Failed);
+
+    let asker = Master::shared().node();
+    let name = format!("/{}/limits", robot.name);
+    let params = [name[..].into(), "x".repeat(3 << 20)[..].into()];
+    asker.ask_master("setParam", &params).expect("an answer");
+    let (state, text) = robot.run("limits", "").expect("no rejection");
+    let cut = "x … (cut at 1000 KiB; the whole has 3145728 bytes)";
+    let end = &text[text.len().saturating_sub(100)..];
+    assert!(state == Completed && text.ends_with(cut), "{end}");
 }
 
 #[test]

@@ -7,6 +7,7 @@ use ztl_std::describe::{GoalRule, GoalValue};
 use ztl_yaml::{Fields, Node};
 
 use super::connection::Connection;
+use super::shown::bounded;
 use super::used_name::UsedType;
 use crate::call::Call;
 use crate::kind::{Effect, JobContext, Kind, Outcome, Services, Start};
@@ -49,7 +50,7 @@ impl Kind for Parameter {
                 value.map_err(|error| format!("{}: {error}", self.name))
             });
             let text = read.map(|value| match goal_value(value).to_text() {
-                Ok(text) => Outcome::Completed(text),
+                Ok(text) => Outcome::Completed(bounded(text)),
                 Err(error) => Outcome::Failed(format!("{}: {error}", self.name)),
             });
             text.unwrap_or_else(Outcome::Failed)

@@ -43,8 +43,24 @@ impl ShownMessage {
                 None => text.push_str("None"),
             }
         }
-        Ok(text)
+        Ok(bounded(text))
     }
+}
+
+/// The longest result or progress. An answer to a client has at most 1 MiB.
+const LONGEST: usize = 1000 << 10;
+
+/// Cuts a text that is too long for an answer, and says so.
+pub(super) fn bounded(mut text: String) -> String {
+    let found = text.len();
+    if found > LONGEST {
+        text.truncate(text.floor_char_boundary(LONGEST));
+        text.push_str(&format!(
+            " … (cut at {} KiB; the whole has {found} bytes)",
+            LONGEST >> 10
+        ));
+    }
+    text
 }
 
 /// The text of a value, as the original writes values.

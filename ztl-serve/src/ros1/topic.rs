@@ -10,7 +10,7 @@ use super::shown::has;
 use super::used_name::UsedType;
 use crate::kind::{Job, JobContext};
 use crate::reader::ConfigReader;
-use crate::stream::received::{Inbox, ReceivingJob};
+use crate::stream::received::{Inbox, MOST, ReceivingJob};
 use crate::stream::splitter::Framing;
 
 /// A topic of a robot.
@@ -64,7 +64,18 @@ impl Topic {
     pub(crate) fn job(self: &Arc<Self>, context: JobContext) -> Box<dyn Job> {
         let (node, wire) = (self.connection.node(), wire(&self.message));
         let subscribe = |inbox: Inbox| {
-            let on_message = move |_: &str, bytes: &[u8]| inbox.push(bytes.to_vec());
+            let (name, mut is_told) = (self.name.clone(), false);
+            let on_message = move |_: &str, bytes: &[u8]| {
+                let found = bytes.len();
+                if found < MOST {
+                    inbox.push(bytes.to_vec());
+                } else if !std::mem::replace(&mut is_told, true) {
+                    let most = MOST >> 20;
+                    tracing::warn!(
+                        "messages of {name} are not published: one has {found} bytes, and a stream takes {most} MiB"
+                    );
+                }
+            };
             let subscription = node?.subscribe(&self.name, wire, on_message);
             subscription.map_err(|error| error.to_string())
         };

@@ -7,7 +7,7 @@ use std::time::Instant;
 use crate::kind::{Effect, Job, JobContext, Outcome, StopReason};
 
 /// The most bytes of messages that wait for the thread of all streams. Then the oldest is dropped.
-const MOST: usize = 16 << 20;
+pub(crate) const MOST: usize = 16 << 20;
 
 /// How many messages are passed on in a turn of the thread, so that it does other things, too.
 const BATCH: usize = 256;
