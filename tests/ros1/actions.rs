@@ -135,6 +135,20 @@ fn another_definition_of_the_goal_is_named() {
     let told = format!("the action server /{name} of /{name} is not connected to result: ");
     let text = not_sent(&action, &[&told, "3d669e3a63aa986c667ea7b0f46ce85e"]);
     assert!(text.starts_with(&told), "{text}");
+
+    // Its server only receives it.
+    let node = master.node();
+    let mut types = test_action();
+    types.goal.md5 = "0123456789abcdef0123456789abcdef".to_owned();
+    let action = node.action(&name, types).unwrap();
+    let told = format!(
+        "the action server /{name} of /{name} is not connected to goal: /{name} has another definition of the type: "
+    );
+    let text = not_sent(&action, &[&told, "348369c5b403676156094e8c159720bf"]);
+    assert!(text.starts_with(&told), "{text}");
+    within(Duration::from_secs(3), || {
+        assert_eq!(Running::send(&action, 1).end().text, text);
+    });
 }
 
 #[test]
