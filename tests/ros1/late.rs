@@ -50,6 +50,27 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
 }
 
 #[test]
+fn a_node_that_hung_is_disconnected_and_connects_again_when_it_goes_on() {
+    let master = Master::shared();
+    let name = unique("hung");
+    let robot = master.robot(&["topics", &name]);
+    let node = master.node();
+    let limit = Duration::from_millis(300);
+    let publisher = node.command_publisher(&format!("/{name}/in"), string(), limit, true);
+    let publisher = publisher.unwrap();
+    wait("it is connected", || publisher.subscribers().len() == 1);
+    robot.signal("STOP");
+    behind(&publisher);
+    wait("it is disconnected", || publisher.subscribers().is_empty());
+    robot.signal("CONT");
+    wait("it is connected again", || {
+        publisher.subscribers().len() == 1
+    });
+    publisher.publish(text("again"));
+    robot.wait_for("heard again");
+}
+
+#[test]
 fn a_node_that_stops_discards_what_waits() {
     let master = Master::shared();
     let topic = unique("/commands");

@@ -72,6 +72,8 @@ pub(crate) struct Publication {
     /// Nodes that receive it.
     pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
     manner: Manner,
+    /// When a message was published.
+    published: Option<Instant>,
     last: Option<Arc<[u8]>>,
     /// How many owners it has.
     owners: usize,
@@ -111,6 +113,7 @@ impl Engine {
             renewals: (0, None),
             subscribers: BTreeMap::new(),
             manner,
+            published: None,
             last: None,
             owners: 1,
             action,
@@ -144,6 +147,7 @@ impl Engine {
             return;
         };
         let message: Arc<[u8]> = Arc::from(frame(content));
+        publication.published = Some(Instant::now());
         let most = if publication.manner.newest { 1 } else { QUEUE };
         for id in publication.subscribers.keys() {
             self.net.send(*id, Arc::clone(&message), most);
@@ -222,7 +226,6 @@ impl Engine {
         }
         let caller = header.get("callerid");
         publication.refused.retain(|(node, _)| node != caller);
-        publication.renewals = (0, None);
         publication.subscribers.insert(id, Arc::from(caller));
         self.relinked.extend(publication.action.clone());
         Ok(topic)
@@ -288,15 +291,20 @@ impl Publication {
             at: Instant::now(),
             reason,
         });
-        self.renewals = (RENEWALS, None);
+        self.renewals = (RENEWALS, Some(Instant::now()));
     }
 
-    /// When to register the topic anew, if a node was lost and no other is connected, which that would disturb. A node in C++
-    /// connects again at the first time, one in Python after its own end of the connection has been closed.
-    pub(crate) fn renewal(&self) -> Option<Option<Instant>> {
+    /// When to register the topic anew, if a node was lost. Others that are connected connect again, too, so it happens only
+    /// while nothing is published to them. A node in C++ connects again at the first time, one in Python after its own end of
+    /// the connection has been closed.
+    pub(crate) fn renewal(&self) -> Option<Instant> {
         let (left, at) = self.renewals;
-        let is_useful = left > 0 && self.subscribers.is_empty();
-        is_useful.then_some(at)
+        let at = match self.subscribers.is_empty() {
+            true => at,
+            false => at.max(self.published.map(|published| published + RENEWAL)),
+        };
+        let is_useful = left > 0 && self.losses().next().is_some();
+        is_useful.then_some(at?)
     }
 
     /// It is not registered any more.

@@ -180,7 +180,7 @@ impl Engine {
     fn next_registration(&mut self, now: Instant) -> Next {
         for (topic, publication) in &self.publications {
             match publication.renewal() {
-                Some(Some(at)) if at > now => self.net.wake_by(at),
+                Some(at) if at > now => self.net.wake_by(at),
                 Some(_) => return Next::Renewal(Arc::clone(topic)),
                 None => {}
             }
