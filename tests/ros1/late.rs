@@ -1,13 +1,15 @@
 //! Commands that would arrive late, after the network or the subscriber was away, and goals of a server that was killed.
 
-use std::io::{ErrorKind, Read as _};
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::net::TcpListener;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
+use ztl_ros1::xmlrpc::Value;
 use ztl_std::State::{Completed, Failed};
 use ztl_tests::lab::{PATIENCE, end, start, until};
 
-use crate::rig::{Master, listen, publisher_of, string, text, unique, wait};
+use crate::rig::{Master, listen, publisher_of, string, text, trigger, unique, wait};
 use crate::serve::Robot;
 
 /// Has a message wait for a subscriber that reads nothing.
@@ -47,6 +49,41 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
     let _again = listen(&node, node.name(), &topic, "/slow");
     let all = || publisher.audience().nodes.iter().all(|node| node.has_all);
     wait("it has all", || publisher.subscribers().len() == 1 && all());
+}
+
+/// A frame of TCPROS.
+fn frame(content: &[u8]) -> Vec<u8> {
+    let len = u32::try_from(content.len()).unwrap().to_le_bytes();
+    [&len, content].concat()
+}
+
+#[test]
+fn a_request_that_waits_when_its_process_ends_is_discarded() {
+    let master = Master::shared();
+    let node = master.node();
+    let service = unique("/slow");
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let uri = format!("rosrpc://{}", listener.local_addr().unwrap());
+    let asker = master.node();
+    let params = [&service[..], &uri, "http://127.0.0.1:1/"].map(Value::from);
+    asker.ask_master("registerService", &params).unwrap();
+    let request = text(&"x".repeat(16 << 20));
+    node.call(&service, trigger(), request, PATIENCE, |_| {});
+    let (mut stream, _) = listener.accept().unwrap();
+    // It answers the header, and takes the length of the request.
+    let mut header = [0; 4];
+    stream.read_exact(&mut header).unwrap();
+    let mut rest = vec![0; u32::from_le_bytes(header) as usize];
+    stream.read_exact(&mut rest).unwrap();
+    let answer = frame(&text(&format!("md5sum={}", trigger().md5)));
+    stream.write_all(&answer).unwrap();
+    stream.read_exact(&mut header).unwrap();
+    node.stop();
+    let mut received = Vec::new();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let error = stream.read_to_end(&mut received).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::ConnectionReset);
+    assert!(received.len() < 16 << 20, "{} bytes", received.len());
 }
 
 #[test]

@@ -369,10 +369,11 @@ impl Net {
         if let Some(mut connection) = self.connections.remove(&id)
             && let Some(stream) = &mut connection.stream
         {
-            if connection.outbox.has_limit() && connection.outbox.is_settled() {
-                sockets::deliver_at_close(stream);
-            }
             let _ = self.poll.registry().deregister(stream);
+            let mut table = unacknowledged::Table::default();
+            if connection.outbox.has_limit() && connection.is_settled(&mut table) {
+                connection.stream.iter().for_each(sockets::deliver_at_close);
+            }
         }
     }
 

@@ -86,6 +86,7 @@ pub(crate) struct ServiceCall {
     /// Whether the service succeeded, once the first byte of its answer has arrived.
     done: Option<bool>,
     md5: String,
+    limit: Duration,
     then: OnResponse,
 }
 
@@ -134,6 +135,7 @@ impl Engine {
                 frames: Frames::default(),
                 done: None,
                 md5: ty.md5,
+                limit,
                 then,
             };
             engine.roles.insert(id, Role::Service(Box::new(call)));
@@ -160,6 +162,8 @@ impl Engine {
             match call.step() {
                 Ok(Step::Later) => return Some(Role::Service(call)),
                 Ok(Step::Send(request)) => {
+                    // A request that is late must not be carried out after its task has ended.
+                    self.net.limit(id, call.limit);
                     self.net.send(id, Arc::from(frame(&request)), 2);
                 }
                 Ok(Step::Response(response)) => break Ok(response),
