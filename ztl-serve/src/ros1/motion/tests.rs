@@ -91,9 +91,20 @@ fn a_motion_ends_when_all_joints_have_been_at_their_positions_for_a_moment() {
 fn nothing_moves_without_a_controller_and_joint_states() {
     let mut bench = Bench::new();
     bench.is_heard = false;
-    bench.pass(2 * SECOND, Some([0.0, 0.0]));
-    let reason = "no controller receives the topic within 1500 ms".to_owned();
-    assert_eq!(bench.done(), [Action::End(Outcome::Rejected(reason))]);
+    bench.pass(2 * SECOND + TICK, Some([0.0, 0.0]));
+    let rejected = |reason: &str| Action::End(Outcome::Rejected(reason.to_owned()));
+    let reason = "no controller receives the topic within 1500 ms";
+    assert_eq!(bench.done(), [Action::Explain, rejected(reason)]);
+
+    let mut bench = Bench::new();
+    bench.is_heard = false;
+    bench.pass(BEGIN + TICK, Some([0.0, 0.0]));
+    let reason = "the master does not answer";
+    bench
+        .motion
+        .explained(reason.to_owned(), &mut bench.actions);
+    assert_eq!(bench.done(), [Action::Explain, rejected(reason)]);
+
     let mut bench = Bench::new();
     bench.seen = vec![Some((bench.now, 0.0)), None];
     bench.pass(2 * SECOND, None);
