@@ -50,9 +50,8 @@ impl Engine {
             until: now + LIMIT,
             then,
         };
-        let node = question.wanted.as_deref().unwrap_or_default();
         let publication = self.publications.get(&question.topic);
-        if let Some(reason) = publication.and_then(|of| of.obstacle(node)) {
+        if let Some(reason) = publication.and_then(|of| of.loss(question.wanted.as_deref())) {
             return (question.then)(reason);
         }
         let params = [self.name[..].into()];
@@ -103,7 +102,13 @@ impl Engine {
         });
         let mut nodes = nodes.unwrap_or_default();
         nodes.retain(|node| !is_ztl(node));
-        let node = nodes.iter().find(|node| question.concerns(node));
+        let mut concerned = nodes.iter().filter(|node| question.concerns(node));
+        let publication = self.publications.get(topic);
+        let known = publication.and_then(|of| concerned.clone().find_map(|node| of.obstacle(node)));
+        if let Some(reason) = known {
+            return (question.then)(reason);
+        }
+        let node = concerned.next();
         let reason = match (node, &question.wanted) {
             (Some(node), _) => return self.ask_where(now, question, node.clone()),
             (None, None) => format!("no node subscribes to {topic}"),

@@ -16,6 +16,9 @@ use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
 /// Messages that wait for a slow subscriber; then the oldest is dropped.
 pub(crate) const QUEUE: usize = 64;
 
+/// The longest text of another node that is shown.
+const LONGEST_SHOWN: usize = 512;
+
 /// How often a topic that has lost a node is registered anew: while the node's machine may not know it.
 const RENEWALS: u32 = 30;
 const RENEWAL: Duration = Duration::from_secs(10);
@@ -269,18 +272,21 @@ impl Engine {
 
 impl Publication {
     fn refuse(&mut self, header: &Header, error: &str) {
-        let node = header.get("callerid").to_owned();
+        let (node, error) = (shown(header.get("callerid")), shown(error));
         if self
             .refused
             .iter()
-            .any(|(known, why)| *known == node && why == error)
+            .any(|(known, why)| *known == node && *why == error)
         {
             return;
         }
         self.refused.retain(|(known, _)| *known != node);
+        // Who comes under ever new names does not fill the log.
+        if self.refused.len() < MOST_REMEMBERED {
+            tracing::warn!("refused the subscriber {node}: {error}");
+        }
         self.refused.truncate(MOST_REMEMBERED - 1);
-        tracing::warn!("refused the subscriber {node}: {error}");
-        self.refused.push((node, error.to_owned()));
+        self.refused.push((node, error));
     }
 
     fn lose(&mut self, node: &str, reason: String) {
@@ -319,20 +325,30 @@ impl Publication {
         self.lost.iter().filter(move |loss| !is_there(&loss.node))
     }
 
-    /// Why a node, or any if `node` is empty, does not receive the topic, as far as this node knows.
+    /// Why a node does not receive the topic, as far as this node knows.
     pub(crate) fn obstacle(&self, node: &str) -> Option<String> {
-        let is_it = |known: &str| node.is_empty() || known == node;
         let mut refused = self.refused.iter();
-        if let Some((node, error)) = refused.find(|(known, _)| is_it(known)) {
-            return Some(format!(
-                "{node} has another definition of the type: {error}"
-            ));
-        }
+        let refused = refused.find(|(known, _)| known == node);
+        let refused = refused
+            .map(|(node, error)| format!("{node} has another definition of the type: {error}"));
+        refused.or_else(|| self.loss(Some(node)))
+    }
+
+    /// Why a node, or any, was disconnected.
+    pub(crate) fn loss(&self, node: Option<&str>) -> Option<String> {
         let mut losses = self.losses();
-        let Loss { node, reason, .. } = losses.find(|loss| is_it(&loss.node))?;
+        let Loss { node, reason, .. } =
+            losses.find(|loss| node.is_none_or(|node| node == loss.node))?;
         Some(format!(
             "{node} was disconnected: {reason}. It connects again when its network is back, after up to two minutes, or when it \
              is restarted"
         ))
     }
+}
+
+/// A text of another node, for messages.
+fn shown(text: &str) -> String {
+    text.get(..text.floor_char_boundary(LONGEST_SHOWN))
+        .unwrap_or_default()
+        .to_owned()
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
 use super::super::Event;
-use super::super::audience::{EXPLAIN, Outlet};
+use super::super::audience::{EXPLAIN, Heard, Outlet};
 use crate::human::human_time;
 use crate::kind::{Effect, Job, JobEvent, Outcome, StopReason};
 
@@ -118,10 +118,9 @@ impl PublishJob {
     }
 
     /// The outcome if a node that counts has left or was disconnected, so that it is unknown what it received.
-    fn lost(&self) -> Option<Outcome> {
-        let heard = self.outlet.look(self.begun);
-        let reason = match heard.lost {
-            Some(lost) => lost,
+    fn lost(&self, heard: &Heard) -> Option<Outcome> {
+        let reason = match &heard.lost {
+            Some(lost) => lost.clone(),
             None if heard.nodes.is_empty() => {
                 format!("no node subscribes to {} any more", self.topic)
             }
@@ -146,10 +145,11 @@ impl PublishJob {
         *next = now + CONFIRM;
         let (until, outcome) = (*until, outcome.clone());
         let is_unknown = |outcome: &Outcome| matches!(outcome, Outcome::Failed(reason) if reason.starts_with(UNKNOWN_OUTCOME));
-        let outcome = match self.lost() {
+        let heard = self.outlet.look(self.begun);
+        let outcome = match self.lost(&heard) {
             _ if is_unknown(&outcome) => outcome,
             Some(lost) => lost,
-            None if self.outlet.look(self.begun).has_all => outcome,
+            None if heard.has_all => outcome,
             None if until > now => return,
             None => Outcome::Failed(format!(
                 "{UNKNOWN_OUTCOME}a node that subscribes to {} has not acknowledged the last message",
@@ -193,7 +193,7 @@ impl PublishJob {
             // A message that goes out late is not made up for.
             *next = (*next + interval).max(now + interval / 2);
         }
-        if is_look && let Some(outcome) = self.lost() {
+        if is_look && let Some(outcome) = self.lost(&self.outlet.look(self.begun)) {
             self.begin_stop(now, outcome);
         }
     }
