@@ -3,6 +3,9 @@
 //! What stands between clients and a server decides with these what to send where; ids, states and envelopes stay those of
 //! the two ends.
 
+#[cfg(feature = "publish")]
+mod streams;
+
 use std::collections::VecDeque;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,6 +23,9 @@ use crate::server::incoming::{Received, ReturnPath};
 use crate::server::relayed::{Router, Signal, Waker};
 use crate::server::{Access, BindError, Limits, MAX_MESSAGE};
 use crate::transport::Transport;
+
+#[cfg(feature = "publish")]
+pub use streams::{RelayPublisher, RelaySubscriber, WantedTopic};
 
 /// Longest answer that a relay accepts, in bytes: four times the longest request, as [12.8] says.
 const LONGEST_ANSWER: usize = 4 * MAX_MESSAGE + 4096;

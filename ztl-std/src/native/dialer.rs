@@ -92,6 +92,21 @@ impl<S: Socket> Dialer<S> {
         self
     }
 
+    /// Sends these messages first on each later connection.
+    #[cfg(feature = "publish")]
+    pub(crate) fn set_first(&mut self, messages: Vec<Vec<u8>>) {
+        self.first = messages;
+    }
+
+    /// Sends a message of one frame, if there is a connection.
+    #[cfg(feature = "publish")]
+    pub(crate) fn send_frame(&mut self, frame: &[u8]) {
+        if let Some(open) = self.open.as_mut().filter(|open| open.inbound.is_ready()) {
+            open.out.message(b"", frame);
+        }
+        self.flush();
+    }
+
     /// How many connections were lost after the handshake.
     pub(crate) const fn lost(&self) -> u64 {
         self.lost

@@ -3,10 +3,12 @@
 //! A subscriber that reads too slowly delays nobody: its messages wait in a queue of limited size, which drops the oldest
 //! ones. Messages that wait for several subscribers are in memory once.
 
+mod message;
+mod subscriber;
+
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::io;
-use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -15,25 +17,22 @@ use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use ztl_zmtp::Pub;
 
-use super::peers::{PeerId, Peers, Rules, UNSENT};
+pub(crate) use self::message::{PubMessage, Unheard};
+use self::subscriber::{BEHIND, Subscriber, has_room};
+pub(crate) use self::subscriber::{MISSED, STATE};
+use super::peers::{PeerId, Peers, Rules};
 use super::sockets::Endpoint;
 use crate::keys::PublicKey;
 use crate::log_targets::{PUBLISHER, TASKS};
-use crate::server::{Access, CurrentAccess};
+use crate::server::CurrentAccess;
 
 /// Bytes of messages that wait for the thread. Above, nothing more is published.
 const QUEUE: usize = 32 << 20;
 /// Bytes up to which a source that can wait need not. So others have room, and what waits is sent soon.
 const READY: usize = 256 << 10;
-/// Bytes of messages that wait for one subscriber. Above, the oldest one is dropped.
-const BEHIND: usize = 8 << 20;
 /// Bytes of the newest messages, which late subscribers get.
 const NEWEST: usize = 32 << 20;
-/// What a message takes in a queue besides its bytes, roughly.
-const ENTRY: usize = 128;
-
-/// Bytes of the subscriptions of one subscriber, and of all together. Further ones are ignored.
-const TOPICS: usize = 64 * 1024;
+/// Bytes of the subscriptions of all subscribers. Further ones are ignored.
 const ALL_TOPICS: usize = 32 << 20;
 /// Subscriptions that are taken at once, before messages are published again.
 const AT_ONCE: usize = 64;
@@ -42,76 +41,8 @@ const SUBSCRIPTION: usize = 4096;
 /// How long what waits is still sent after the socket was dropped.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// Topics below this one are only for those who subscribe to them by name (`docs/streams.md`).
-const RESERVED: &[u8] = b"$ztl/";
-/// Tells a subscriber how many messages it has missed.
-pub(crate) const MISSED: &str = "$ztl/missed";
-
-/// A message for subscribers: a topic and a body, as on the wire. Clones share the bytes.
-#[derive(Debug, Clone)]
-pub(crate) struct PubMessage {
-    wire: Arc<Vec<u8>>,
-    topic: Range<usize>,
-    /// How much of the topic is the scope.
-    scope: usize,
-    /// Whether it replaces the one before it with the same topic.
-    is_state: bool,
-    /// Whether every subscriber may hear it; otherwise those that may use its scope.
-    is_for_all: bool,
-}
-
-impl PubMessage {
-    /// The topic is `scope` and `path`. `is_state`: only the newest one of its topic counts.
-    pub(crate) fn new(scope: &str, path: &str, body: &[u8], is_state: bool) -> Self {
-        let length = scope.len() + path.len();
-        let mut wire = Vec::with_capacity(length + body.len() + 18);
-        put_header(1, length, &mut wire);
-        let begin = wire.len();
-        wire.extend_from_slice(scope.as_bytes());
-        wire.extend_from_slice(path.as_bytes());
-        let topic = begin..wire.len();
-        put_header(0, body.len(), &mut wire);
-        wire.extend_from_slice(body);
-        Self {
-            wire: Arc::new(wire),
-            topic,
-            scope: scope.len(),
-            is_state,
-            is_for_all: false,
-        }
-    }
-
-    /// The same for every subscriber: its topic does not begin with a scope.
-    #[cfg(feature = "gateway")]
-    pub(crate) fn for_all(mut self) -> Self {
-        self.is_for_all = true;
-        self
-    }
-
-    fn topic(&self) -> &[u8] {
-        self.wire.get(self.topic.clone()).unwrap_or_default()
-    }
-
-    fn scope(&self) -> &[u8] {
-        self.topic().get(..self.scope).unwrap_or_default()
-    }
-
-    /// Bytes that it takes in a queue.
-    fn held(&self) -> usize {
-        self.wire.len() + ENTRY
-    }
-}
-
-/// The header of a frame, as on the wire.
-fn put_header(flags: u8, size: usize, out: &mut Vec<u8>) {
-    match u8::try_from(size) {
-        Ok(size) => out.extend_from_slice(&[flags, size]),
-        Err(_) => {
-            out.push(flags | 2);
-            out.extend_from_slice(&(size as u64).to_be_bytes());
-        }
-    }
-}
+/// Who subscribes to this gets the newest states again.
+pub(crate) const AGAIN: &str = "$ztl/newest";
 
 /// Learns whether anyone subscribes to a topic.
 struct Watch {
@@ -127,12 +58,40 @@ impl fmt::Debug for Watch {
     }
 }
 
+/// The topics of each subscriber, with its key.
+pub(crate) type Wanted = Vec<(Option<PublicKey>, Vec<u8>)>;
+
+/// Learns what all subscribers subscribe to.
+struct Listener(Box<dyn FnMut(Wanted) + Send>);
+
+impl fmt::Debug for Listener {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Listener")
+    }
+}
+
+/// What a publisher does in turn.
+enum Order {
+    Publish(PubMessage),
+    /// Forgets the newest states of topics that are stale.
+    Forget(Box<dyn Fn(&[u8]) -> bool + Send>),
+    /// Subscribers of a robot may have missed messages.
+    Missed(Unheard),
+}
+
+impl fmt::Debug for Order {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Order")
+    }
+}
+
 /// What waits for the thread.
 #[derive(Debug, Default)]
 struct Queue {
-    messages: VecDeque<PubMessage>,
+    orders: VecDeque<Order>,
     held: usize,
     watches: Vec<Watch>,
+    listener: Option<Listener>,
     /// Whether the thread was woken, and has not looked since.
     is_awake: bool,
     is_closed: bool,
@@ -168,6 +127,7 @@ struct Worker {
     shared: Arc<Shared>,
     subscribers: BTreeMap<PeerId, Subscriber>,
     watches: Vec<Watch>,
+    listener: Option<Listener>,
     /// Bytes that the topics of all subscribers take.
     topics: usize,
     /// The newest state of each topic, and the bytes of all.
@@ -202,6 +162,7 @@ impl PubSocket {
             shared: Arc::clone(&shared),
             subscribers: BTreeMap::new(),
             watches: Vec::new(),
+            listener: None,
             topics: 0,
             newest: BTreeMap::new(),
             newest_held: 0,
@@ -242,10 +203,10 @@ impl PubSocket {
     pub(crate) fn publish(&self, message: PubMessage) -> bool {
         let mut queue = self.shared.queue();
         let held = queue.held + message.held();
-        let has_room = held <= QUEUE || queue.messages.is_empty();
+        let has_room = held <= QUEUE || queue.orders.is_empty();
         if has_room {
             queue.held = held;
-            queue.messages.push_back(message);
+            queue.orders.push_back(Order::Publish(message));
         }
         self.wake(queue);
         has_room
@@ -265,6 +226,29 @@ impl PubSocket {
             is_heard: false,
             changed: Box::new(changed),
         });
+        self.wake(queue);
+    }
+
+    /// Calls `changed` on the publisher's thread whenever it changes what anyone subscribes to, with all of it.
+    pub(crate) fn listen(&self, changed: impl FnMut(Wanted) + Send + 'static) {
+        let mut queue = self.shared.queue();
+        queue.listener = Some(Listener(Box::new(changed)));
+        self.wake(queue);
+    }
+
+    /// Forgets the newest states of the topics that are stale, after what was published before.
+    pub(crate) fn forget(&self, is_stale: impl Fn(&[u8]) -> bool + Send + 'static) {
+        self.order(Order::Forget(Box::new(is_stale)));
+    }
+
+    /// Tells those subscribers who may have heard them that messages were missed.
+    pub(crate) fn tell_missed(&self, unheard: Unheard) {
+        self.order(Order::Missed(unheard));
+    }
+
+    fn order(&self, order: Order) {
+        let mut queue = self.shared.queue();
+        queue.orders.push_back(order);
         self.wake(queue);
     }
 
@@ -295,20 +279,29 @@ impl Worker {
         loop {
             self.peers.wait(None)?;
             let mut has_changed = self.take_subscriptions();
-            let (messages, is_closed) = {
+            let (orders, is_closed) = {
                 let mut queue = self.shared.queue();
                 queue.is_awake = false;
                 queue.held = 0;
                 has_changed |= !queue.watches.is_empty();
                 self.watches.append(&mut queue.watches);
-                let messages = std::mem::take(&mut queue.messages);
-                (messages, queue.is_closed)
+                if let Some(listener) = queue.listener.take() {
+                    self.listener = Some(listener);
+                    has_changed = true;
+                }
+                let orders = std::mem::take(&mut queue.orders);
+                (orders, queue.is_closed)
             };
             if has_changed {
                 self.tell_watches();
+                self.tell_listener();
             }
-            for message in messages {
-                self.publish(&message);
+            for order in orders {
+                match order {
+                    Order::Publish(message) => self.publish(&message),
+                    Order::Forget(is_stale) => self.forget(is_stale),
+                    Order::Missed(unheard) => self.miss(&unheard),
+                }
             }
             self.pump();
             self.shared.queue().missed = self.missed;
@@ -352,6 +345,33 @@ impl Worker {
         }
     }
 
+    fn tell_listener(&mut self) {
+        let Some(Listener(changed)) = &mut self.listener else {
+            return;
+        };
+        let all = self.subscribers.values();
+        let all = all.flat_map(|one| one.topics().map(|topic| (one.key, topic.to_vec())));
+        changed(all.collect());
+    }
+
+    fn forget(&mut self, is_stale: impl Fn(&[u8]) -> bool) {
+        let held = &mut self.newest_held;
+        self.newest.retain(|topic, message| {
+            let keeps = !is_stale(topic);
+            if !keeps {
+                *held -= message.held();
+            }
+            keeps
+        });
+    }
+
+    fn miss(&mut self, unheard: &Unheard) {
+        let access = self.access.read();
+        for subscriber in self.subscribers.values_mut() {
+            subscriber.miss(unheard, &access);
+        }
+    }
+
     /// Reads what subscribers ask for, and notes who has left. Returns whether that was anything.
     fn take_subscriptions(&mut self) -> bool {
         let mut has_changed = false;
@@ -367,6 +387,15 @@ impl Worker {
             if let Some((begins @ 0..=1, topic)) = body.split_first() {
                 let subscriber = self.subscribers.entry(message.peer).or_default();
                 subscriber.key = message.key.map(PublicKey::from_bytes);
+                if topic == AGAIN.as_bytes() {
+                    if *begins == 1 {
+                        let access = access.read();
+                        for message in self.newest.values() {
+                            subscriber.push_newest(message, &access);
+                        }
+                    }
+                    continue;
+                }
                 if *begins == 1 && self.topics >= ALL_TOPICS {
                     continue;
                 }
@@ -378,9 +407,7 @@ impl Worker {
                     let newest = newest.take_while(|(known, _)| known.starts_with(topic));
                     let access = access.read();
                     for (_, message) in newest {
-                        if subscriber.gets(message, &access) && !subscriber.has(message) {
-                            subscriber.push(message.clone());
-                        }
+                        subscriber.push_newest(message, &access);
                     }
                 }
             }
@@ -418,7 +445,7 @@ impl Worker {
                 continue;
             }
             if subscriber.queue.is_empty() && has_room(&self.peers, *peer, message) {
-                self.peers.put_shared(*peer, &message.wire);
+                subscriber.send(*peer, message, &mut self.peers);
             } else {
                 subscriber.push(message.clone());
                 if subscriber.held > BEHIND {
@@ -458,146 +485,4 @@ impl Worker {
             }
         }
     }
-}
-
-/// Whether a subscriber's connection can take a message.
-fn has_room(peers: &Peers<Pub>, peer: PeerId, message: &PubMessage) -> bool {
-    let fits = |waiting| waiting == 0 || waiting + message.wire.len() < UNSENT;
-    peers.waiting(peer).is_some_and(fits)
-}
-
-/// What one subscriber wants, and what waits for it.
-#[derive(Default)]
-struct Subscriber {
-    key: Option<PublicKey>,
-    /// Its topics; each counts as often as it was subscribed to.
-    topics: BTreeMap<Vec<u8>, usize>,
-    /// Bytes that these take, roughly.
-    bytes: usize,
-    queue: VecDeque<PubMessage>,
-    /// Bytes in `queue`.
-    held: usize,
-    /// The number of the first one in `queue`, and the numbers of the states in it.
-    first: u64,
-    states: BTreeMap<Vec<u8>, u64>,
-    /// Messages that it missed; how many of them it was told.
-    missed: u64,
-    told: u64,
-}
-
-impl Subscriber {
-    /// Begins or ends a subscription. Returns whether a topic is new.
-    fn change(&mut self, begins: bool, topic: &[u8]) -> bool {
-        if begins {
-            if self.bytes + topic.len() + ENTRY > TOPICS {
-                return false;
-            }
-            self.bytes += topic.len() + ENTRY;
-            let count = self.topics.entry(topic.to_vec()).or_default();
-            *count += 1;
-            return *count == 1;
-        }
-        if let Some(count) = self.topics.get_mut(topic) {
-            self.bytes -= topic.len() + ENTRY;
-            *count -= 1;
-            if *count == 0 {
-                self.topics.remove(topic);
-            }
-        }
-        false
-    }
-
-    /// Whether it wants a message, and may have it.
-    fn gets(&self, message: &PubMessage, access: &Access) -> bool {
-        let may_hear = || access.may_hear(self.key.as_ref(), message.scope());
-        self.wants(message.topic()) && (message.is_for_all || may_hear())
-    }
-
-    /// Whether a topic begins with one of its topics. It has fewer beginnings than a subscriber may have topics.
-    fn wants(&self, topic: &[u8]) -> bool {
-        let shortest = if topic.starts_with(RESERVED) {
-            RESERVED.len()
-        } else {
-            0
-        };
-        let begins = |length| {
-            let begin = topic.get(..length);
-            begin.is_some_and(|begin| self.topics.contains_key(begin))
-        };
-        (shortest..=topic.len()).any(begins)
-    }
-
-    /// Whether a message of this topic waits.
-    fn has(&self, message: &PubMessage) -> bool {
-        self.states.contains_key(message.topic())
-    }
-
-    /// Adds a message at the end; a state takes the place of the one before it.
-    fn push(&mut self, message: PubMessage) {
-        self.held += message.held();
-        if message.is_state {
-            let number = self.first + self.queue.len() as u64;
-            let known = self.states.entry(message.topic().to_vec());
-            let at = *known.or_insert(number);
-            let index = usize::try_from(at - self.first).unwrap_or(usize::MAX);
-            if let Some(before) = self.queue.get_mut(index) {
-                self.held -= before.held();
-                *before = message;
-                return;
-            }
-        }
-        self.queue.push_back(message);
-    }
-
-    fn pop(&mut self) -> Option<PubMessage> {
-        let message = self.queue.pop_front()?;
-        self.first += 1;
-        self.held -= message.held();
-        if message.is_state {
-            self.states.remove(message.topic());
-        }
-        if self.queue.is_empty() {
-            self.queue = VecDeque::new();
-        }
-        Some(message)
-    }
-
-    /// Drops the oldest messages above the limit, and returns how many. One always stays.
-    fn drop_oldest(&mut self) -> u64 {
-        let before = self.missed;
-        while self.held > BEHIND && self.queue.len() > 1 {
-            self.pop();
-            self.missed += 1;
-        }
-        self.missed - before
-    }
-
-    /// Passes on what its connection can take. Returns whether that was anything.
-    fn fill(&mut self, peer: PeerId, peers: &mut Peers<Pub>) -> bool {
-        let mut moved = false;
-        if self.missed > self.told && self.wants(MISSED.as_bytes()) {
-            let told = PubMessage::new(MISSED, "", &pickled(self.missed), false);
-            if has_room(peers, peer, &told) {
-                peers.put_shared(peer, &told.wire);
-                self.told = self.missed;
-            }
-        }
-        while let Some(next) = self.queue.front()
-            && has_room(peers, peer, next)
-        {
-            peers.put_shared(peer, &next.wire);
-            self.pop();
-            moved = true;
-        }
-        moved
-    }
-}
-
-/// A count as a pickle: protocol 2, an integer of eight bytes and a sign.
-pub(crate) fn pickled(count: u64) -> [u8; 14] {
-    let mut pickle = *b"\x80\x02\x8a\x09\0\0\0\0\0\0\0\0\0.";
-    for (to, from) in pickle.iter_mut().skip(4).zip(count.to_le_bytes()) {
-        *to = from;
-    }
-    pickle
 }

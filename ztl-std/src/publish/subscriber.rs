@@ -16,7 +16,7 @@ use crate::keys::{KeyPair, PublicKey};
 use crate::log_targets::SUBSCRIBER;
 use crate::native::Endpoint;
 use crate::native::dialer::Dialer;
-use crate::native::publisher::MISSED;
+use crate::native::publisher::{AGAIN, MISSED, STATE};
 use crate::random;
 
 /// The longest message in bytes, unless it is chosen.
@@ -36,6 +36,11 @@ pub struct Subscriber {
     told: u64,
     connection: u64,
     damaged: u64,
+    /// The connection on which the publisher has said that the next message is a state.
+    next_is_state: Option<u64>,
+    was_state: bool,
+    /// Beginnings of topics that are subscribed to besides the scopes.
+    begins: Vec<Vec<u8>>,
 }
 
 /// Options of a subscriber.
@@ -177,6 +182,9 @@ impl SubscriberBuilder {
             told: 0,
             connection: 0,
             damaged: 0,
+            next_is_state: None,
+            was_state: false,
+            begins: Vec::new(),
         })
     }
 }
@@ -255,6 +263,35 @@ impl Subscriber {
         self.dialer.lost()
     }
 
+    /// Subscribes to topics that begin so, instead of all before, and to which of them are states.
+    pub(crate) fn set_begins(&mut self, begins: Vec<Vec<u8>>) {
+        let ask = |flag: &[u8], topic: &[u8]| [flag, topic].concat();
+        let added = begins.iter().filter(|begin| !self.begins.contains(begin));
+        let ended = self.begins.iter().filter(|begin| !begins.contains(begin));
+        // Nothing is missed between the two.
+        let added = added.map(|begin| ask(b"\x01", begin));
+        let changes: Vec<_> = added.chain(ended.map(|begin| ask(b"\0", begin))).collect();
+        for change in changes {
+            self.dialer.send_frame(&change);
+        }
+        let told = [MISSED, STATE].map(str::as_bytes);
+        let first = told.into_iter().chain(begins.iter().map(Vec::as_slice));
+        self.dialer
+            .set_first(first.map(|topic| ask(b"\x01", topic)).collect());
+        self.begins = begins;
+    }
+
+    /// Asks for the newest states again.
+    pub(crate) fn ask_newest(&mut self) {
+        self.dialer
+            .send_frame(&[b"\x01", AGAIN.as_bytes()].concat());
+    }
+
+    /// Whether the last message was a state, if the publisher tells that.
+    pub(crate) const fn was_state(&self) -> bool {
+        self.was_state
+    }
+
     /// The publisher says how many messages it has dropped since this subscriber connected.
     fn on_missed(&mut self, told: u64) {
         // It counts from zero for a new connection.
@@ -279,6 +316,11 @@ impl Subscriber {
             }
             return None;
         }
+        if topic == STATE.as_bytes() {
+            self.next_is_state = Some(self.dialer.lost());
+            return None;
+        }
+        self.was_state = self.next_is_state.take() == Some(self.dialer.lost());
         let is_wanted = |scope: &String| is_below(&topic, scope.as_bytes());
         if !self.scopes.iter().any(is_wanted) {
             return None;

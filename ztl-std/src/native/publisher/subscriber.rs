@@ -1,0 +1,201 @@
+//! One subscriber of a publisher.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use ztl_zmtp::Pub;
+
+use super::message::{ENTRY, PubMessage, Unheard};
+use crate::keys::PublicKey;
+use crate::native::peers::{PeerId, Peers, UNSENT};
+use crate::server::Access;
+
+/// Bytes of messages that wait for one subscriber. Above, the oldest one is dropped.
+pub(super) const BEHIND: usize = 8 << 20;
+/// Bytes of the subscriptions of one subscriber. Further ones are ignored.
+const TOPICS: usize = 64 * 1024;
+
+/// Topics below this one are only for those who subscribe to them by name (`docs/streams.md`).
+const RESERVED: &[u8] = b"$ztl/";
+/// Tells a subscriber how many messages it has missed.
+pub(crate) const MISSED: &str = "$ztl/missed";
+/// Tells a subscriber that the next message is a state.
+pub(crate) const STATE: &str = "$ztl/state";
+
+/// Whether a subscriber's connection can take a message.
+pub(super) fn has_room(peers: &Peers<Pub>, peer: PeerId, message: &PubMessage) -> bool {
+    let fits = |waiting| waiting == 0 || waiting + message.wire.len() < UNSENT;
+    peers.waiting(peer).is_some_and(fits)
+}
+
+/// What one subscriber wants, and what waits for it.
+#[derive(Default)]
+pub(super) struct Subscriber {
+    pub(super) key: Option<PublicKey>,
+    /// Its topics; each counts as often as it was subscribed to.
+    topics: BTreeMap<Vec<u8>, usize>,
+    /// Bytes that these take, roughly.
+    pub(super) bytes: usize,
+    pub(super) queue: VecDeque<PubMessage>,
+    /// Bytes in `queue`.
+    pub(super) held: usize,
+    /// The number of the first one in `queue`, and the numbers of the states in it.
+    first: u64,
+    states: BTreeMap<Vec<u8>, u64>,
+    /// Messages that it missed; how many of them it was told.
+    missed: u64,
+    told: u64,
+}
+
+impl Subscriber {
+    /// Begins or ends a subscription. Returns whether a topic is new.
+    pub(super) fn change(&mut self, begins: bool, topic: &[u8]) -> bool {
+        if begins {
+            if self.bytes + topic.len() + ENTRY > TOPICS {
+                return false;
+            }
+            self.bytes += topic.len() + ENTRY;
+            let count = self.topics.entry(topic.to_vec()).or_default();
+            *count += 1;
+            return *count == 1;
+        }
+        if let Some(count) = self.topics.get_mut(topic) {
+            self.bytes -= topic.len() + ENTRY;
+            *count -= 1;
+            if *count == 0 {
+                self.topics.remove(topic);
+            }
+        }
+        false
+    }
+
+    /// Whether it wants a message, and may have it.
+    pub(super) fn gets(&self, message: &PubMessage, access: &Access) -> bool {
+        let may_hear = |scope: &[u8]| access.may_hear(self.key.as_ref(), scope);
+        let may_hear = || may_hear(message.scope()) || message.wider().is_some_and(may_hear);
+        self.wants(message.topic()) && (message.is_for_all || may_hear())
+    }
+
+    /// Its topics, except reserved ones.
+    pub(super) fn topics(&self) -> impl Iterator<Item = &[u8]> {
+        let topics = self.topics.keys().map(Vec::as_slice);
+        topics.filter(|topic| !topic.starts_with(RESERVED))
+    }
+
+    /// Counts messages that it would have got.
+    pub(super) fn miss(&mut self, unheard: &Unheard, access: &Access) {
+        let root = format!("{}/", unheard.root).into_bytes();
+        let root = root.as_slice();
+        let meets = |topic: &[u8]| topic.starts_with(root) || root.starts_with(topic);
+        let may_hear = |scope: &str| access.may_hear(self.key.as_ref(), scope.as_bytes());
+        let mut scopes = unheard.scopes.iter();
+        if self.topics().any(meets)
+            && (may_hear(&unheard.root) || scopes.any(|scope| may_hear(scope)))
+        {
+            self.missed += unheard.count;
+        }
+    }
+
+    /// Adds the newest state of a topic, unless one waits.
+    pub(super) fn push_newest(&mut self, message: &PubMessage, access: &Access) {
+        if self.gets(message, access) && !self.has(message) {
+            self.push(message.clone());
+        }
+    }
+
+    /// Sends a message at once.
+    pub(super) fn send(&self, peer: PeerId, message: &PubMessage, peers: &mut Peers<Pub>) {
+        if message.is_state && self.wants(STATE.as_bytes()) {
+            let told = PubMessage::new(STATE, "", b"\x80\x02\x88.", false);
+            peers.put_shared(peer, &told.wire);
+        }
+        peers.put_shared(peer, &message.wire);
+    }
+
+    /// Whether a topic begins with one of its topics. It has fewer beginnings than a subscriber may have topics.
+    fn wants(&self, topic: &[u8]) -> bool {
+        let shortest = if topic.starts_with(RESERVED) {
+            RESERVED.len()
+        } else {
+            0
+        };
+        let begins = |length| {
+            let begin = topic.get(..length);
+            begin.is_some_and(|begin| self.topics.contains_key(begin))
+        };
+        (shortest..=topic.len()).any(begins)
+    }
+
+    /// Whether a message of this topic waits.
+    fn has(&self, message: &PubMessage) -> bool {
+        self.states.contains_key(message.topic())
+    }
+
+    /// Adds a message at the end; a state takes the place of the one before it.
+    pub(super) fn push(&mut self, message: PubMessage) {
+        self.held += message.held();
+        if message.is_state {
+            let number = self.first + self.queue.len() as u64;
+            let known = self.states.entry(message.topic().to_vec());
+            let at = *known.or_insert(number);
+            let index = usize::try_from(at - self.first).unwrap_or(usize::MAX);
+            if let Some(before) = self.queue.get_mut(index) {
+                self.held -= before.held();
+                *before = message;
+                return;
+            }
+        }
+        self.queue.push_back(message);
+    }
+
+    fn pop(&mut self) -> Option<PubMessage> {
+        let message = self.queue.pop_front()?;
+        self.first += 1;
+        self.held -= message.held();
+        if message.is_state {
+            self.states.remove(message.topic());
+        }
+        if self.queue.is_empty() {
+            self.queue = VecDeque::new();
+        }
+        Some(message)
+    }
+
+    /// Drops the oldest messages above the limit, and returns how many. One always stays.
+    pub(super) fn drop_oldest(&mut self) -> u64 {
+        let before = self.missed;
+        while self.held > BEHIND && self.queue.len() > 1 {
+            self.pop();
+            self.missed += 1;
+        }
+        self.missed - before
+    }
+
+    /// Passes on what its connection can take. Returns whether that was anything.
+    pub(super) fn fill(&mut self, peer: PeerId, peers: &mut Peers<Pub>) -> bool {
+        let mut moved = false;
+        if self.missed > self.told && self.wants(MISSED.as_bytes()) {
+            let told = PubMessage::new(MISSED, "", &pickled(self.missed), false);
+            if has_room(peers, peer, &told) {
+                peers.put_shared(peer, &told.wire);
+                self.told = self.missed;
+            }
+        }
+        while let Some(next) = self.queue.front()
+            && has_room(peers, peer, next)
+        {
+            self.send(peer, next, peers);
+            self.pop();
+            moved = true;
+        }
+        moved
+    }
+}
+
+/// A count as a pickle: protocol 2, an integer of eight bytes and a sign.
+fn pickled(count: u64) -> [u8; 14] {
+    let mut pickle = *b"\x80\x02\x8a\x09\0\0\0\0\0\0\0\0\0.";
+    for (to, from) in pickle.iter_mut().skip(4).zip(count.to_le_bytes()) {
+        *to = from;
+    }
+    pickle
+}
