@@ -1,5 +1,6 @@
 //! Asks robots, in plain queries or in sealed ones, which only the robot's key can answer.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
@@ -206,6 +207,19 @@ impl Caller {
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None);
         query.payload(sealed).timeout(limit).with(handler).wait()
+    }
+
+    /// A message of a stream of a robot, in the clear. `None` if it does not have the robot's key, or two agents have that.
+    #[must_use]
+    pub fn open_stream<'a>(&self, robot: &str, payload: &'a [u8]) -> Option<Cow<'a, [u8]>> {
+        let Some(identity) = &self.identity else {
+            return Some(Cow::Borrowed(payload));
+        };
+        let (_, shared) = identity.robots.get(robot)?;
+        if identity.copied().contains(robot) {
+            return None;
+        }
+        shared.open_stream(payload).map(Cow::Owned)
     }
 
     /// Asks several agents at once, and waits for their replies; `None` where there is none within the limit. A robot that has

@@ -42,7 +42,9 @@ pub struct AgentConfig {
     pub name: String,
     /// The ZeroMQ address of its server.
     pub server: String,
-    /// Keys for that server, if it encrypts.
+    /// The ZeroMQ address of its publisher, if it has one.
+    pub publish: Option<String>,
+    /// Keys for the server and the publisher, if they encrypt.
     pub keys: Option<KeyFiles>,
     /// Its scopes, if the server cannot tell them.
     pub scopes: Vec<String>,
@@ -116,6 +118,13 @@ impl AgentConfig {
                     endpoint.map(|_| text.to_owned())
                 })
             });
+            let publish = fields.optional("publish").and_then(|node| {
+                let what = "the address of the robot's publisher, as tcp://127.0.0.1:12346";
+                reading.parsed(node, what, |text| {
+                    let endpoint = ztl_std::relay::RelayClient::new(text, None);
+                    endpoint.map(|_| text.to_owned())
+                })
+            });
             let mut scopes = Vec::new();
             for node in fields.optional("scopes").map_or(&[][..], one_or_more) {
                 scopes.extend(reading.parsed(node, "a scope, as /lab", |text| {
@@ -142,6 +151,7 @@ impl AgentConfig {
             let state = state.map_or_else(|| format!("{name}.fleet"), str::to_owned);
             Some(Self {
                 server: server?,
+                publish,
                 keys,
                 scopes,
                 groups,

@@ -201,6 +201,7 @@ fn robot(
     let joined = Joined::join(AgentConfig {
         name: name.to_owned(),
         server: server.endpoint().to_owned(),
+        publish: None,
         keys: None,
         scopes: Vec::new(),
         groups: vec![room.to_owned()],

@@ -1,43 +1,42 @@
 //! The agent beside a robot's server: Zenoh on one side, ZeroMQ on the other, and [`Agent`] between them.
 
 mod asked;
+mod requests;
+mod rivals;
 mod server;
 mod stop;
+mod streams;
 mod threads;
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, UNIX_EPOCH};
 
-use tracing::{error, info, warn};
+use tracing::{info, warn};
 use zenoh::query::Query;
 use zenoh::{Session, Wait as _};
-use ztl_core::Message;
-use ztl_core::envelope::Envelope;
-use ztl_std::relay::{NotRelayed, RelayClient};
+use ztl_std::relay::RelayClient;
 use ztl_std::time::now;
 
-use crate::agent::{Agent, AgentEffect, ServerSaid};
+use crate::agent::Agent;
 use crate::caller::Caller;
 use crate::config::AgentConfig;
 use crate::journal::Journal;
 use crate::random;
 use crate::seal;
-use crate::seldom::{Seldom, brief};
+use crate::seldom::Seldom;
 use crate::session::{self, ZenohError, key};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, from_hex, is_abort, is_early};
+use crate::wire::{RobotInfo, Verdict};
 use asked::{Asked, Clients, Seen};
+use requests::Rules;
 use server::ServerState;
 use stop::Started;
 pub use stop::Stopped;
+use streams::Subscriptions;
 use threads::Job;
 
-/// Longest wait for the server's answer: as long as a client waits.
-const ANSWER: Duration = Duration::from_secs(2);
-/// Most queries at a time that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
-const MOST_WAITING: usize = 128;
 const TOO_MANY: &str = "too many requests are waiting, try again";
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
@@ -87,6 +86,7 @@ struct Shared {
     /// The agent's id.
     id: String,
     since: u64,
+    session: Session,
     client: RelayClient,
     /// Who may ask, if the robot has a key.
     clients: Clients,
@@ -95,6 +95,7 @@ struct Shared {
     rules: Mutex<Rules>,
     server: Mutex<ServerState>,
     started: Mutex<Started>,
+    subscriptions: Mutex<Subscriptions>,
     busy: AtomicUsize,
     waiting: AtomicUsize,
     /// Threads that wait for a query.
@@ -108,14 +109,6 @@ struct Told {
     refusals: Seldom,
     rivals: Seldom,
     claims: Seldom,
-}
-
-/// The rules with what they decide about.
-struct Rules {
-    agent: Agent,
-    journal: Journal,
-    queries: HashMap<u64, Asked>,
-    next: u64,
 }
 
 /// A robot's agent, which runs until it is dropped.
@@ -162,6 +155,8 @@ impl Joined {
             }),
             server: Mutex::default(),
             started: Mutex::default(),
+            subscriptions: Mutex::default(),
+            session: session.clone(),
             busy: AtomicUsize::new(0),
             waiting: AtomicUsize::new(0),
             idle: Mutex::default(),
@@ -265,7 +260,7 @@ impl Shared {
     /// Declares what the agent answers.
     fn offer(self: &Arc<Self>, session: &Session) -> Result<(), ZenohError> {
         type Answerer = fn(&Arc<Shared>, Query);
-        let plain: [(&str, Answerer); 4] = [
+        let plain: [(&str, Answerer); 5] = [
             ("request", |shared, query| {
                 shared.on_request(Asked::plain(query))
             }),
@@ -274,6 +269,9 @@ impl Shared {
             }),
             ("info", |shared, query| shared.on_info(Asked::plain(query))),
             ("stop", |shared, query| shared.on_stop(Asked::plain(query))),
+            ("streams", |shared, query| {
+                shared.on_streams(&Asked::plain(query));
+            }),
         ];
         let sealed: [(&str, Answerer); 1] = [("sealed", Shared::on_sealed)];
         let offered = match self.config.identity {
@@ -301,78 +299,6 @@ impl Shared {
         Ok(())
     }
 
-    /// A request to the robot's server.
-    fn on_request(self: &Arc<Self>, asked: Asked) {
-        let refuse = |reason: &str| asked.reply(&Verdict::NotStarted(reason.to_owned()));
-        if asked.body.len() > LONGEST {
-            return refuse("the request is too long");
-        }
-        let rules = match InitRules::parse(&asked.parameters) {
-            Ok(rules) => rules,
-            Err(mistake) => return refuse(&mistake),
-        };
-        let Ok(message) = Message::parse(&asked.body) else {
-            return refuse("this is not a request");
-        };
-        // What the server says of itself is about all scopes.
-        let scope = Some(message.scope).filter(|scope| *scope != "$ztl");
-        let named = brief(message.scope);
-        if !self.may_use(&asked, scope) {
-            warn!(target: "fleet", "{} may not use scope '{named}'.", asked.who());
-            return refuse("the robot's 'client-keys' do not allow this");
-        }
-        let code = message.code().ok().and_then(|code| code.value());
-        let is_abort = is_abort(&asked.body);
-        let place = Place::take(&self.waiting);
-        if place.is_none() && !is_abort {
-            return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
-        }
-        if code == Some(1) {
-            let Some(init) = rules else {
-                return refuse("an INIT needs client, number, boot and until");
-            };
-            info!(target: "fleet", "INIT {} for '{named}' by {}.", init.id.number, asked.who());
-            let server = self.server_boot();
-            let body = asked.body.clone();
-            let early_end = is_early(&asked.parameters);
-            return self.run_init(early_end, |rules| {
-                let number = rules.take(asked);
-                let agent = &mut rules.agent;
-                agent.handle_init(now(), number, init, &body, server)
-            });
-        }
-        if self.refuse_stale(&asked) {
-            return;
-        }
-        if is_abort {
-            info!(target: "fleet", "ABORT of {} at '{named}' by {}.", brief(message.id), asked.who());
-        }
-        let envelope = rules.map(|rules| Envelope {
-            client: rules.id.client,
-            number: rules.id.number,
-            early_end: false,
-        });
-        asked.reply(&match self.client.ask(envelope, &asked.body, ANSWER) {
-            Ok(answer) => Verdict::Answer(answer),
-            Err(reason) => Verdict::Unknown(reason.to_string()),
-        });
-    }
-
-    /// What became of an INIT.
-    fn on_outcome(self: &Arc<Self>, asked: Asked) {
-        let Some(_place) = Place::take(&self.waiting) else {
-            return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
-        };
-        match InitRules::parse(&asked.parameters) {
-            Ok(Some(init)) => self.run(|rules| {
-                let number = rules.take(asked);
-                rules.agent.handle_outcome(now(), number, init)
-            }),
-            Ok(None) => asked.reply(&Verdict::Unknown("'client' is missing".to_owned())),
-            Err(mistake) => asked.reply(&Verdict::Unknown(mistake)),
-        }
-    }
-
     fn on_info(self: &Arc<Self>, asked: Asked) {
         let mut info = self.info();
         info.scopes
@@ -385,46 +311,11 @@ impl Shared {
         }
     }
 
-    /// Another agent was refused the name of this one.
-    fn on_claim(self: &Arc<Self>, query: Query) {
-        let parameters = query.parameters().as_str();
-        let other = parameters.strip_prefix("agent=").and_then(from_hex);
-        let other = other.map_or_else(|| "of unknown id".to_owned(), |id| crate::wire::hex(&id));
-        let robot = &self.config.name;
-        if self.told.claims.may() {
-            let refused = match self.config.identity {
-                None => "and was refused",
-                Some(_) => "and an endpoint knows the key of one of the two and refuses the other",
-            };
-            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, {refused}.");
-        }
-        Asked::plain(query).reply(&Verdict::Answer(b"{}".to_vec()));
-    }
-
-    /// Another agent claims the name of this one, which belongs to a key.
-    fn warn_of_rival(&self, other: &str) {
-        let robot = &self.config.name;
-        if self.told.rivals.may() {
-            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too; endpoints serve the one whose key they know.");
-        }
-    }
-
-    /// Another agent has the same name: of two networks that met. The older claim stays.
-    fn on_rival(&self, session: &Session, other: String) {
-        let robot = self.config.name.clone();
-        let agents = [(robot.clone(), other.clone())];
-        let infos = Caller::plain(session.clone()).infos(&agents, CLAIM);
-        let Some(Some(rival)) = infos.into_iter().next() else {
-            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too, and does not answer.");
-            return;
-        };
-        if (rival.since, &rival.agent) < (self.since, &self.id) {
-            error!(target: "fleet", "Agent {other} has had the name '{robot}' for longer; this one leaves.");
-            let ends = self.ends.lock().unwrap_or_else(PoisonError::into_inner);
-            // The receiver is gone when this agent ends anyway.
-            let _ = ends.send(JoinEnd::NameTaken { robot, by: other });
-        } else {
-            warn!(target: "fleet", "Agent {other} claims the name '{robot}', too; it has to leave.");
+    /// The robot's scopes, as far as they are known.
+    fn scopes(&self, server: &ServerState) -> Vec<String> {
+        match server.scopes.is_empty() {
+            true => self.config.scopes.clone(),
+            false => server.scopes.clone(),
         }
     }
 
@@ -440,148 +331,11 @@ impl Shared {
             clock_ms: now().as_millis(),
             since: self.since,
             groups: self.config.groups.clone(),
+            streams: self.config.publish.is_some(),
             ready: server.problem.is_none(),
             problem: server.problem.clone(),
             server: server.probed.clone(),
-            scopes: match server.scopes.is_empty() {
-                true => self.config.scopes.clone(),
-                false => server.scopes.clone(),
-            },
+            scopes: self.scopes(&server),
         }
-    }
-
-    /// Carries out what the rules decide, in order.
-    fn run(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
-        self.run_init(false, decide);
-    }
-
-    /// The same; an INIT is forwarded with this wish for an early outcome.
-    fn run_init(&self, early_end: bool, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) {
-        let mut effects = self.decide(decide);
-        while !effects.is_empty() {
-            let mut next = Vec::new();
-            for effect in effects {
-                next.extend(match effect {
-                    AgentEffect::Reply { query, verdict } => {
-                        let query = self.rules().queries.remove(&query);
-                        if let Some(asked) = query {
-                            asked.reply(&verdict);
-                        }
-                        continue;
-                    }
-                    // Written when it was decided.
-                    AgentEffect::Record(_) => continue,
-                    AgentEffect::Forward { id, body } => {
-                        let said = self.forward(id, &body, early_end);
-                        self.decide(|rules| rules.agent.handle_server(now(), id, said))
-                    }
-                    AgentEffect::AskServer(id) => {
-                        let answer = self.ask_outcome(id);
-                        let answer = answer.as_deref();
-                        let agent = |rules: &mut Rules| {
-                            rules.agent.handle_server_outcome(now(), id, answer)
-                        };
-                        self.decide(agent)
-                    }
-                });
-            }
-            effects = next;
-        }
-    }
-
-    /// Lets the rules decide, and writes that into the journal before another thread can answer by it.
-    fn decide(&self, decide: impl FnOnce(&mut Rules) -> Vec<AgentEffect>) -> Vec<AgentEffect> {
-        let mut rules = self.rules();
-        let effects = decide(&mut rules);
-        rules.write(effects)
-    }
-
-    fn forward(&self, id: InitId, body: &[u8], early_end: bool) -> ServerSaid {
-        let envelope = Envelope {
-            early_end,
-            ..envelope(id)
-        };
-        match self.client.ask(Some(envelope), body, ANSWER) {
-            Ok(answer) => {
-                self.started().note(&answer);
-                let client = crate::wire::hex(&id.client);
-                info!(target: "fleet", "INIT {} of client {client} was answered.", id.number);
-                ServerSaid::Answer(answer)
-            }
-            Err(NotRelayed::NotSent) => ServerSaid::NotSent(NotRelayed::NotSent.to_string()),
-            Err(_) => ServerSaid::Silence,
-        }
-    }
-
-    fn ask_outcome(&self, id: InitId) -> Option<Vec<u8>> {
-        let body = format!("$ztl;2;-1;outcome {}", id.number);
-        let answer = self.client.ask(Some(envelope(id)), body.as_bytes(), ANSWER);
-        let answer = answer.ok()?;
-        self.started().note(&answer);
-        Some(answer)
-    }
-}
-
-/// The place of a query that may wait for the robot's server.
-struct Place<'a>(&'a AtomicUsize);
-
-impl<'a> Place<'a> {
-    fn take(taken: &'a AtomicUsize) -> Option<Self> {
-        let place = Self(taken);
-        // It is given back if there was none.
-        (taken.fetch_add(1, Ordering::SeqCst) < MOST_WAITING).then_some(place)
-    }
-}
-
-impl Drop for Place<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::SeqCst);
-    }
-}
-
-impl Rules {
-    /// Writes the entries of effects. Returns what to carry out.
-    fn write(&mut self, effects: Vec<AgentEffect>) -> Vec<AgentEffect> {
-        let mut all = Vec::new();
-        let mut effects = effects.into_iter();
-        while let Some(effect) = effects.next() {
-            if let AgentEffect::Record(entry) = &effect
-                && let Err(error) = self.journal.append(entry)
-            {
-                error!(target: "fleet", "The journal cannot be written: {error}");
-                let marked = self.journal.mark();
-                if let Err(error) = &marked {
-                    error!(target: "fleet", "Nor can it be marked: {error}");
-                }
-                let following = effects.collect();
-                let agent = &mut self.agent;
-                effects = agent
-                    .handle_unwritten(entry, marked.is_ok(), following)
-                    .into_iter();
-                continue;
-            }
-            all.push(effect);
-        }
-        if self.journal.is_long()
-            && let Err(error) = self.journal.rewrite(&self.agent.entries())
-        {
-            warn!(target: "fleet", "The journal cannot be shortened: {error}");
-        }
-        all
-    }
-
-    /// Keeps a query until it is answered.
-    fn take(&mut self, query: Asked) -> u64 {
-        self.next += 1;
-        self.queries.insert(self.next, query);
-        self.next
-    }
-}
-
-const fn envelope(id: InitId) -> Envelope {
-    Envelope {
-        client: id.client,
-        number: id.number,
-        early_end: false,
     }
 }

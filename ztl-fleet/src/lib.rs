@@ -23,4 +23,5 @@ pub mod seldom;
 pub mod serve;
 #[cfg(feature = "processes")]
 pub mod session;
+pub mod streams;
 pub mod wire;

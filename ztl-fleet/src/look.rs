@@ -129,7 +129,9 @@ impl Select {
                 Some((_, Some(info))) => match &info.problem {
                     None => {
                         let scopes = info.scopes.join(" ");
-                        ("ready", format!("{scopes}  since {}", wall(info.since)))
+                        let streams = if info.streams { "  streams" } else { "" };
+                        let since = wall(info.since);
+                        ("ready", format!("{scopes}  since {since}{streams}"))
                     }
                     Some(problem) => ("not ready", problem.clone()),
                 },

@@ -41,6 +41,9 @@ enum Command {
         /// Port to serve at, instead of the file's
         #[arg(short, long)]
         port: Option<u16>,
+        /// Port to publish the robots' streams and events of tasks at, instead of the file's
+        #[arg(long, value_name = "PORT")]
+        publish: Option<u16>,
     },
     /// Route between agents and endpoints
     Router(File),
@@ -133,16 +136,26 @@ fn run(command: Command) -> Done {
         Command::Endpoint {
             file: File { file, check },
             port,
+            publish,
         } => {
             let mut config = EndpointConfig::load(&file)?;
             config.access()?;
             config.listen.port = port.or(config.listen.port);
+            config.listen.publish = publish.or(config.listen.publish);
+            if let Some(port) = config.listen.port.filter(|port| *port != 0)
+                && config.listen.publish == Some(port)
+            {
+                return Err(format!("port {port} is for tasks; publish at another port").into());
+            }
             if check {
                 return fine(&file);
             }
             let signals = signals::catch()?;
             let serving = Serving::bind(&config)?;
             line(format_args!("Serving {}", serving.endpoint()))?;
+            if let Some(endpoint) = serving.publishes() {
+                line(format_args!("Publishing {endpoint}"))?;
+            }
             let stopper = serving.stopper();
             let (told, signal) = channel();
             let thread = std::thread::Builder::new().name("ztl-fleet-end".to_owned());

@@ -1,6 +1,7 @@
 //! Sealed requests and answers: only the robot's key can read a request and answer it, and only a known client's key can write
 //! one. Without I/O.
 //!
+//! A message of a stream is a nonce and a box, too, and its session tells what it belongs to.
 //! A request is the client's public key (32 bytes), a random nonce (24) and a box; an answer is a nonce and a box. The boxes are
 //! those of NaCl (X25519, XSalsa20, Poly1305). An answer names the nonce of its request, so that it answers no other.
 
@@ -21,6 +22,8 @@ const TAG: usize = 16;
 const REQUEST: &str = "ztl-fleet request 1";
 /// First bytes of each answer, which no request has.
 const ANSWER: &[u8] = b"ztl-fleet answer 1\n";
+/// First bytes of each message of a stream.
+const STREAM: &[u8] = b"ztl-fleet stream 1\n";
 /// Longest parameters, name and client of a request in bytes.
 const LONGEST_HEAD: usize = 1024;
 /// What sealing adds to a request, at most.
@@ -122,6 +125,28 @@ impl Shared {
             (1, body) => Some(Verdict::Answer(body.to_vec())),
             (_, error) => Some(Verdict::of_error(error)),
         }
+    }
+}
+
+impl Shared {
+    /// Seals a message of a stream.
+    #[must_use]
+    pub fn stream(&self, nonce: &Nonce, message: &[u8]) -> Option<Vec<u8>> {
+        let clear = [STREAM, message].concat();
+        let sealed = self.0.encrypt(nonce.into(), clear.as_slice()).ok()?;
+        Some([&nonce[..], &sealed].concat())
+    }
+
+    /// Opens a message of a stream. `None` if another key or hand made it.
+    #[must_use]
+    pub fn open_stream(&self, payload: &[u8]) -> Option<Vec<u8>> {
+        let (nonce, sealed) = payload.split_first_chunk::<NONCE>()?;
+        let mut clear = self.open(nonce, sealed)?;
+        if !clear.starts_with(STREAM) {
+            return None;
+        }
+        clear.drain(..STREAM.len());
+        Some(clear)
     }
 }
 

@@ -1,6 +1,8 @@
 //! The endpoint: ZeroMQ on one side, Zenoh on the other, and [`Endpoint`] between them, on one thread.
 
+mod arrivals;
 mod events;
+mod streams;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -19,7 +21,9 @@ use crate::seal::Request;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError};
 use crate::wire::{InitId, InitRules, RobotInfo, Verdict, fresh, is_abort};
+use arrivals::{Arrivals, Known};
 use events::Event;
+use streams::Bound;
 
 /// How often robots are asked what they are.
 const INFO: Duration = Duration::from_secs(2);
@@ -31,6 +35,7 @@ type Events = events::Events<RelayedRequest>;
 /// An endpoint that is bound and does not serve yet.
 pub struct Serving {
     server: RelayServer,
+    streams: Option<Bound>,
     caller: Caller,
     access: Access,
 }
@@ -45,10 +50,16 @@ impl Serving {
         let bind = config.listen.bind.as_deref().unwrap_or("127.0.0.1");
         let port = config.listen.port.unwrap_or_default();
         let endpoint = format!("tcp://{bind}:{port}");
-        let bound: Result<_, BindError> =
-            RelayServer::bind(&endpoint, access.clone(), config.listen.limits);
+        let limits = config.listen.limits;
+        let bound: Result<_, BindError> = RelayServer::bind(&endpoint, access.clone(), limits);
+        let server = bound?;
+        let streams = config.listen.publish.map(|port| {
+            let endpoint = format!("tcp://{bind}:{port}");
+            Bound::bind(&endpoint, access.clone(), limits)
+        });
         Ok(Self {
-            server: bound?,
+            server,
+            streams: streams.transpose()?,
             caller: Caller::new(session::open(&config.links, false)?, config),
             access,
         })
@@ -58,6 +69,12 @@ impl Serving {
     #[must_use]
     pub fn endpoint(&self) -> &str {
         self.server.endpoint()
+    }
+
+    /// Where it publishes streams, if it does.
+    #[must_use]
+    pub fn publishes(&self) -> Option<&str> {
+        self.streams.as_ref().map(Bound::endpoint)
     }
 
     /// Ends [`run`](Self::run).
@@ -73,11 +90,16 @@ impl Serving {
     pub fn run(self) -> Result<(), ZenohError> {
         let events = Arc::new(Events::new());
         let presence = Arc::clone(&events);
+        let streams = self.streams.map(|streams| {
+            let (caller, access) = (self.caller.clone(), self.access.clone());
+            streams.start(caller, access)
+        });
         session::watch_presence(self.caller.session(), "*", move |robot, agent, is_there| {
             presence.put_presence((robot.to_owned(), agent.to_owned()), is_there);
         })?;
         let loops = Loop {
             machine: Endpoint::new(random::boot()?),
+            streams: streams.transpose()?,
             caller: self.caller,
             told: Seldom::default(),
             answers: self.server.answers(),
@@ -101,6 +123,8 @@ impl Serving {
 /// What the endpoint's thread owns.
 struct Loop {
     machine: Endpoint,
+    /// What the thread of the streams has to know.
+    streams: Option<Arc<Arrivals>>,
     caller: Caller,
     /// Limits how often it is told who claims a name.
     told: Seldom,
@@ -186,13 +210,29 @@ impl Loop {
             }
             Event::Presence((robot, agent), false) => {
                 info!(target: "fleet", "Robot '{robot}' is gone (agent {agent}).");
+                self.tell_streams(&robot, &agent, None);
                 self.machine.handle_gone(&robot, &agent)
             }
             Event::Info(info) => {
                 let (robot, agent) = (info.name.clone(), info.agent.clone());
+                let known = info.streams.then(|| Known {
+                    agent: agent.clone(),
+                    clock: (info.boot, info.clock_ms, now()),
+                    scopes: info.scopes.clone(),
+                });
+                self.tell_streams(&robot, &agent, known);
                 self.machine.handle_info(now(), &robot, &agent, info);
                 Vec::new()
             }
+        }
+    }
+
+    /// Tells the thread of the streams that the agent of a robot has some, or has none.
+    fn tell_streams(&self, robot: &str, agent: &str, known: Option<Known>) {
+        if let Some(streams) = &self.streams
+            && self.machine.served(robot) == Some(agent)
+        {
+            streams.put_robot(robot, known);
         }
     }
 

@@ -18,6 +18,10 @@ pub type ZenohError = Box<dyn std::error::Error + Send + Sync>;
 const LEASE_MS: u32 = 3000;
 /// Longest message that is taken, in bytes: Zenoh's own limit is 1 GiB, an answer of a server about 4 MiB.
 const LONGEST: usize = 8 << 20;
+/// How long an agent's thread waits for room on its own line before a message of a stream is dropped, in microseconds; with many
+/// fragments, the second.
+const WAIT_US: u32 = 50_000;
+const WAIT_LONG_US: u32 = 500_000;
 /// Longest pause before a connection is tried again.
 const RETRY_MS: u32 = 1000;
 
@@ -42,6 +46,15 @@ fn settings(links: &Links, mode: &str) -> Value {
             "rx": { "max_message_size": LONGEST },
         } },
     });
+    // A router would make others wait meanwhile.
+    if mode == "client"
+        && let Some(tx) = all.pointer_mut("/transport/link/tx")
+    {
+        tx["queue"] = json!({ "congestion_control": { "drop": {
+            "wait_before_drop": WAIT_US,
+            "max_wait_before_drop_fragments": WAIT_LONG_US,
+        } } });
+    }
     if let Some(tls) = &links.tls
         && let Some(link) = all.pointer_mut("/transport/link")
     {

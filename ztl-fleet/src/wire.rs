@@ -223,6 +223,9 @@ pub struct RobotInfo {
     /// The groups that it belongs to.
     #[serde(default)]
     pub groups: Vec<String>,
+    /// Whether it has a publisher.
+    #[serde(default)]
+    pub streams: bool,
     /// Whether its server answers.
     pub ready: bool,
     /// Why not.

@@ -112,6 +112,12 @@ impl Endpoint {
         robot.map_or((0, 0), |robot| robot.clock(now))
     }
 
+    /// The agent of a robot that is served, if it is there.
+    #[must_use]
+    pub fn served(&self, robot: &str) -> Option<&str> {
+        self.robots.get(robot)?.agent.as_deref()
+    }
+
     /// The agents that are there.
     pub fn robots(&self) -> impl Iterator<Item = (&str, &str)> {
         let robots = self.robots.iter();

@@ -15,6 +15,7 @@ fn info(boot: u32) -> RobotInfo {
         clock_ms: 500,
         since: 0,
         groups: Vec::new(),
+        streams: false,
         ready: true,
         problem: None,
         server: None,

@@ -82,6 +82,12 @@ impl Asked {
         };
     }
 
+    /// Who sealed it, and what its key shares with the robot's.
+    pub(super) fn sealer(&self) -> Option<(PublicKey, Arc<seal::Shared>)> {
+        let sender = self.sender.as_ref()?;
+        Some((sender.key, Arc::clone(&sender.shared)))
+    }
+
     /// Who asks, for the log.
     pub(super) fn who(&self) -> String {
         match &self.sender {
@@ -100,6 +106,7 @@ impl Shared {
                 "outcome" => self.on_outcome(asked),
                 "info" => self.on_info(asked),
                 "stop" => self.on_stop(asked),
+                "streams" => self.on_streams(&asked),
                 _ => asked.reply(&Verdict::NotStarted(format!("'{what}' is not known"))),
             },
             Err(mistake) => {

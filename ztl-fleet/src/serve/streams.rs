@@ -1,0 +1,419 @@
+//! Streams of the robots, published at the endpoint. They have a thread and a port of their own: they delay no request.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound::{Included, Unbounded};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tracing::warn;
+use zenoh::Wait as _;
+use ztl_std::keys::PublicKey;
+use ztl_std::relay::{RelayPublisher, WantedTopic};
+use ztl_std::time::now;
+use ztl_std::{Access, BindError, Limits};
+
+use super::VALID_MS;
+use super::arrivals::{Arrivals, Known, News};
+use crate::caller::Caller;
+use crate::random;
+use crate::seal::Request;
+use crate::seldom::{Seldom, brief};
+use crate::session::{ZenohError, parts};
+use crate::streams::{Granted, Head, Incoming, RENEW, fewest, is_wanted, topics_of};
+use crate::wire::{ROOT, Verdict, fresh, hex};
+
+/// How long to wait for an agent's answer.
+const LIMIT: Duration = Duration::from_secs(2);
+/// Pause while the publisher has no room.
+const FULL: Duration = Duration::from_millis(2);
+
+/// A publisher that is bound.
+pub(super) struct Bound {
+    publisher: RelayPublisher,
+    arrivals: Arc<Arrivals>,
+}
+
+/// What its thread owns.
+struct Relay {
+    publisher: RelayPublisher,
+    arrivals: Arc<Arrivals>,
+    caller: Caller,
+    access: Access,
+    /// Last chunk of the keys to which agents send.
+    id: String,
+    wanted: Vec<WantedTopic>,
+    robots: BTreeMap<String, Robot>,
+    /// The number of the last question.
+    last: u64,
+    told: Seldom,
+}
+
+/// A robot that has streams.
+struct Robot {
+    known: Known,
+    is_there: bool,
+    /// How the endpoint's topics begin that somebody wants, and the robot's own.
+    begins: BTreeSet<Vec<u8>>,
+    topics: Vec<String>,
+    incoming: Incoming,
+    /// The question under way.
+    asking: Option<u64>,
+    /// Whether the last answer was that the question was stale.
+    was_stale: bool,
+    due: Instant,
+    problem: Option<String>,
+}
+
+impl Bound {
+    pub(super) fn bind(
+        endpoint: &str,
+        access: Access,
+        limits: Limits,
+    ) -> Result<Self, BindError> {
+        let arrivals = Arc::new(Arrivals::default());
+        let told = Arc::clone(&arrivals);
+        let changed = move |wanted| told.put_wanted(wanted);
+        Ok(Self {
+            publisher: RelayPublisher::bind(endpoint, access, limits, changed)?,
+            arrivals,
+        })
+    }
+
+    pub(super) fn endpoint(&self) -> &str {
+        self.publisher.endpoint()
+    }
+
+    /// Publishes on a thread of its own, until the process ends.
+    pub(super) fn start(self, caller: Caller, access: Access) -> Result<Arc<Arrivals>, ZenohError> {
+        let Self {
+            publisher,
+            arrivals,
+        } = self;
+        let id = hex(&random::id()?);
+        let arrived = Arc::clone(&arrivals);
+        let subscriber = caller
+            .session()
+            .declare_subscriber(format!("{ROOT}/*/*/streams/{id}"))
+            .callback(move |sample| {
+                if let Some((robot, agent)) = parts(sample.key_expr().as_str()) {
+                    arrived.put_message(robot, agent, || sample.payload().to_bytes().into_owned());
+                }
+            });
+        subscriber.background().wait()?;
+        let relay = Relay {
+            publisher,
+            arrivals: Arc::clone(&arrivals),
+            caller,
+            access,
+            id,
+            wanted: Vec::new(),
+            robots: BTreeMap::new(),
+            last: 0,
+            told: Seldom::default(),
+        };
+        let thread = std::thread::Builder::new().name("ztl-fleet-streams".to_owned());
+        drop(thread.spawn(move || relay.run())?);
+        Ok(arrivals)
+    }
+}
+
+impl Relay {
+    fn run(mut self) {
+        loop {
+            let due = self.robots.values().filter_map(Robot::due).min();
+            let mut limit = due.map_or(RENEW, |due| due.saturating_duration_since(Instant::now()));
+            let has_room = self.publisher.has_room();
+            if !has_room {
+                limit = limit.min(FULL);
+            }
+            let News {
+                wanted,
+                robots,
+                replies,
+                messages,
+            } = self.arrivals.next(has_room, limit);
+            for (name, known) in robots {
+                self.on_robot(name, known);
+            }
+            if let Some(wanted) = wanted {
+                self.wanted = wanted;
+                self.choose(None);
+            }
+            for (name, question, verdict) in replies {
+                self.on_reply(&name, question, verdict);
+            }
+            for (name, payload) in messages {
+                self.on_message(&name, &payload);
+            }
+            let now = Instant::now();
+            let due = self.robots.iter().filter(|(_, robot)| {
+                let is_due = |due| due <= now || robot.incoming.is_due();
+                robot.due().is_some_and(is_due)
+            });
+            let due: Vec<String> = due.map(|(name, _)| name.clone()).collect();
+            for name in due {
+                self.ask(&name);
+            }
+        }
+    }
+
+    /// A robot is there with streams, or `None` if it is gone.
+    fn on_robot(&mut self, name: String, known: Option<Known>) {
+        match (self.robots.get_mut(&name), known) {
+            (Some(robot), Some(known)) => {
+                let is_new = !robot.is_there || robot.known.scopes != known.scopes;
+                robot.is_there = true;
+                robot.known = known;
+                if is_new {
+                    robot.due = Instant::now();
+                    robot.asking = None;
+                    self.choose(Some(&name));
+                }
+            }
+            (None, Some(known)) => {
+                let robot = Robot {
+                    known,
+                    is_there: true,
+                    begins: BTreeSet::new(),
+                    topics: Vec::new(),
+                    incoming: Incoming::default(),
+                    asking: None,
+                    was_stale: false,
+                    due: Instant::now(),
+                    problem: None,
+                };
+                self.robots.insert(name.clone(), robot);
+                self.choose(Some(&name));
+            }
+            (Some(robot), None) => {
+                robot.is_there = false;
+                robot.asking = None;
+                // What it had published last is not its state any more.
+                robot.incoming.lose_states();
+                let root = format!("/{name}/").into_bytes();
+                self.publisher.forget(move |topic| topic.starts_with(&root));
+                if robot.topics.is_empty() {
+                    self.robots.remove(&name);
+                }
+                self.listen();
+            }
+            (None, None) => {}
+        }
+    }
+
+    /// Finds out what is wanted, of one robot or of all.
+    fn choose(&mut self, only: Option<&str>) {
+        let mut begins: BTreeMap<String, BTreeSet<Vec<u8>>> = BTreeMap::new();
+        for WantedTopic { key, begin } in &self.wanted {
+            let key = key.as_ref();
+            let mut chunks = begin.splitn(3, |byte| *byte == b'/');
+            let (first, name, rest) = (chunks.next(), chunks.next(), chunks.next());
+            if first.is_some_and(|first| !first.is_empty()) {
+                continue;
+            }
+            let name = name.unwrap_or_default();
+            let Ok(name) = str::from_utf8(name) else {
+                continue;
+            };
+            let robots = self
+                .robots
+                .range::<str, _>((Included(name), Unbounded))
+                .take_while(|(known, _)| known.starts_with(name));
+            for (known, robot) in robots {
+                let fits = rest.is_none() || known == name;
+                if fits
+                    && only.is_none_or(|only| only == known)
+                    && self.may_hear(key, known, robot)
+                {
+                    let begins = begins.entry(known.clone()).or_default();
+                    begins.insert(begin.clone());
+                }
+            }
+        }
+        let names: Vec<String> = match only {
+            Some(only) => vec![only.to_owned()],
+            None => self.robots.keys().cloned().collect(),
+        };
+        for name in names {
+            let begins = begins.remove(&name).unwrap_or_default();
+            self.set_begins(&name, begins);
+        }
+        self.listen();
+    }
+
+    /// Whether the owner of a key may hear anything of a robot.
+    fn may_hear(&self, key: Option<&PublicKey>, name: &str, robot: &Robot) -> bool {
+        let Some(key) = key else { return true };
+        let mut scopes = robot.known.scopes.iter();
+        self.access.may_use(key, &format!("/{name}"))
+            || scopes.any(|scope| self.access.may_use(key, &format!("/{name}{scope}")))
+    }
+
+    fn set_begins(&mut self, name: &str, begins: BTreeSet<Vec<u8>>) {
+        let Some(robot) = self.robots.get_mut(name) else {
+            return;
+        };
+        if robot.begins == begins {
+            return;
+        }
+        let topics = begins.iter().flat_map(|begin| topics_of(begin, name));
+        robot.topics = fewest(topics.collect());
+        robot.begins = begins;
+        robot.due = Instant::now();
+        let root = format!("/{name}/").into_bytes();
+        let kept = robot.begins.clone();
+        self.publisher.forget(move |topic| {
+            // Nobody keeps these up to date from now on.
+            topic.starts_with(&root) && !kept.iter().any(|begin| topic.starts_with(begin))
+        });
+        if robot.topics.is_empty() {
+            if robot.is_there {
+                self.ask(name);
+            }
+            if let Some(robot) = self.robots.get_mut(name) {
+                robot.incoming = Incoming::default();
+                robot.asking = None;
+            }
+        }
+    }
+
+    /// Takes messages only of robots that were asked for some.
+    fn listen(&self) {
+        let there = self.robots.iter();
+        let there = there.filter(|(_, robot)| robot.is_there && !robot.topics.is_empty());
+        let there = there.map(|(name, robot)| (name.clone(), robot.known.agent.clone()));
+        self.arrivals.listen(there.collect());
+    }
+
+    /// Asks a robot's agent for what is wanted.
+    fn ask(&mut self, name: &str) {
+        let Some(robot) = self.robots.get_mut(name) else {
+            return;
+        };
+        self.last += 1;
+        robot.asking = Some(self.last);
+        robot.due = Instant::now() + RENEW;
+        let want = robot.incoming.want(&self.id, &robot.topics);
+        let Ok(body) = serde_json::to_vec(&want) else {
+            return;
+        };
+        let (boot, clock_ms, heard) = robot.known.clock;
+        let since = u64::try_from(now().since(heard).as_millis()).unwrap_or(u64::MAX);
+        let until = clock_ms.saturating_add(since).saturating_add(VALID_MS);
+        let request = Request {
+            robot: name,
+            what: "streams",
+            parameters: &fresh(boot, until),
+            who: "ztl-fleet",
+            body: &body,
+        };
+        let question = (name.to_owned(), self.last);
+        let (replies, reply) = (Arc::clone(&self.arrivals), question.clone());
+        let on_reply =
+            move |verdict| replies.put_reply(reply.0.clone(), reply.1, Some(verdict));
+        let ends = Arc::clone(&self.arrivals);
+        let on_end = move || ends.put_reply(question.0.clone(), question.1, None);
+        let agent = robot.known.agent.clone();
+        let asked = self.caller.ask(&agent, &request, LIMIT, on_reply, on_end);
+        if asked.is_err()
+            && let Some(robot) = self.robots.get_mut(name)
+        {
+            robot.asking = None;
+        }
+    }
+
+    fn on_reply(&mut self, name: &str, question: u64, verdict: Option<Verdict>) {
+        let Some(robot) = self.robots.get_mut(name) else {
+            return;
+        };
+        if robot.asking != Some(question) {
+            return;
+        }
+        robot.asking = None;
+        let was_stale = std::mem::take(&mut robot.was_stale);
+        let problem = match verdict {
+            Some(Verdict::Answer(body)) => {
+                let Ok(granted) = serde_json::from_slice::<Granted>(&body) else {
+                    return;
+                };
+                let (missed, again) = robot.incoming.on_answer(now(), &granted);
+                if again {
+                    robot.due = Instant::now();
+                }
+                self.tell_missed(name, missed);
+                granted.problem
+            }
+            Some(Verdict::Stale { boot, clock_ms }) => {
+                robot.known.clock = (boot, clock_ms, now());
+                robot.was_stale = true;
+                robot.incoming.lose_states();
+                if !was_stale {
+                    robot.due = Instant::now();
+                }
+                return;
+            }
+            Some(Verdict::NotStarted(reason) | Verdict::Unknown(reason)) => Some(reason),
+            None => {
+                // It may not have been told that the newest states are needed.
+                robot.incoming.lose_states();
+                return;
+            }
+        };
+        if let Some(robot) = self.robots.get_mut(name)
+            && robot.problem != problem
+        {
+            if let Some(problem) = &problem {
+                warn!(target: "fleet", "Robot '{name}' has no streams now: {}.", brief(problem));
+            }
+            robot.problem = problem;
+        }
+    }
+
+    fn on_message(&mut self, name: &str, payload: &[u8]) {
+        let Some(robot) = self.robots.get_mut(name) else {
+            return;
+        };
+        let Some(clear) = self.caller.open_stream(name, payload) else {
+            if self.told.may() {
+                warn!(target: "fleet", "A message of a stream for robot '{name}' does not have its key and is dropped.");
+            }
+            return;
+        };
+        let Some((head, body)) = Head::parse(&clear) else {
+            return;
+        };
+        let Some(mut missed) = robot.incoming.on_message(&head, payload.len()) else {
+            // It came late, or again.
+            return;
+        };
+        if is_wanted(&head.topic, &robot.topics)
+            && let Some((scope, path)) = head.place(name)
+        {
+            let root = format!("/{name}");
+            if !self.publisher.publish(&root, &scope, &path, body, head.state) {
+                missed = missed.saturating_add(1);
+                robot.incoming.lose_states();
+            }
+        }
+        self.tell_missed(name, missed);
+    }
+
+    fn tell_missed(&self, name: &str, missed: u64) {
+        if let Some(robot) = self.robots.get(name)
+            && missed > 0
+        {
+            let root = format!("/{name}");
+            let scopes = robot.known.scopes.iter();
+            let scopes = scopes.map(|scope| format!("{root}{scope}")).collect();
+            self.publisher.tell_missed(&root, scopes, missed);
+        }
+    }
+}
+
+impl Robot {
+    /// When to ask it, if anything is wanted and no question is open.
+    fn due(&self) -> Option<Instant> {
+        let asks = self.is_there && self.asking.is_none() && !self.topics.is_empty();
+        asks.then_some(self.due)
+    }
+}

@@ -1,0 +1,303 @@
+//! Streams of robots: what an agent and an endpoint say to each other, and the rules of both ends, without I/O
+//! (docs/fleet.md).
+//!
+//! An endpoint asks an agent for topics, and again before its interest expires. The agent passes messages on with consecutive
+//! numbers: a gap is a number of missed messages. They belong to a *session*, which the agent draws at random. An endpoint
+//! takes messages only of the session that the agent has told it, and with rising numbers, so that a recording says nothing.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use ztl_core::Instant;
+use ztl_core::topic::is_below;
+
+/// Longest value of a message: with its topic and a seal, it fits into a message of Zenoh.
+pub const LONGEST: usize = 6 << 20;
+/// Bytes that may be on their way. Above, what waits stays with the robot's publisher, where the newest state counts.
+const WINDOW: usize = 4 << 20;
+/// After this time, a message that was not heard is lost.
+const LOST: Duration = Duration::from_secs(2);
+/// How often an endpoint asks.
+pub const RENEW: Duration = Duration::from_secs(1);
+/// Bytes after which an endpoint asks earlier.
+const HEARD: usize = WINDOW / 4;
+/// How long an agent passes messages on after it was asked.
+pub const LEASE: Duration = Duration::from_secs(5);
+/// Most topics that are asked for. For more, everything is.
+pub const MOST_TOPICS: usize = 64;
+/// Bytes of a topic that a subscriber may ask for.
+pub const LONGEST_TOPIC: usize = 4096;
+/// Between a scope and the id of a task in a topic.
+const TASKS: &str = "/$tasks/";
+
+/// What an endpoint asks an agent for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Want {
+    /// Last chunk of the key to which messages go: 32 hexadecimal digits.
+    pub id: String,
+    /// The session that the agent has told last.
+    #[serde(default)]
+    pub session: Option<String>,
+    /// How the topics begin; empty to end.
+    pub topics: Vec<String>,
+    /// The highest number that has arrived.
+    #[serde(default)]
+    pub heard: u64,
+    /// Whether the newest states are needed again.
+    #[serde(default)]
+    pub newest: bool,
+}
+
+/// An agent's answer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Granted {
+    /// Messages come once the agent is asked with this session.
+    pub session: String,
+    /// The number of the last message.
+    pub sent: u64,
+    /// Why none come.
+    #[serde(default)]
+    pub problem: Option<String>,
+}
+
+/// The first line of a message, before its value.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Head {
+    /// The agent's session.
+    pub session: String,
+    /// Rises by one with each message, and by one for each message that was missed before.
+    pub number: u64,
+    /// The topic, as at the robot's publisher.
+    pub topic: String,
+    /// The robot's scope that it belongs to.
+    #[serde(default)]
+    pub scope: Option<String>,
+    /// Whether only the newest message of its topic counts.
+    #[serde(default)]
+    pub state: bool,
+}
+
+impl Head {
+    /// A message with this head.
+    #[must_use]
+    pub fn with(&self, body: &[u8]) -> Vec<u8> {
+        let head = serde_json::to_vec(self).unwrap_or_default();
+        [&head, &b"\n"[..], body].concat()
+    }
+
+    /// Reads a message.
+    #[must_use]
+    pub fn parse(message: &[u8]) -> Option<(Self, &[u8])> {
+        let end = message.iter().position(|byte| *byte == b'\n')?;
+        let (head, rest) = message.split_at_checked(end)?;
+        let head = serde_json::from_slice(head).ok()?;
+        Some((head, rest.get(1..)?))
+    }
+
+    /// The scope of a robot and the topic at an endpoint, as `/NAME/scope` and the path below it; the scope is the whole robot if
+    /// the message belongs to none. `None` for a reserved topic.
+    #[must_use]
+    pub fn place(&self, robot: &str) -> Option<(String, String)> {
+        if self.topic.starts_with('$') {
+            return None;
+        }
+        let scope = self.scope.as_deref();
+        let scope = scope.filter(|scope| scope.starts_with('/'));
+        let of_scope = scope.and_then(|scope| {
+            let fits = is_below(self.topic.as_bytes(), scope.as_bytes());
+            let path = self.topic.get(scope.len()..).filter(|_| fits)?;
+            Some((format!("/{robot}{scope}"), path.to_owned()))
+        });
+        Some(of_scope.unwrap_or_else(|| {
+            // Readings of a gateway begin with the name of a device.
+            let slash = if self.topic.starts_with('/') { "" } else { "/" };
+            (format!("/{robot}"), format!("{slash}{}", self.topic))
+        }))
+    }
+}
+
+/// The scope of a robot that a topic belongs to. `None` if it may belong to several, or to none that is known: then only who may
+/// use the whole robot may hear it.
+#[must_use]
+pub fn scope_of<'a>(topic: &'a str, scopes: &'a [String]) -> Option<&'a str> {
+    if let Some((scope, _)) = topic.split_once(TASKS) {
+        return Some(scope).filter(|scope| scope.starts_with('/'));
+    }
+    let mut above = scopes
+        .iter()
+        .filter(|scope| is_below(topic.as_bytes(), scope.as_bytes()));
+    let first = above.next();
+    first.filter(|_| above.next().is_none()).map(String::as_str)
+}
+
+/// How a robot's topics begin that are meant by topics of an endpoint which begin so.
+#[must_use]
+pub fn topics_of(begin: &[u8], robot: &str) -> Vec<String> {
+    let root = format!("/{robot}/");
+    if root.as_bytes().starts_with(begin) {
+        return vec![String::new()];
+    }
+    let Some(rest) = begin.strip_prefix(root.as_bytes()) else {
+        return Vec::new();
+    };
+    let rest = match str::from_utf8(rest) {
+        Ok(rest) => rest,
+        // It may end within a character.
+        Err(error) if error.error_len().is_none() => {
+            let whole = rest.get(..error.valid_up_to()).unwrap_or_default();
+            str::from_utf8(whole).unwrap_or_default()
+        }
+        Err(_) => return Vec::new(),
+    };
+    // Readings of a gateway do not begin with a slash.
+    vec![format!("/{rest}"), rest.to_owned()]
+}
+
+/// The same topics without those that others cover; everything if there are too many.
+#[must_use]
+pub fn fewest(mut topics: Vec<String>) -> Vec<String> {
+    topics.sort();
+    // What begins with another one comes after it.
+    topics.dedup_by(|topic, before| topic.starts_with(before.as_str()));
+    match topics.len() > MOST_TOPICS {
+        true => vec![String::new()],
+        false => topics,
+    }
+}
+
+/// Whether a topic is among those that begin so.
+#[must_use]
+pub fn is_wanted(topic: &str, topics: &[String]) -> bool {
+    let mut topics = topics.iter();
+    topics.any(|begin| topic.starts_with(begin.as_str()))
+}
+
+/// An agent's end: what it passes on to one endpoint.
+#[derive(Debug, Default)]
+pub struct Outgoing {
+    number: u64,
+    /// Messages that are not heard yet: numbers, bytes, and when they were sent.
+    under_way: VecDeque<(u64, usize, Instant)>,
+    bytes: usize,
+}
+
+impl Outgoing {
+    /// The number of the last message.
+    #[must_use]
+    pub const fn sent(&self) -> u64 {
+        self.number
+    }
+
+    /// Whether another message may be sent now.
+    pub fn may_send(&mut self, now: Instant) -> bool {
+        while let Some((_, bytes, at)) = self.under_way.front()
+            && now.since(*at) >= LOST
+        {
+            self.bytes -= bytes;
+            self.under_way.pop_front();
+        }
+        self.bytes < WINDOW
+    }
+
+    /// The number of a message that is sent now.
+    pub fn send(&mut self, now: Instant, bytes: usize) -> u64 {
+        self.skip(1);
+        self.under_way.push_back((self.number, bytes, now));
+        self.bytes += bytes;
+        self.number
+    }
+
+    /// Messages were missed before they could be sent.
+    pub const fn skip(&mut self, count: u64) {
+        self.number = self.number.saturating_add(count);
+    }
+
+    /// The endpoint has heard messages up to this number.
+    pub fn on_heard(&mut self, heard: u64) {
+        while let Some((number, bytes, _)) = self.under_way.front()
+            && *number <= heard
+        {
+            self.bytes -= bytes;
+            self.under_way.pop_front();
+        }
+    }
+}
+
+/// An endpoint's end: what arrives from one robot.
+#[derive(Debug, Default)]
+pub struct Incoming {
+    session: Option<String>,
+    heard: u64,
+    /// A number that the agent had sent, and when it said so.
+    promised: Option<(u64, Instant)>,
+    newest: bool,
+    /// Bytes that have arrived since the agent was asked.
+    bytes: usize,
+}
+
+impl Incoming {
+    /// What to ask the agent for.
+    pub fn want(&mut self, id: &str, topics: &[String]) -> Want {
+        self.bytes = 0;
+        Want {
+            id: id.to_owned(),
+            session: self.session.clone(),
+            topics: topics.to_vec(),
+            heard: self.heard,
+            newest: std::mem::take(&mut self.newest),
+        }
+    }
+
+    /// Whether to ask at once, so that more may come.
+    #[must_use]
+    pub const fn is_due(&self) -> bool {
+        self.bytes >= HEARD
+    }
+
+    /// The newest states are needed again.
+    pub const fn lose_states(&mut self) {
+        self.newest = true;
+    }
+
+    /// The agent's answer. Returns how many messages are missed, at least, and whether to ask again at once.
+    pub fn on_answer(&mut self, now: Instant, granted: &Granted) -> (u64, bool) {
+        if self.session.as_ref() != Some(&granted.session) {
+            // What came between two sessions is not known.
+            let missed = u64::from(self.session.is_some());
+            *self = Self {
+                session: Some(granted.session.clone()),
+                ..Self::default()
+            };
+            return (missed, true);
+        }
+        let late = self
+            .promised
+            .filter(|(_, at)| now.since(*at) >= RENEW.mul_f32(0.9));
+        let mut missed = 0;
+        if let Some((number, _)) = late {
+            missed = number.saturating_sub(self.heard);
+            self.heard = self.heard.max(number);
+            self.newest |= missed > 0;
+        }
+        if late.is_some() || self.promised.is_none() {
+            self.promised = Some((granted.sent, now));
+        }
+        (missed, false)
+    }
+
+    /// A message of so many bytes. Returns how many were missed before it; `None` if it is of another session or came already.
+    pub fn on_message(&mut self, head: &Head, bytes: usize) -> Option<u64> {
+        if self.session.as_ref() != Some(&head.session) || head.number <= self.heard {
+            return None;
+        }
+        let missed = head.number - self.heard - 1;
+        self.heard = head.number;
+        self.newest |= missed > 0;
+        self.bytes = self.bytes.saturating_add(bytes);
+        Some(missed)
+    }
+}
+
+#[cfg(test)]
+mod tests;
