@@ -196,8 +196,7 @@ impl Shared {
         let may = match (&self.config.identity, &subscription.sealer) {
             (None, _) => true,
             (Some(identity), Some((key, _))) => {
-                identity.may_use_all(key)
-                    || scope.is_some_and(|scope| identity.may_use(key, scope))
+                identity.may_use_all(key) || scope.is_some_and(|scope| identity.may_use(key, scope))
             }
             (Some(_), None) => false,
         };

@@ -132,9 +132,7 @@ impl Arrivals {
                 && news.replies.is_empty()
                 && !has_messages
         };
-        let waited = self
-            .some
-            .wait_timeout_while(self.state(), limit, is_quiet);
+        let waited = self.some.wait_timeout_while(self.state(), limit, is_quiet);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let State {
             news,

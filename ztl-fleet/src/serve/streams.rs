@@ -65,11 +65,7 @@ struct Robot {
 }
 
 impl Bound {
-    pub(super) fn bind(
-        endpoint: &str,
-        access: Access,
-        limits: Limits,
-    ) -> Result<Self, BindError> {
+    pub(super) fn bind(endpoint: &str, access: Access, limits: Limits) -> Result<Self, BindError> {
         let arrivals = Arc::new(Arrivals::default());
         let told = Arc::clone(&arrivals);
         let changed = move |wanted| told.put_wanted(wanted);
@@ -221,9 +217,7 @@ impl Relay {
                 .take_while(|(known, _)| known.starts_with(name));
             for (known, robot) in robots {
                 let fits = rest.is_none() || known == name;
-                if fits
-                    && only.is_none_or(|only| only == known)
-                    && self.may_hear(key, known, robot)
+                if fits && only.is_none_or(|only| only == known) && self.may_hear(key, known, robot)
                 {
                     let begins = begins.entry(known.clone()).or_default();
                     begins.insert(begin.clone());
@@ -309,8 +303,7 @@ impl Relay {
         };
         let question = (name.to_owned(), self.last);
         let (replies, reply) = (Arc::clone(&self.arrivals), question.clone());
-        let on_reply =
-            move |verdict| replies.put_reply(reply.0.clone(), reply.1, Some(verdict));
+        let on_reply = move |verdict| replies.put_reply(reply.0.clone(), reply.1, Some(verdict));
         let ends = Arc::clone(&self.arrivals);
         let on_end = move || ends.put_reply(question.0.clone(), question.1, None);
         let agent = robot.known.agent.clone();
@@ -390,7 +383,10 @@ impl Relay {
             && let Some((scope, path)) = head.place(name)
         {
             let root = format!("/{name}");
-            if !self.publisher.publish(&root, &scope, &path, body, head.state) {
+            if !self
+                .publisher
+                .publish(&root, &scope, &path, body, head.state)
+            {
                 missed = missed.saturating_add(1);
                 robot.incoming.lose_states();
             }

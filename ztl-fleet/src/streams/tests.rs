@@ -216,7 +216,11 @@ fn a_message_belongs_to_one_scope_or_to_the_whole_robot() {
     assert_eq!(place("gripper/x", None), told("/arm /gripper/x"));
     // A scope that the topic does not have gives no rights.
     for odd in ["/la", "/leg", "lab", "/lab/pose/", ""] {
-        assert_eq!(place("/lab/pose", Some(odd)), told("/arm /lab/pose"), "{odd}");
+        assert_eq!(
+            place("/lab/pose", Some(odd)),
+            told("/arm /lab/pose"),
+            "{odd}"
+        );
     }
     assert_eq!(place("$ztl/missed", None), None);
 }

@@ -15,6 +15,7 @@ mod identity;
 mod line;
 mod pictures;
 mod scene;
+mod streams;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -6,7 +6,7 @@ use std::process::Command;
 use ztl_std::State;
 use ztl_std::keys::KeyPair;
 use ztl_tests::lab::{
-    PATIENCE, Process, Scratch, Server, connect_to, end, reserve_port, start, until,
+    PATIENCE, Process, Scratch, Server, connect_to, end, reserve_port, start, until, ztl,
 };
 
 use crate::{fleet, python};
@@ -66,14 +66,27 @@ impl Picture {
     }
 
     fn robot(&mut self, file: &str) {
-        let server = Server::naps();
-        self.copy(file, &[("tcp://127.0.0.1:12345", &server.endpoint())]);
+        let naps = self.scratch.path("naps.yaml");
+        let text = "port: 0\npublish: 0\nscopes: {/test: {nap: {for: sleep}}}\n";
+        std::fs::write(&naps, text).unwrap();
+        let server = Server::start(ztl().arg("serve").arg(naps));
+        let port = server.process.wait_for_port("Publishing ");
+        let at = [
+            ("tcp://127.0.0.1:12345", server.endpoint()),
+            ("tcp://127.0.0.1:12346", format!("tcp://127.0.0.1:{port}")),
+        ];
+        self.copy(
+            file,
+            &at.each_ref()
+                .map(|(example, here)| (*example, here.as_str())),
+        );
         self.servers.push(server);
         self.start("join", file, "has joined");
     }
 
     fn endpoint(&mut self, file: &str) {
-        self.copy(file, &[("port: 12345", "port: 0")]);
+        let any = [("port: 12345", "port: 0"), ("publish: 12346", "publish: 0")];
+        self.copy(file, &any);
         self.start("endpoint", file, "Serving");
         self.port = self.parts.last().unwrap().wait_for_port("Serving ");
     }
@@ -121,7 +134,15 @@ fn one_room() {
     room.robot("room/arm-1.yaml");
     room.robot("room/arm-2.yaml");
     room.endpoint("room/endpoint.yaml");
-    room.assert_served(&["arm-1", "arm-2"]);
+    let port = room.parts.last().unwrap().wait_for_port("Publishing ");
+    let address = format!("tcp://127.0.0.1:{port}");
+    let subscriber = Process::start(ztl().args(["subscribe", &address]));
+    until("tasks of both robots are told", PATIENCE, || {
+        room.assert_served(&["arm-1", "arm-2"]);
+        let told = subscriber.stdout();
+        let mut robots = ["/arm-1/test/$tasks/", "/arm-2/test/$tasks/"].iter();
+        robots.all(|topic| told.contains(topic)).then_some(())
+    });
 }
 
 #[test]

@@ -367,8 +367,10 @@ impl Worker {
 
     fn miss(&mut self, unheard: &Unheard) {
         let access = self.access.read();
-        for subscriber in self.subscribers.values_mut() {
+        for (peer, subscriber) in &mut self.subscribers {
             subscriber.miss(unheard, &access);
+            // Before the messages that follow the gap.
+            subscriber.fill(*peer, &mut self.peers);
         }
     }
 

@@ -160,3 +160,6 @@ impl std::fmt::Debug for RelaySubscriber {
         f.write_str("RelaySubscriber")
     }
 }
+
+#[cfg(test)]
+mod tests;
