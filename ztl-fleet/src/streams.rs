@@ -14,14 +14,18 @@ use ztl_core::topic::is_below;
 
 /// Longest value of a message: with its topic and a seal, it fits into a message of Zenoh.
 pub const LONGEST: usize = 6 << 20;
-/// Bytes that may be on their way. Above, what waits stays with the robot's publisher, where the newest state counts.
-const WINDOW: usize = 4 << 20;
+/// Bytes that may be on their way: at first, and at least and at most. Above, what waits stays with the robot's publisher, where
+/// the newest state counts.
+const FIRST_WINDOW: usize = 256 << 10;
+const WINDOWS: (usize, usize) = (64 << 10, 4 << 20);
+/// A line on which a message is longer under way has fewer bytes on it: answers to requests wait behind them.
+const LATE: Duration = Duration::from_millis(150);
 /// After this time, a message that was not heard is lost.
 const LOST: Duration = Duration::from_secs(2);
 /// How often an endpoint asks.
 pub const RENEW: Duration = Duration::from_secs(1);
-/// Bytes after which an endpoint asks earlier.
-const HEARD: usize = WINDOW / 4;
+/// Part of the window after which an endpoint asks earlier.
+const PART: usize = 4;
 /// How long an agent passes messages on after it was asked.
 pub const LEASE: Duration = Duration::from_secs(5);
 /// Most topics that are asked for. For more, everything is.
@@ -56,6 +60,9 @@ pub struct Granted {
     pub session: String,
     /// The number of the last message.
     pub sent: u64,
+    /// How many bytes may be on their way. Once a quarter has arrived, the agent should be asked again.
+    #[serde(default)]
+    pub window: usize,
     /// Why none come.
     #[serde(default)]
     pub problem: Option<String>,
@@ -174,15 +181,33 @@ pub fn is_wanted(topic: &str, topics: &[String]) -> bool {
 }
 
 /// An agent's end: what it passes on to one endpoint.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Outgoing {
     number: u64,
     /// Messages that are not heard yet: numbers, bytes, and when they were sent.
     under_way: VecDeque<(u64, usize, Instant)>,
     bytes: usize,
+    window: usize,
+}
+
+impl Default for Outgoing {
+    fn default() -> Self {
+        Self {
+            number: 0,
+            under_way: VecDeque::new(),
+            bytes: 0,
+            window: FIRST_WINDOW,
+        }
+    }
 }
 
 impl Outgoing {
+    /// How many bytes may be on their way.
+    #[must_use]
+    pub const fn window(&self) -> usize {
+        self.window
+    }
+
     /// The number of the last message.
     #[must_use]
     pub const fn sent(&self) -> u64 {
@@ -197,7 +222,7 @@ impl Outgoing {
             self.bytes -= bytes;
             self.under_way.pop_front();
         }
-        self.bytes < WINDOW
+        self.bytes < self.window
     }
 
     /// The number of a message that is sent now.
@@ -214,13 +239,20 @@ impl Outgoing {
     }
 
     /// The endpoint has heard messages up to this number.
-    pub fn on_heard(&mut self, heard: u64) {
+    pub fn on_heard(&mut self, now: Instant, heard: u64) {
+        let before = self.bytes;
         while let Some((number, bytes, _)) = self.under_way.front()
             && *number <= heard
         {
             self.bytes -= bytes;
             self.under_way.pop_front();
         }
+        let next = self.under_way.front();
+        self.window = match next.is_some_and(|(_, _, at)| now.since(*at) > LATE) {
+            true => self.window / 2,
+            false => self.window + (before - self.bytes),
+        };
+        self.window = self.window.clamp(WINDOWS.0, WINDOWS.1);
     }
 }
 
@@ -232,8 +264,9 @@ pub struct Incoming {
     /// A number that the agent had sent, and when it said so.
     promised: Option<(u64, Instant)>,
     newest: bool,
-    /// Bytes that have arrived since the agent was asked.
+    /// Bytes that have arrived since the agent was asked, and its window.
     bytes: usize,
+    window: usize,
 }
 
 impl Incoming {
@@ -252,7 +285,7 @@ impl Incoming {
     /// Whether to ask at once, so that more may come.
     #[must_use]
     pub const fn is_due(&self) -> bool {
-        self.bytes >= HEARD
+        self.bytes > 0 && self.bytes >= self.window / PART
     }
 
     /// The newest states are needed again.
@@ -267,10 +300,12 @@ impl Incoming {
             let missed = u64::from(self.session.is_some());
             *self = Self {
                 session: Some(granted.session.clone()),
+                window: granted.window,
                 ..Self::default()
             };
             return (missed, true);
         }
+        self.window = granted.window;
         let late = self
             .promised
             .filter(|(_, at)| now.since(*at) >= RENEW.mul_f32(0.9));

@@ -110,6 +110,7 @@ impl Shared {
             return Ok(Granted {
                 session: ended.map_or_else(String::new, |ended| ended.session.clone()),
                 sent: 0,
+                window: 0,
                 problem: None,
             });
         }
@@ -148,11 +149,12 @@ impl Shared {
         if want.session.as_ref() == Some(&subscription.session) {
             wishes.knows = true;
             wishes.newest |= want.newest;
-            wishes.outgoing.on_heard(want.heard);
+            wishes.outgoing.on_heard(now(), want.heard);
         }
         let granted = Granted {
             session: subscription.session.clone(),
             sent: wishes.outgoing.sent(),
+            window: wishes.outgoing.window(),
             problem: wishes.problem.clone(),
         };
         drop(wishes);

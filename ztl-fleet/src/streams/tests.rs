@@ -20,6 +20,7 @@ fn granted(session: &str, sent: u64) -> Granted {
     Granted {
         session: session.to_owned(),
         sent,
+        window: 0,
         problem: None,
     }
 }
@@ -68,15 +69,16 @@ fn what_was_lost_at_the_end_is_missed_once_and_the_newest_states_are_asked_for()
 
 #[test]
 fn an_agent_sends_no_more_than_its_window_until_it_is_heard_or_lost() {
+    const KIB: usize = 1 << 10;
     let mut end = Outgoing::default();
     let mut sent = 0;
     while end.may_send(at(0)) {
-        sent = end.send(at(0), 1 << 20);
+        sent = end.send(at(0), 64 * KIB);
     }
     assert_eq!(sent, 4);
-    end.on_heard(1);
-    assert!(end.may_send(at(0)));
-    assert_eq!(end.send(at(500), 1 << 20), 5);
+    end.on_heard(at(10), 1);
+    assert!(end.may_send(at(10)));
+    assert_eq!(end.send(at(500), 256 * KIB), 5);
     assert!(!end.may_send(at(1999)));
     assert!(end.may_send(at(2000)));
     end.skip(2);
@@ -85,8 +87,55 @@ fn an_agent_sends_no_more_than_its_window_until_it_is_heard_or_lost() {
     let mut end = Outgoing::default();
     end.send(at(0), LONGEST);
     assert!(!end.may_send(at(0)));
-    end.on_heard(1);
-    assert!(end.may_send(at(0)));
+    end.on_heard(at(1), 1);
+    assert!(end.may_send(at(1)));
+}
+
+#[test]
+fn the_window_fits_what_the_line_carries_at_once() {
+    /// Milliseconds, and the bytes that wait on the line after that time.
+    fn flood(bytes_per_ms: usize, pause: u64) -> (Outgoing, usize) {
+        let (mut agent, mut end) = (Outgoing::default(), incoming("a"));
+        end.window = agent.window();
+        let mut line: VecDeque<(u64, usize)> = VecDeque::new();
+        let mut carried = 0;
+        for now in 0..10_000 {
+            while now % pause == 0 && agent.may_send(at(now)) {
+                let number = agent.send(at(now), 16 << 10);
+                line.push_back((number, 16 << 10));
+            }
+            carried += bytes_per_ms;
+            while let Some((number, bytes)) = line.front().copied()
+                && carried >= bytes
+            {
+                carried -= bytes;
+                line.pop_front();
+                assert!(end.on_message(&head("a", number), bytes).is_some());
+                if end.is_due() {
+                    agent.on_heard(at(now), end.want(ID, &[]).heard);
+                    end.window = agent.window();
+                }
+            }
+            if line.is_empty() {
+                carried = 0;
+            }
+        }
+        let waits = line.iter().map(|(_, bytes)| bytes).sum();
+        (agent, waits)
+    }
+    // 500 KB a second: what comes last waits for less than half a second.
+    let (_, waits) = flood(500, 1);
+    assert!(waits <= 250_000, "{waits}");
+    // 100 MB a second are used.
+    let (agent, _) = flood(100_000, 1);
+    assert_eq!(agent.window(), WINDOWS.1);
+    // A quiet stream does not shrink it.
+    let mut agent = Outgoing::default();
+    for second in 0..100 {
+        let number = agent.send(at(second * 1000), 100);
+        agent.on_heard(at(second * 1000 + 900), number);
+    }
+    assert!(agent.window() > FIRST_WINDOW);
 }
 
 /// A small generator of numbers, always the same for a seed.
@@ -117,9 +166,9 @@ fn each_message_arrives_once_in_order_or_is_told_as_missed_whatever_the_network_
                 missed += before;
             }
         };
-        let ask = |agent: &mut Outgoing, end: &mut Incoming, now, is_lost: bool| {
+        let ask = |agent: &mut Outgoing, end: &mut Incoming, now: u64, is_lost: bool| {
             let want = end.want(ID, &[]);
-            agent.on_heard(want.heard);
+            agent.on_heard(at(now), want.heard);
             let granted = granted("a", agent.sent());
             if is_lost {
                 return 0;
@@ -131,7 +180,7 @@ fn each_message_arrives_once_in_order_or_is_told_as_missed_whatever_the_network_
             now += random.below(400);
             match random.below(6) {
                 0 | 1 if agent.may_send(at(now)) => {
-                    let bytes = 1 + random.below(1 << 20) as usize;
+                    let bytes = 1 + random.below(1 << 18) as usize;
                     let number = agent.send(at(now), bytes);
                     network.push((head("a", number), bytes));
                     recorded.push((head("a", number), bytes));

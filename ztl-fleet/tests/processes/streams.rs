@@ -9,7 +9,7 @@ use ztl_std::{Publisher, State, Subscriber};
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, end, start, until, ztl};
 
 use crate::line::{Line, Mode};
-use crate::{Fleet, fleet, kill, python};
+use crate::{Fleet, fleet, python};
 
 /// How long a test waits for one message before it looks at something else.
 const TURN: Duration = Duration::from_millis(20);
@@ -58,8 +58,8 @@ impl Streaming {
 
     fn restart_agent(&mut self) {
         let file = self.fleet.scratch.path("arm.yaml");
-        let new = Process::start(&mut fleet(&["join"], &file));
-        kill(std::mem::replace(&mut self.agent, new));
+        self.agent.kill();
+        self.agent = Process::start(&mut fleet(&["join"], &file));
         self.agent.wait_for("has joined");
     }
 
@@ -339,7 +339,21 @@ fn rules_of_the_robot_and_of_the_endpoint_hold_for_streams() {
 
 #[test]
 fn a_flood_holds_up_no_abort_and_the_newest_state_arrives() {
-    let streaming = Streaming::new();
+    assert_flood_is_bounded(&Streaming::new());
+}
+
+#[test]
+fn nor_does_a_flood_on_a_slow_line() {
+    let fleet = Streaming::fleet(Scratch::new(), "robots: arm\n");
+    let line = Line::to(&fleet.address);
+    let streaming = Streaming::of(fleet, "", &line.address);
+    // At most 3 MB a second.
+    line.set(Mode::Slow(Duration::from_millis(20)));
+    assert_flood_is_bounded(&streaming);
+}
+
+#[track_caller]
+fn assert_flood_is_bounded(streaming: &Streaming) {
     let mut slow = streaming.subscribe("/arm");
     let mut quick = streaming.subscribe("/arm");
     streaming.until_heard(&mut quick);
