@@ -6,11 +6,13 @@ use std::time::Duration;
 use ztl_std::keys::KeyPair;
 use ztl_std::publish::Heard;
 use ztl_std::{Publisher, State, Subscriber};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, end, start, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, end, in_time, start, until, ztl};
 
 use crate::line::{Line, Mode};
 use crate::{Fleet, fleet, python};
 
+/// A request takes no longer, whatever flows beside it.
+const SOON: Duration = Duration::from_millis(500);
 /// How long a test waits for one message before it looks at something else.
 const TURN: Duration = Duration::from_millis(20);
 
@@ -378,11 +380,14 @@ fn assert_flood_is_bounded(streaming: &Streaming) {
         until("the flood has arrived", PATIENCE, || {
             next_within(&mut quick, TURN).filter(|heard| heard.topic == "/arm/test/image")
         });
-        for _ in 0..3 {
+        let id = start(&mut remote, "nap", "for", "60");
+        in_time(SOON, || remote.status(id).unwrap());
+        let id = in_time(2 * SOON, || {
             let id = start(&mut remote, "nap", "for", "60");
             remote.abort(id).unwrap();
-            assert_eq!(end(&mut remote, id).0, State::Aborted);
-        }
+            id
+        });
+        assert_eq!(end(&mut remote, id).0, State::Aborted);
         ends.store(true, Ordering::SeqCst);
         let last = flood.join().unwrap();
         for (name, subscriber) in [("quick", &mut quick), ("slow", &mut slow)] {

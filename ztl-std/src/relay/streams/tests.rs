@@ -97,7 +97,7 @@ fn wait_for(wanted: &Receiver<Vec<WantedTopic>>, topics: &[&str]) {
 fn a_relay_tells_what_is_wanted_and_forgets_what_nobody_keeps_up_to_date() {
     let (publisher, wanted) = bound();
     let mut first = Subscriber::connect(publisher.endpoint(), "/arm/lab").unwrap();
-    let mut turn = |subscriber: &mut Subscriber| {
+    let turn = |subscriber: &mut Subscriber| {
         let heard = subscriber.next_within(Duration::from_millis(100)).unwrap();
         heard.map(|heard| (heard.topic, heard.body))
     };
