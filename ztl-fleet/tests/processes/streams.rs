@@ -200,8 +200,13 @@ fn a_cut_tells_a_gap_and_shows_no_stale_state() {
     streaming.publish("/word", 1, false);
     streaming.publish("/pose", 3, true);
     line.set(Mode::Open);
-    assert_eq!(next(&mut late, "/pose"), 3, "the first that it hears");
-    assert_eq!(next(&mut early, "/pose"), 3);
+    for subscriber in [&mut late, &mut early] {
+        until("the newest state", PATIENCE, || {
+            let pose = number(&next_within(subscriber, TURN)?, "/pose")?;
+            assert_ne!(pose, 1, "a state from before the cut");
+            (pose == 3).then_some(())
+        });
+    }
     until("the gap is told", PATIENCE, || {
         next_within(&mut early, TURN);
         (early.missed() > 0).then_some(())
@@ -370,7 +375,10 @@ fn assert_flood_is_bounded(streaming: &Streaming) {
                 // As fast as the robot's publisher takes it, which has no room above its own bounds.
                 streaming.publisher.publish_bytes("/image", &image, false);
                 number += 1;
-                streaming.publisher.publish_state("/number", &number.into());
+                // On a busy machine, the publisher itself may have no room.
+                while !streaming.publisher.publish_state("/number", &number.into()) {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
                 if !streaming.publisher.has_room() {
                     std::thread::sleep(Duration::from_millis(1));
                 }

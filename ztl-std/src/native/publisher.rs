@@ -448,6 +448,7 @@ impl Worker {
             }
             if subscriber.queue.is_empty() && has_room(&self.peers, *peer, message) {
                 subscriber.send(*peer, message, &mut self.peers);
+                subscriber.forget_dropped(message);
             } else {
                 subscriber.push(message.clone());
                 if subscriber.held > BEHIND {
@@ -481,6 +482,16 @@ impl Worker {
             let mut moved = false;
             for (peer, subscriber) in &mut self.subscribers {
                 moved |= subscriber.fill(*peer, &mut self.peers);
+                // It has caught up: a state that it missed is still the newest one.
+                if subscriber.queue.is_empty() && subscriber.has_dropped() {
+                    let access = self.access.read();
+                    for topic in subscriber.take_dropped() {
+                        if let Some(message) = self.newest.get(&topic) {
+                            subscriber.push_newest(message, &access);
+                        }
+                    }
+                    moved |= !subscriber.queue.is_empty();
+                }
             }
             if !moved {
                 return;

@@ -118,6 +118,39 @@ fn what_waits_for_a_slow_subscriber_arrives_without_another_message() {
 }
 
 #[test]
+fn a_slow_subscriber_gets_a_state_that_was_dropped_when_it_has_caught_up() {
+    let publisher = publisher();
+    let mut slow = Subscriber::connect(publisher.endpoint(), "").unwrap();
+    let mut quick = Subscriber::connect(publisher.endpoint(), "/lab/image").unwrap();
+    until_heard(&publisher, &mut slow, "/begin");
+    until_heard(&publisher, &mut quick, "/image/begin");
+    let mut flood = |begins| {
+        for number in begins..begins + 100u8 {
+            let image = [&[number][..], &[7; 200_000]].concat();
+            assert!(publisher.publish_bytes("/image", &image, false));
+            while quick.next_within(LIMIT).unwrap().unwrap().body[0] != number {}
+        }
+    };
+    // The first images fill its connection, so that the state waits behind them, and is dropped before they end.
+    flood(0);
+    // As long as an image, so that the connection has no room for it either.
+    publisher.publish_bytes("/pose", &[9; 200_000], true);
+    flood(100);
+    let mut poses = Vec::new();
+    let mut last = 0;
+    while poses.is_empty() {
+        let heard = slow.next_within(LIMIT).unwrap().unwrap();
+        match heard.topic.as_str() {
+            "/lab/pose" => poses.push(heard.body[0]),
+            "/lab/image" => last = heard.body[0],
+            _ => {}
+        }
+    }
+    assert_eq!((poses, last), (vec![9], 199));
+    assert!(slow.missed() > 0);
+}
+
+#[test]
 fn a_slow_subscriber_gets_only_the_newest_state() {
     let publisher = publisher();
     let mut slow = Subscriber::connect(publisher.endpoint(), "/lab/").unwrap();

@@ -1,6 +1,6 @@
 //! One subscriber of a publisher.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use ztl_zmtp::Pub;
 
@@ -13,6 +13,9 @@ use crate::server::Access;
 pub(super) const BEHIND: usize = 8 << 20;
 /// Bytes of the subscriptions of one subscriber. Further ones are ignored.
 const TOPICS: usize = 64 * 1024;
+
+/// Bytes of the topics whose newest state a subscriber has missed, and gets when it has caught up.
+const DROPPED: usize = 1 << 20;
 
 /// Topics below this one are only for those who subscribe to them by name (`docs/streams.md`).
 const RESERVED: &[u8] = b"$ztl/";
@@ -41,6 +44,9 @@ pub(super) struct Subscriber {
     /// The number of the first one in `queue`, and the numbers of the states in it.
     first: u64,
     states: BTreeMap<Vec<u8>, u64>,
+    /// Topics whose newest state was dropped, and the bytes that they take, roughly.
+    dropped: BTreeSet<Vec<u8>>,
+    dropped_bytes: usize,
     /// Messages that it missed; how many of them it was told.
     missed: u64,
     told: u64,
@@ -132,6 +138,7 @@ impl Subscriber {
 
     /// Adds a message at the end; a state takes the place of the one before it.
     pub(super) fn push(&mut self, message: PubMessage) {
+        self.forget_dropped(&message);
         self.held += message.held();
         if message.is_state {
             let number = self.first + self.queue.len() as u64;
@@ -164,10 +171,35 @@ impl Subscriber {
     pub(super) fn drop_oldest(&mut self) -> u64 {
         let before = self.missed;
         while self.held > BEHIND && self.queue.len() > 1 {
-            self.pop();
+            let dropped = self.pop();
             self.missed += 1;
+            if let Some(state) = dropped.filter(|message| message.is_state) {
+                let topic = state.topic().to_vec();
+                let bytes = topic.len() + ENTRY;
+                if self.dropped_bytes + bytes <= DROPPED && self.dropped.insert(topic) {
+                    self.dropped_bytes += bytes;
+                }
+            }
         }
         self.missed - before
+    }
+
+    /// Whether it needs a state again.
+    pub(super) fn has_dropped(&self) -> bool {
+        !self.dropped.is_empty()
+    }
+
+    /// The topics whose newest state it needs again.
+    pub(super) fn take_dropped(&mut self) -> BTreeSet<Vec<u8>> {
+        self.dropped_bytes = 0;
+        std::mem::take(&mut self.dropped)
+    }
+
+    /// A newer state of a topic comes.
+    pub(super) fn forget_dropped(&mut self, message: &PubMessage) {
+        if message.is_state && self.dropped.remove(message.topic()) {
+            self.dropped_bytes -= message.topic().len() + ENTRY;
+        }
     }
 
     /// Passes on what its connection can take. Returns whether that was anything.
