@@ -28,8 +28,8 @@ pub(super) struct Known {
 #[derive(Debug, Default)]
 pub(super) struct News {
     pub(super) wanted: Option<Vec<WantedTopic>>,
-    /// Robots that are there, or gone.
-    pub(super) robots: BTreeMap<String, Option<Known>>,
+    /// Robots that are there or gone, and whether they were gone meanwhile.
+    pub(super) robots: BTreeMap<String, (bool, Option<Known>)>,
     /// Robots, questions, and the answer to each or its end.
     pub(super) replies: VecDeque<(String, u64, Option<Verdict>)>,
     /// At most one of each robot.
@@ -70,7 +70,11 @@ impl Arrivals {
 
     /// A robot with streams is there, or gone.
     pub(super) fn put_robot(&self, name: &str, known: Option<Known>) {
-        self.state().news.robots.insert(name.to_owned(), known);
+        let mut state = self.state();
+        let news = state.news.robots.entry(name.to_owned()).or_default();
+        news.0 |= known.is_none();
+        news.1 = known;
+        drop(state);
         self.some.notify_one();
     }
 
@@ -199,6 +203,30 @@ mod tests {
         assert!(arrivals.state().bytes < ALL + (names.len() << 20));
         arrivals.put_message("quiet", "7", || vec![1]);
         assert!(next(&arrivals).contains(&("quiet".to_owned(), 1)));
+    }
+
+    #[test]
+    fn a_robot_that_was_gone_for_a_moment_was_gone() {
+        let arrivals = listening(&[]);
+        let known = || {
+            Some(Known {
+                agent: "7".to_owned(),
+                clock: (1, 2, Instant::ZERO),
+                scopes: Vec::new(),
+            })
+        };
+        let next = || {
+            let mut robots = arrivals.next(true, Duration::ZERO).robots;
+            robots
+                .remove("arm")
+                .map(|(was_gone, known)| (was_gone, known.is_some()))
+        };
+        arrivals.put_robot("arm", known());
+        assert_eq!(next(), Some((false, true)));
+        arrivals.put_robot("arm", None);
+        arrivals.put_robot("arm", known());
+        assert_eq!(next(), Some((true, true)));
+        assert_eq!(next(), None);
     }
 
     #[test]

@@ -43,6 +43,8 @@ struct Relay {
     id: String,
     wanted: Vec<WantedTopic>,
     robots: BTreeMap<String, Robot>,
+    /// Whether messages of other robots are wanted than before.
+    has_changed: bool,
     /// The number of the last question.
     last: u64,
     told: Seldom,
@@ -104,6 +106,7 @@ impl Bound {
             id,
             wanted: Vec::new(),
             robots: BTreeMap::new(),
+            has_changed: false,
             last: 0,
             told: Seldom::default(),
         };
@@ -128,12 +131,20 @@ impl Relay {
                 replies,
                 messages,
             } = self.arrivals.next(has_room, limit);
-            for (name, known) in robots {
-                self.on_robot(name, known);
+            for (name, (was_gone, known)) in robots {
+                if was_gone {
+                    self.on_gone(&name);
+                }
+                if let Some(known) = known {
+                    self.on_robot(name, known);
+                }
             }
             if let Some(wanted) = wanted {
                 self.wanted = wanted;
                 self.choose(None);
+            }
+            if std::mem::take(&mut self.has_changed) {
+                self.listen();
             }
             for (name, question, verdict) in replies {
                 self.on_reply(&name, question, verdict);
@@ -153,47 +164,51 @@ impl Relay {
         }
     }
 
-    /// A robot is there with streams, or `None` if it is gone.
-    fn on_robot(&mut self, name: String, known: Option<Known>) {
-        match (self.robots.get_mut(&name), known) {
-            (Some(robot), Some(known)) => {
-                let is_new = !robot.is_there || robot.known.scopes != known.scopes;
-                robot.is_there = true;
-                robot.known = known;
-                if is_new {
-                    robot.due = Instant::now();
-                    robot.asking = None;
-                    self.choose(Some(&name));
-                }
+    /// A robot is there, and has streams.
+    fn on_robot(&mut self, name: String, known: Known) {
+        if let Some(robot) = self.robots.get_mut(&name) {
+            let is_new = !robot.is_there || robot.known.scopes != known.scopes;
+            robot.is_there = true;
+            robot.known = known;
+            if !is_new {
+                return;
             }
-            (None, Some(known)) => {
-                let robot = Robot {
-                    known,
-                    is_there: true,
-                    begins: BTreeSet::new(),
-                    topics: Vec::new(),
-                    incoming: Incoming::default(),
-                    asking: None,
-                    was_stale: false,
-                    due: Instant::now(),
-                    problem: None,
-                };
-                self.robots.insert(name.clone(), robot);
-                self.choose(Some(&name));
+            robot.due = Instant::now();
+            robot.asking = None;
+        } else {
+            let robot = Robot {
+                known,
+                is_there: true,
+                begins: BTreeSet::new(),
+                topics: Vec::new(),
+                incoming: Incoming::default(),
+                asking: None,
+                was_stale: false,
+                due: Instant::now(),
+                problem: None,
+            };
+            self.robots.insert(name.clone(), robot);
+        }
+        self.choose(Some(&name));
+    }
+
+    /// A robot is gone, or another agent has its name.
+    fn on_gone(&mut self, name: &str) {
+        let Some(robot) = self.robots.get_mut(name) else {
+            return;
+        };
+        robot.is_there = false;
+        robot.asking = None;
+        // What it had published last is not its state any more.
+        robot.incoming.lose_states();
+        let root = format!("/{name}/").into_bytes();
+        self.publisher.forget(move |topic| topic.starts_with(&root));
+        self.has_changed = true;
+        match robot.topics.is_empty() {
+            true => drop(self.robots.remove(name)),
+            false => {
+                warn!(target: "fleet", "Robot '{name}' has no streams now: it is not connected.");
             }
-            (Some(robot), None) => {
-                robot.is_there = false;
-                robot.asking = None;
-                // What it had published last is not its state any more.
-                robot.incoming.lose_states();
-                let root = format!("/{name}/").into_bytes();
-                self.publisher.forget(move |topic| topic.starts_with(&root));
-                if robot.topics.is_empty() {
-                    self.robots.remove(&name);
-                }
-                self.listen();
-            }
-            (None, None) => {}
         }
     }
 
@@ -232,7 +247,7 @@ impl Relay {
             let begins = begins.remove(&name).unwrap_or_default();
             self.set_begins(&name, begins);
         }
-        self.listen();
+        self.has_changed = true;
     }
 
     /// Whether the owner of a key may hear anything of a robot.

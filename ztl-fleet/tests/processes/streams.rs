@@ -194,7 +194,8 @@ fn a_cut_tells_a_gap_and_shows_no_stale_state() {
     assert_eq!(next(&mut early, "/pose"), 1);
     assert_eq!(early.missed(), 0);
     line.set(Mode::Cut);
-    streaming.fleet.endpoint.wait_for("Robot 'arm' is gone");
+    let told = "Robot 'arm' has no streams now: it is not connected";
+    streaming.fleet.endpoint.wait_for(told);
     let mut late = streaming.subscribe("/arm/test/pose");
     streaming.publish("/pose", 2, true);
     streaming.publish("/word", 1, false);

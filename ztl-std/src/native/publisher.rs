@@ -70,11 +70,14 @@ impl fmt::Debug for Listener {
     }
 }
 
+/// Tells which topics are stale.
+type IsStale = Box<dyn Fn(&[u8]) -> bool + Send>;
+
 /// What a publisher does in turn.
 enum Order {
     Publish(PubMessage),
     /// Forgets the newest states of topics that are stale.
-    Forget(Box<dyn Fn(&[u8]) -> bool + Send>),
+    Forget(IsStale),
     /// Subscribers of a robot may have missed messages.
     Missed(Unheard),
 }
