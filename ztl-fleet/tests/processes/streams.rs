@@ -410,7 +410,6 @@ fn assert_flood_is_bounded(streaming: &Streaming) {
         let mib = part.peak_kib() / 1024;
         assert!(mib < 250, "{mib} MiB");
     }
-    assert!(slow.missed() > 0);
 }
 
 #[test]

@@ -118,6 +118,33 @@ fn what_waits_for_a_slow_subscriber_arrives_without_another_message() {
 }
 
 #[test]
+fn what_was_missed_is_told_without_holding_up_a_long_message_behind_it() {
+    const MESSAGES: u8 = 70;
+    let publisher = publisher();
+    let mut quick = Subscriber::connect(publisher.endpoint(), "/lab").unwrap();
+    until_heard(&publisher, &mut quick, "/begin");
+    // It depends on how much the system takes at once.
+    for _ in 0..10 {
+        let mut slow = Subscriber::connect(publisher.endpoint(), "/lab").unwrap();
+        until_heard(&publisher, &mut slow, "/begin");
+        for number in 0..MESSAGES {
+            assert!(publisher.publish_bytes("/image", &[number; 700_000], false));
+            while quick.next_within(LIMIT).unwrap().unwrap().body[0] != number {}
+        }
+        let mut last = 0;
+        while last != MESSAGES - 1 {
+            // Its slowness is what is tested.
+            std::thread::sleep(Duration::from_millis(5));
+            let heard = slow.next_within(LIMIT).unwrap().expect("a message");
+            if heard.topic == "/lab/image" {
+                last = heard.body[0];
+            }
+        }
+        assert!(slow.missed() > 0);
+    }
+}
+
+#[test]
 fn a_slow_subscriber_gets_a_state_that_was_dropped_when_it_has_caught_up() {
     let publisher = publisher();
     let mut slow = Subscriber::connect(publisher.endpoint(), "").unwrap();

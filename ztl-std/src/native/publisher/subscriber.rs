@@ -210,6 +210,8 @@ impl Subscriber {
             if has_room(peers, peer, &told) {
                 peers.put_shared(peer, &told.wire);
                 self.told = self.missed;
+                // A message that has no room behind this one has some as soon as it is sent.
+                moved = true;
             }
         }
         while let Some(next) = self.queue.front()
