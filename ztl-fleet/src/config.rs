@@ -410,6 +410,8 @@ fn named<'d>(reading: &mut Reading<'d>, node: &'d Node, what: &str) -> Option<St
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
     use super::*;
 
     fn mistakes(text: &str) -> String {
@@ -422,7 +424,11 @@ mod tests {
         load: impl Fn(&Path) -> Result<(), Diagnostics>,
     ) -> String {
         let directory = std::env::temp_dir();
-        let path = directory.join(format!("ztl-fleet-{what}-{}.yaml", std::process::id()));
+        // Tests run at the same time.
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("ztl-fleet-{what}-{}-{number}.yaml", std::process::id());
+        let path = directory.join(name);
         std::fs::write(&path, text).unwrap();
         let loaded = load(&path);
         std::fs::remove_file(&path).unwrap();
@@ -442,6 +448,10 @@ mod tests {
             (
                 "name: a\nserver: 7\nrouters: []\n",
                 "agent.yaml:2:9: '7' is not an endpoint",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\npublish: 12346\nrouters: []\n",
+                "agent.yaml:3:10: '12346' is not an endpoint",
             ),
             (
                 "name: a\nserver: tcp://h:7\n",
