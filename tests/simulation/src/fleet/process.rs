@@ -163,6 +163,7 @@ impl World {
             clock_ms: agent.clock(self.now).as_millis(),
             since: 0,
             groups: Vec::new(),
+            streams: false,
             ready: true,
             problem: None,
             server: None,
