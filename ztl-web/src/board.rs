@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -14,12 +14,14 @@ use crate::aborts::AbortRequest;
 use crate::clients::Clients;
 use crate::devices::Devices;
 use crate::goal::Goal;
+use crate::lock::locked;
 use crate::operator::{Client, Operator};
 use crate::past::Past;
 use crate::robots::{self, ConfiguredScope, Server, Target};
-use crate::show::Desk;
+use crate::show::handle::ShowHandle;
 use crate::stop::Stops;
 use crate::streams::Streams;
+use crate::task::Task;
 use crate::topics::{Topic, Topics};
 
 /// Most tasks of one server that are shown.
@@ -46,7 +48,7 @@ pub(crate) struct Board {
     pub(crate) sockets: AtomicUsize,
     pub(crate) stops: Stops,
     pub(crate) clients: Clients,
-    show: OnceLock<Desk>,
+    show: OnceLock<ShowHandle>,
     /// What the thread of each server is to do.
     posts: Vec<Post>,
     /// Held while a topic is written, so that an older value never replaces a newer one.
@@ -96,23 +98,6 @@ pub(crate) enum Health {
     Unknown,
     There,
     Missing,
-}
-
-/// A task as it is shown.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub(crate) struct Task {
-    pub(crate) robot: String,
-    pub(crate) scope: String,
-    pub(crate) id: RemoteId,
-    /// `handler:component:goal`.
-    pub(crate) task: String,
-    pub(crate) state: String,
-    pub(crate) text: String,
-    pub(crate) runs: bool,
-    /// Wall clock in ms; `null` if the server does not tell it.
-    pub(crate) started_ms: Option<u64>,
-    /// Who started it, if this console did.
-    pub(crate) by: Option<String>,
 }
 
 impl Board {
@@ -167,13 +152,13 @@ impl Board {
     }
 
     /// The show, if there is one.
-    pub(crate) fn show(&self) -> Option<&Desk> {
+    pub(crate) fn show(&self) -> Option<&ShowHandle> {
         self.show.get()
     }
 
-    pub(crate) fn set_show(&self, desk: Desk) {
+    pub(crate) fn set_show(&self, handle: ShowHandle) {
         // A console has one show.
-        let _ = self.show.set(desk);
+        let _ = self.show.set(handle);
     }
 
     pub(crate) fn publish_show(&self, value: &Value) {
@@ -505,8 +490,4 @@ impl Post {
         // Fails if it is woken already.
         let _ = self.wake.try_send(());
     }
-}
-
-pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

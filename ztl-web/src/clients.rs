@@ -6,14 +6,17 @@ use std::sync::{Arc, Mutex};
 use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
-use crate::board::locked;
 use crate::clock::now_ms;
 use crate::cut;
 use crate::goal::Goal;
-use crate::goals::Outcome;
+use crate::lock::locked;
+use crate::outcome::Outcome;
 use crate::rosbridge;
-use crate::socket::{ID, Out};
+use crate::streams::Wanted;
+use crate::topics::Topic;
 
+/// Longest id of a client's goal.
+pub(crate) const ID: usize = 256;
 /// Most open goals of a client.
 const GOALS: usize = 32;
 /// Most ended goals of a client that are remembered.
@@ -24,6 +27,14 @@ const REFUSED: usize = 64;
 const CLIENTS: usize = 256;
 /// Shortest and longest name, in bytes. It has to be a secret.
 const NAME: std::ops::RangeInclusive<usize> = 16..=128;
+
+/// What is written to a client, or what it wants to hear.
+pub(crate) enum Out {
+    Text(String),
+    Subscribe(Topic, bool),
+    /// A publisher's streams, or one of them.
+    Listen(Wanted, bool),
+}
 
 /// The clients that have named themselves.
 #[derive(Default)]

@@ -8,6 +8,8 @@ use ztl_std::RemoteId;
 use crate::clock;
 use crate::robots::Target;
 
+/// How long after its arrival a goal may be sent to its robot, in ms. The client can demand less.
+pub(crate) const LATEST_MS: u64 = 5000;
 /// After the last moment at which a goal may be sent, how long its answer may take.
 const ANSWER_MS: u64 = 5000;
 

@@ -4,34 +4,22 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use serde::Serialize;
-use ztl_std::{RemoteId, RemoteTask, RequestError, State, TriggerError, Triggered, encoded};
+use ztl_std::{RemoteId, RemoteTask, RequestError, TriggerError, Triggered, encoded};
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;
 use crate::cut;
 use crate::goal::Goal;
+use crate::outcome::{GoalState, Outcome};
 use crate::robots::Target;
 
 /// Most goals of all clients at a time; each has a thread.
 const MOST: usize = 128;
-/// How long after its arrival a goal may be sent to its robot, in ms. The client can demand less.
-pub(crate) const LATEST_MS: u64 = 5000;
 /// Between two questions what became of a goal.
 pub(crate) const ASK_AGAIN: Duration = Duration::from_millis(200);
 
 /// Why a goal was not sent.
 pub(crate) const TOO_LATE: &str = "too late, not sent";
-
-/// The result of a goal.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub(crate) struct Outcome {
-    /// A final state, `UNKNOWN` if nobody can tell it, or `NOT_STARTED` if nothing runs.
-    pub(crate) state: &'static str,
-    pub(crate) text: String,
-    /// The task's id; 0 without one.
-    pub(crate) id: RemoteId,
-}
 
 /// What a client is told of its goal.
 pub(crate) enum News {
@@ -132,7 +120,7 @@ fn run(goal: &Arc<Goal>, board: &Board, tell: &Tell) -> Outcome {
     });
     match ended {
         Ok(status) => Outcome {
-            state: status.state.name(),
+            state: GoalState::Task(status.state),
             text: cut::text(&status.text, cut::RESULT),
             id,
         },
@@ -175,63 +163,4 @@ fn init(goal: &Goal, remote: &mut RemoteTask, tell: &Tell) -> Result<Triggered, 
         goal.give_up();
     }
     started
-}
-
-impl Outcome {
-    pub(crate) fn not_started(text: String) -> Self {
-        Self {
-            state: "NOT_STARTED",
-            text,
-            id: RemoteId::from(0_i64),
-        }
-    }
-
-    fn unknown(text: String, id: RemoteId) -> Self {
-        Self {
-            state: "UNKNOWN",
-            text: cut::text(&text, cut::RESULT),
-            id,
-        }
-    }
-
-    /// What an INIT without an accepted task means.
-    fn of_init(error: TriggerError) -> Self {
-        match error {
-            TriggerError::Rejected { id, reason } => Self {
-                state: State::Rejected.name(),
-                text: cut::text(&reason, cut::RESULT),
-                id,
-            },
-            TriggerError::NeverCame | TriggerError::GivenUp => Self::not_started(error.to_string()),
-            TriggerError::Request(error) if error.nothing_was_sent() => {
-                Self::not_started(error.to_string())
-            }
-            TriggerError::Request(error) => Self::unknown(error.to_string(), RemoteId::from(0_i64)),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_lost_answer_is_unknown_and_never_failed() {
-        let endpoint = || "tcp://robot:1".to_owned();
-        let waited = Duration::from_secs(2);
-        let lost = RequestError::NoAnswer {
-            endpoint: endpoint(),
-            waited,
-        };
-        let unsent = RequestError::NotConnected {
-            endpoint: endpoint(),
-            waited,
-            obstacle: None,
-        };
-        let state = |error| Outcome::of_init(error).state;
-        assert_eq!(state(TriggerError::Request(lost)), "UNKNOWN");
-        assert_eq!(state(TriggerError::Request(unsent)), "NOT_STARTED");
-        assert_eq!(state(TriggerError::GivenUp), "NOT_STARTED");
-        assert_eq!(state(TriggerError::NeverCame), "NOT_STARTED");
-    }
 }

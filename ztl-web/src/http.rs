@@ -21,8 +21,9 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::task::spawn_blocking;
 
-use crate::board::{Board, locked};
+use crate::board::Board;
 use crate::gate::{Gate, Role, name_of, token_in};
+use crate::lock::locked;
 use crate::own_page::{OwnPage, Posted};
 use crate::places::{Place, Places, Stranger, Strangers};
 use crate::record::RecordFile;

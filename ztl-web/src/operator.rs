@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use crate::board::locked;
 use crate::clock::now_ms;
 use crate::gate::Role;
+use crate::lock::locked;
 
 /// A client: one socket of a page or a program.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

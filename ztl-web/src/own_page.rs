@@ -9,11 +9,13 @@ use std::time::{Duration, Instant};
 use axum::http::StatusCode;
 use ztl_std::files;
 
-use crate::board::{Board, locked};
+use crate::board::Board;
 use crate::clock::now_ms;
 use crate::gate::Role;
 use crate::goal::Goal;
-use crate::goals::{self, LATEST_MS};
+use crate::goal::LATEST_MS;
+use crate::goals;
+use crate::lock::locked;
 use crate::robots::Target;
 
 /// A press that follows sooner belongs to the one before: a double click, or a held key.

@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use ztl_std::RemoteId;
 
-use crate::board::{Task, locked};
 use crate::clock::now_ms;
+use crate::lock::locked;
+use crate::task::Task;
 
 /// Most tasks that are kept, and for how long, in ms.
 const KEPT: usize = 2000;

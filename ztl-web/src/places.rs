@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 
 use tokio::task::AbortHandle;
 
-use crate::board::locked;
 use crate::gate::Role;
+use crate::lock::locked;
 
 /// Places for connections. Watchers get three of four, so that there is always room for an operator.
 #[derive(Clone)]

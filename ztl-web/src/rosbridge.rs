@@ -2,8 +2,9 @@
 
 use serde::Deserialize;
 use serde_json::{Value, json};
+use ztl_std::State;
 
-use crate::goals::Outcome;
+use crate::outcome::{GoalState, Outcome};
 
 /// A client's message. Members that others of its kind have are ignored.
 #[derive(Debug, Deserialize)]
@@ -81,11 +82,11 @@ pub(crate) struct GoalArgs {
 }
 
 /// GoalStatus of action_msgs.
-fn goal_status(state: &str) -> i64 {
+fn goal_status(state: GoalState) -> i64 {
     match state {
-        "COMPLETED" => 4,
-        "ABORTED" => 5,
-        "UNKNOWN" => 0,
+        GoalState::Task(State::Completed) => 4,
+        GoalState::Task(State::Aborted) => 5,
+        GoalState::Unknown => 0,
         _ => 6,
     }
 }
@@ -175,7 +176,7 @@ mod tests {
     fn an_unknown_outcome_has_the_status_unknown() {
         let id = ztl_std::RemoteId::from(7_i64);
         let outcome = Outcome {
-            state: "UNKNOWN",
+            state: GoalState::Unknown,
             text: "no answer".to_owned(),
             id,
         };
@@ -186,7 +187,13 @@ mod tests {
             (&json!(0), &json!(7))
         );
         assert_eq!(
-            ["COMPLETED", "ABORTED", "FAILED", "REJECTED"].map(goal_status),
+            [
+                State::Completed,
+                State::Aborted,
+                State::Failed,
+                State::Rejected
+            ]
+            .map(|state| goal_status(GoalState::Task(state))),
             [4, 5, 6, 6]
         );
     }

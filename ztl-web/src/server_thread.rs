@@ -17,10 +17,11 @@ use ztl_std::{
 };
 
 use crate::aborts::{AbortRequest, Aborts, Key};
-use crate::board::{Board, Described, Health, Seen, Task};
+use crate::board::{Board, Described, Health, Seen};
 use crate::clock::now_ms;
 use crate::cut;
 use crate::robots::Server;
+use crate::task::Task;
 
 /// Between two looks at a server while a Stop is under way, while a page is open, and while nobody looks.
 const STOPPING: Duration = Duration::from_millis(20);

@@ -2,6 +2,7 @@
 //! decides; it also enforces what happens when nobody operates any more.
 
 mod connection;
+pub(crate) mod handle;
 mod stage;
 
 use std::collections::{BTreeMap, HashSet};
@@ -12,19 +13,16 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-use serde::Deserialize;
-use serde_json::{Value, json};
-use tokio::sync::oneshot;
+use serde_json::json;
 use ztl_script::event::{DecidedBy, RunCommand, RunEvent, RunStarted, StampedEvent, TaskNumber};
-use ztl_script::{
-    Connect, OperatorGone, PlayOptions, Runner, RunnerHandle, Script, Seen as SeenStops,
-};
+use ztl_script::{Connect, OperatorGone, PlayOptions, Runner, Script, Seen as SeenStops};
 
 use crate::aborts::AbortRequest;
-use crate::board::{Board, Task};
+use crate::board::Board;
 use crate::clock::now_ms;
 use crate::cut;
-use crate::goals::LATEST_MS;
+use crate::task::Task;
+use handle::{Press, ShowHandle, Told, Wish};
 use stage::Stage;
 
 /// How often the thread looks whether somebody operates.
@@ -35,8 +33,6 @@ const EVENTS: usize = 200;
 const PRESSES: usize = 64;
 /// Presses of a cue that follow each other within this time count as one.
 const ONE_PRESS: Duration = Duration::from_millis(600);
-/// Longest note, in bytes.
-const NOTE: usize = 1000;
 
 /// A script, and how it is played.
 pub struct Show {
@@ -86,137 +82,6 @@ pub trait ShowRecord: Send {
     fn finish(self: Box<Self>) -> Result<(), String>;
 }
 
-/// Reaches the show from any thread.
-pub(crate) struct Desk {
-    runner: RunnerHandle,
-    presses: SyncSender<Press>,
-}
-
-/// What a client wants of the show.
-#[derive(Debug)]
-pub(crate) enum Wish {
-    Command(RunCommand, Option<u64>),
-    Cue(usize),
-    Note(String),
-}
-
-/// The answer to a press.
-pub(crate) type Told = Result<Value, String>;
-
-struct Press {
-    wish: Wish,
-    by: String,
-    /// Until when it counts, by the console's clock.
-    not_after_ms: u64,
-    /// What was stopped before.
-    seen: SeenStops,
-    told: oneshot::Sender<Told>,
-}
-
-impl Desk {
-    /// Stops everything. When this returns, nothing is sent any more that the show has decided before.
-    pub(crate) fn stop_all(&self) {
-        self.runner.stop_all();
-    }
-
-    /// Passes a press to the show.
-    ///
-    /// # Errors
-    /// If it is not passed.
-    pub(crate) fn press(
-        &self,
-        wish: Wish,
-        by: &str,
-        not_after_ms: u64,
-        board: &Board,
-    ) -> Result<oneshot::Receiver<Told>, String> {
-        // Before the look at Stop: one that begins in between is noticed by the show.
-        let seen = self.runner.seen();
-        if wish.starts() && board.stops.are_under_way() {
-            return Err("a Stop is under way: press again when it has ended".to_owned());
-        }
-        let (told, telling) = oneshot::channel();
-        let press = Press {
-            wish,
-            by: by.to_owned(),
-            not_after_ms: not_after_ms.min(now_ms() + LATEST_MS),
-            seen,
-            told,
-        };
-        self.presses
-            .try_send(press)
-            .map_err(|_| "the show does not answer: nothing was done".to_owned())?;
-        self.runner.wake();
-        Ok(telling)
-    }
-}
-
-impl Wish {
-    /// What `/ztl/show/command` asks for.
-    ///
-    /// # Errors
-    /// If it is not a command of the page.
-    pub(crate) fn command(args: Value) -> Result<Self, String> {
-        #[derive(Deserialize)]
-        struct Question {
-            question: Option<u64>,
-        }
-        let wrong = |error| {
-            format!(
-                "expected {{\"do\": command, \"question\": number of the open question}}: {error}"
-            )
-        };
-        let Question { question } = serde_json::from_value(args.clone()).map_err(wrong)?;
-        let command: RunCommand = serde_json::from_value(args).map_err(wrong)?;
-        match command {
-            RunCommand::Leave | RunCommand::Stop | RunCommand::StopAll => {
-                Err("the show ends with the console; /ztl/stop stops everything".to_owned())
-            }
-            command => Ok(Self::Command(command, question)),
-        }
-    }
-
-    /// Stops the scene that plays.
-    pub(crate) fn stop_scene() -> Self {
-        Self::Command(RunCommand::StopScene, None)
-    }
-
-    /// What `/ztl/show/note` asks for.
-    ///
-    /// # Errors
-    /// If there is no text.
-    pub(crate) fn note(args: Value) -> Result<Self, String> {
-        let text = args.get("text").and_then(Value::as_str).map(str::trim);
-        match text {
-            None | Some("") => Err("expected {\"text\": the note}".to_owned()),
-            Some(text) if text.len() > NOTE => Err(format!("a note has at most {NOTE} bytes")),
-            Some(text) => Ok(Self::Note(text.to_owned())),
-        }
-    }
-
-    /// What `/ztl/show/cue` asks for.
-    ///
-    /// # Errors
-    /// If it is no cue.
-    pub(crate) fn cue(args: Value) -> Result<Self, String> {
-        let cue = args.get("cue").and_then(Value::as_u64);
-        let cue = cue.ok_or("expected {\"cue\": number of the cue, from 0}")?;
-        usize::try_from(cue)
-            .map(Self::Cue)
-            .map_err(|error| error.to_string())
-    }
-
-    /// Whether it may start something.
-    fn starts(&self) -> bool {
-        !matches!(self, Self::Note(_)) && !self.stops()
-    }
-
-    /// Whether it only stops something.
-    pub(crate) fn stops(&self) -> bool {
-        matches!(self, Self::Command(RunCommand::StopScene, _))
-    }
-}
-
 /// Starts the thread of the show.
 pub(crate) fn spawn(show: Show, board: &Arc<Board>) -> io::Result<()> {
     let Show {
@@ -232,12 +97,12 @@ pub(crate) fn spawn(show: Show, board: &Arc<Board>) -> io::Result<()> {
     let connect = connection::watched(connect, board);
     let mut runner = Runner::new(Arc::clone(&script), options, connect);
     let (presses, pressed) = sync_channel(PRESSES);
-    let desk = Desk {
+    let handle = ShowHandle {
         runner: runner.handle(),
         presses,
     };
     let stage = Stage::new(record.is_some());
-    board.set_show(desk);
+    board.set_show(handle);
     runner.tell(RunEvent::RunStarted(Box::new(started)));
     for text in notes {
         runner.tell(RunEvent::Note { text });

@@ -16,15 +16,15 @@ use ztl_std::RemoteId;
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;
-use crate::clients::Client;
+use crate::clients::{Client, ID, Out};
 use crate::clock::now_ms;
 use crate::gate::Role;
-use crate::goal::Goal;
-use crate::goals::{self, LATEST_MS, News, TOO_LATE};
+use crate::goal::{Goal, LATEST_MS};
+use crate::goals::{self, News, TOO_LATE};
 use crate::operator;
 use crate::rosbridge::{self, GoalArgs, Head, Incoming};
-use crate::show::Wish;
-use crate::streams::{Listener, Wanted};
+use crate::show::handle::Wish;
+use crate::streams::Listener;
 use crate::topics::Topic;
 
 /// Answers that wait to be written.
@@ -47,16 +47,6 @@ const STOP_SCENE: &str = "/ztl/show/stop_scene";
 const SHORT: usize = 4 * 1024;
 /// Longest id or name in a message.
 const NAMES: usize = 2048;
-/// Longest id of a client's goal.
-pub(crate) const ID: usize = 256;
-
-/// What is written to a client, or what it wants to hear.
-pub(crate) enum Out {
-    Text(String),
-    Subscribe(Topic, bool),
-    /// A publisher's streams, or one of them.
-    Listen(Wanted, bool),
-}
 
 /// Serves a socket until it closes.
 pub(crate) async fn serve(socket: WebSocket, board: Arc<Board>, address: IpAddr, role: Role) {
@@ -439,7 +429,7 @@ impl Reader {
             let place = Arc::clone(&self.wishes).try_acquire_owned();
             let place = place.map_err(|_| format!("not done: {ANSWERS} answers are awaited"))?;
             Ok((
-                show.press(wish, &self.who.by, not_after_ms, &self.board)?,
+                show.press(wish, &self.who.by, not_after_ms, &self.board.stops)?,
                 place,
             ))
         });

@@ -6,9 +6,9 @@ use std::sync::Mutex;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use crate::board::locked;
 use crate::clock::now_ms;
 use crate::cut;
+use crate::lock::locked;
 
 /// All presses of Stop. A press during another one joins it: each server that has decided looks again.
 pub(crate) struct Stops {

@@ -14,7 +14,7 @@ use ztl_pickle::Kind;
 use ztl_std::Subscriber;
 use ztl_std::publish::{Content, Heard};
 
-use crate::board::locked;
+use crate::lock::locked;
 use crate::picture;
 use crate::rosbridge;
 

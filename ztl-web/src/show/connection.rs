@@ -10,10 +10,11 @@ use ztl_script::Connect;
 use ztl_script::server::{Acceptance, Connection, ServerAnswer, ServerRequest};
 use ztl_std::{Offers, RemoteId};
 
-use crate::board::{Board, locked};
+use crate::board::Board;
 use crate::clock::now_ms;
-use crate::goal::Goal;
-use crate::goals::{self, ASK_AGAIN, LATEST_MS};
+use crate::goal::{Goal, LATEST_MS};
+use crate::goals::{self, ASK_AGAIN};
+use crate::lock::locked;
 use crate::robots::Target;
 
 /// Who starts the tasks of the show, for people.
