@@ -11,8 +11,8 @@ use std::time::Duration;
 use ztl_std::RemoteTask;
 use ztl_std::describe::{ComponentDescription, Descriptions, GoalRule, ScopeDescriptions};
 
+use crate::components::{Components, WILDCARD};
 use crate::forward::Forward;
-use crate::handler::{Components, WILDCARD};
 
 /// Pause between two questions to a server.
 const AGAIN: Duration = Duration::from_secs(5);

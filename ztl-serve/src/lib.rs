@@ -17,7 +17,7 @@
 //! # }
 //! ```
 //!
-//! A task goes from `handler` (finds the component) to `supervisor` (its life cycle, on one thread for each scope), which
+//! A task goes from `handler` (finds the component in `components`) to `supervisor` (its life cycle, on one thread for each scope), which
 //! starts a job of the component's kind. `kind` has the traits, `kinds` the table of all kinds:
 //!
 //! | file | kind |
@@ -37,6 +37,7 @@ mod admission;
 mod built_in;
 mod call;
 mod component_config;
+mod components;
 mod config;
 mod far_descriptions;
 mod forward;

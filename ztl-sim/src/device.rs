@@ -3,6 +3,7 @@
 mod axis;
 mod bus;
 mod buttons;
+mod input;
 pub(crate) mod kind;
 mod power;
 mod record;
@@ -24,8 +25,9 @@ use std::time::Duration;
 use crate::pty::{Link, Pty};
 pub use bus::{Bus, BusNode, Switches};
 pub use buttons::Buttons;
+use input::Input;
 use kind::{Kind, UnknownKind};
-use power::{Input, Settings, Updates};
+use power::{Settings, Updates};
 use record::Record;
 pub use slots::BOARD;
 use slots::Verify;
@@ -76,7 +78,7 @@ impl Device {
             kind,
             baud: None,
             record: None,
-            place: None,
+            seat: None,
             updates: None,
         })
     }

@@ -10,8 +10,9 @@ use ztl_std::time::now;
 
 use super::Machine;
 use super::buttons::Buttons;
+use super::input::{Input, OnLine};
 use super::kind::Kind;
-use super::power::{self, Input, Place, Settings};
+use super::power::{self, Seat, Settings};
 use super::record::Record;
 use ztl_std::gateway::BAUD;
 
@@ -32,16 +33,6 @@ pub struct Bus {
     nodes: Vec<BusNode>,
     baud: u32,
     record: Option<File>,
-}
-
-/// What happens on a simulated line.
-pub(super) enum OnLine {
-    /// The node with this number transmits.
-    Spoken(usize, Vec<u8>),
-    /// Switches a node on or off; where the answer goes.
-    Power(String, bool, Sender<Result<(), String>>),
-    /// Asks for a node's buttons.
-    Buttons(String, Sender<Option<Buttons>>),
 }
 
 impl Bus {
@@ -96,7 +87,7 @@ impl Bus {
                 kind: node.kind,
                 baud: None,
                 record: record.as_ref().map(|record| record.of(&node.name)),
-                place: Some(Place {
+                seat: Some(Seat {
                     name: node.name.clone(),
                     id: unique(&node.name, id),
                     address: node.address,
@@ -269,9 +260,9 @@ impl Line {
                 };
                 let _ = done.send(answer);
             }
-            OnLine::Buttons(name, answer) => {
+            OnLine::Find(name, answer) => {
                 let node = self.nodes.iter().find(|node| node.name == name);
-                let _ = answer.send(node.map(|node| Buttons(node.inputs.clone())));
+                let _ = answer.send(node.map(|node| node.inputs.clone()));
             }
         }
     }
@@ -304,8 +295,8 @@ impl Switches {
     #[must_use]
     pub fn buttons(&self, name: &str) -> Option<Buttons> {
         let (done, answer) = channel();
-        let asked = OnLine::Buttons(name.to_owned(), done);
+        let asked = OnLine::Find(name.to_owned(), done);
         let _ = self.0.send(Input::OnLine(asked));
-        answer.recv().ok().flatten()
+        answer.recv().ok().flatten().map(Buttons)
     }
 }

@@ -5,22 +5,11 @@ use std::sync::mpsc::{Sender, channel};
 use ztl_mcu::link::LinkId;
 use ztl_mcu::{Components, Instant, Node};
 
-use super::power::Input;
+use super::input::{Input, Push};
 
 /// The buttons of a running device.
 #[derive(Debug, Clone)]
 pub struct Buttons(pub(super) Sender<Input>);
-
-/// What a person does at the device.
-#[derive(Debug)]
-pub(super) enum Push {
-    /// Starts a task with this goal.
-    Press(String),
-    /// Aborts it.
-    Release,
-    /// Reports an event.
-    Report(String),
-}
 
 impl Buttons {
     /// Starts a task with this goal, as a jog button does while it is pressed.

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::io::Write;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use ztl_core::link::LINK_TIMEOUT;
@@ -14,8 +14,8 @@ use ztl_mcu::update::Updatable;
 use ztl_mcu::{Acting, Component, Components, Identity, Instant, Node};
 
 use super::axis::{Axis, FINGER, PAN};
-use super::bus::OnLine;
-use super::buttons::{Push, on_push};
+use super::buttons::on_push;
+use super::input::Input;
 use super::kind::Kind;
 use super::record::{Record, Recorded};
 use super::sensor::{self, Sensor};
@@ -32,8 +32,8 @@ pub(super) struct Settings {
     pub(super) kind: Kind,
     pub(super) baud: Option<u32>,
     pub(super) record: Option<Record>,
-    /// Its place on a shared line.
-    pub(super) place: Option<Place>,
+    /// Its seat, if it is on a shared line.
+    pub(super) seat: Option<Seat>,
     /// Its firmware, if it takes updates.
     pub(super) updates: Option<Updates>,
 }
@@ -47,25 +47,12 @@ pub(super) struct Updates {
     pub(super) verify: Verify,
 }
 
-/// A node's place on a shared line.
+/// Whom a shared line knows as this node.
 #[derive(Debug, Clone)]
-pub(super) struct Place {
+pub(super) struct Seat {
     pub(super) name: String,
     pub(super) id: u64,
     pub(super) address: u8,
-}
-
-/// What happens to a running device.
-pub(super) enum Input {
-    Bytes(Vec<u8>),
-    /// Where the node's output goes from now on.
-    Line(Option<Box<dyn Write + Send>>),
-    /// A button is pushed; where the answer goes.
-    Push(Push, Sender<Result<(), String>>),
-    /// For a simulated line.
-    OnLine(OnLine),
-    Reset,
-    Stop,
 }
 
 /// Bytes that the node produces at once.
@@ -216,8 +203,8 @@ fn run_until_reset(
         component: Tuned::new((component,)).load(Saved(flash)),
         description,
     };
-    let name = match &device.place {
-        Some(place) => &place.name,
+    let name = match &device.seat {
+        Some(seat) => &seat.name,
         None => device.kind.name(),
     };
     let version = slots.map(|slots| {
@@ -228,7 +215,7 @@ fn run_until_reset(
     let identity = Identity {
         // Its sensor sends as much as the line takes.
         reading_interval: Duration::ZERO,
-        link_timeout: match device.place {
+        link_timeout: match device.seat {
             // A turn of the line waits for all nodes, whose threads are late on a busy system.
             Some(_) => SHARED_LINK_TIMEOUT,
             None => LINK_TIMEOUT,
@@ -237,7 +224,7 @@ fn run_until_reset(
     };
     let components = Acting::new(component);
     let restarts = || slots.is_some_and(|slots| slots.borrow_mut().take_restart());
-    match (&device.place, slots) {
+    match (&device.seat, slots) {
         (None, None) => serve(
             Node::new(identity, components),
             PIECE,
@@ -255,8 +242,8 @@ fn run_until_reset(
                 restarts,
             )
         }
-        (Some(place), None) => {
-            let components = OnBus::new(components, place.id, place.address);
+        (Some(seat), None) => {
+            let components = OnBus::new(components, seat.id, seat.address);
             serve(
                 Node::new(identity, components),
                 WHOLE,
@@ -265,8 +252,8 @@ fn run_until_reset(
                 restarts,
             )
         }
-        (Some(place), Some(slots)) => {
-            let components = OnBus::new(components, place.id, place.address);
+        (Some(seat), Some(slots)) => {
+            let components = OnBus::new(components, seat.id, seat.address);
             let components = Updatable::new(components, SlotUpdater::new(slots));
             serve(
                 Node::new(identity, components),

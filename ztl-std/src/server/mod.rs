@@ -9,6 +9,7 @@
 mod access;
 mod bind;
 mod client_liveness;
+mod clientless;
 mod clock;
 mod dropped;
 mod engine;
@@ -44,11 +45,11 @@ pub(crate) use limit_text::LIMITS;
 #[cfg(feature = "config")]
 pub use limit_text::bytes;
 pub use limits::{KEEP, Limits, MAX_MESSAGE};
-pub use own_tasks::{OwnTasks, ReservedId};
+pub use own_tasks::OwnTasks;
 pub(crate) use reporter::AbortRejection;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
-pub use reporter::TaskReporter;
+pub use reporter::{ReservedId, TaskReporter};
 #[cfg(feature = "publish")]
 pub(crate) use router::{rules, to_bind};
 pub use task_server::{ServerBuilder, TaskServer};

@@ -10,7 +10,6 @@ use ztl_core::dispatcher::TaskEvent;
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::Scope;
 
-use super::own_tasks::ReservedId;
 use super::waker::{WakeBatch, Waker};
 
 /// A handler's report, on its way to the server's thread.
@@ -308,6 +307,39 @@ impl Drop for TaskReporter {
 impl std::fmt::Debug for TaskReporter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_tuple("TaskReporter").field(&self.id).finish()
+    }
+}
+
+/// The id of a task that no client knows yet.
+pub struct ReservedId {
+    id: TaskId,
+    scope: Scope,
+    mailbox: Mailbox,
+}
+
+impl ReservedId {
+    pub(super) const fn new(id: TaskId, scope: Scope, mailbox: Mailbox) -> Self {
+        Self { id, scope, mailbox }
+    }
+
+    /// The id.
+    #[must_use]
+    pub const fn id(&self) -> TaskId {
+        self.id
+    }
+
+    /// Shows the running task to clients. `payload` is the payload of the INIT that would have started it.
+    #[must_use = "dropping the reporter ends the task"]
+    pub fn begin(self, payload: String) -> TaskReporter {
+        let begun = Report::Begun(self.scope, payload);
+        self.mailbox.post(self.id, begun);
+        TaskReporter::new(self.id, self.mailbox, None)
+    }
+}
+
+impl std::fmt::Debug for ReservedId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("ReservedId").field(&self.id).finish()
     }
 }
 

@@ -1,0 +1,42 @@
+//! Takes tasks that no client asked for into the task table.
+
+use ztl_core::memory::{Memory as _, Scope};
+use ztl_core::tasks::{StoredText as _, Task, Tasks as _};
+use ztl_core::{State, TaskId};
+
+use super::clock::now;
+use super::engine::Engine;
+use super::reporter::{Ready, ReservedId};
+use super::task_table::HeapText;
+
+/// The text of a task without a client until it reports progress.
+const BY_DEVICE: &str = "started by the device";
+
+impl Engine {
+    /// Reserves an id for a task of a handler itself.
+    pub(super) fn reserve(&mut self, scope: Scope, Ready(ready): Ready) {
+        if let Some(id) = self.dispatcher.next_id() {
+            self.dispatcher.skip_to(id);
+            ready(ReservedId::new(id, scope, self.mailbox.clone()));
+        }
+    }
+
+    /// Takes a task that runs into the task table. It is admitted even if clients could start no further task, because it runs already.
+    pub(super) fn on_begun(&mut self, id: TaskId, scope: Scope, payload: &str) {
+        let mut task = Task::<_, HeapText>::new(scope);
+        task.state = State::Accepted;
+        task.text.set(BY_DEVICE);
+        let tasks = self.dispatcher.memory_mut().tasks_mut();
+        tasks.make_room();
+        tasks.insert(id, task);
+        let memory = self.dispatcher.memory_mut();
+        memory.note_payload(id, payload, now());
+        memory.note_by_device(id);
+        #[cfg(feature = "publish")]
+        if let Some(events) = &mut self.events {
+            let name = self.dispatcher.memory().scope_name(scope);
+            events.on_asked(name, id, payload, None);
+            events.on_changed(name, id, State::Accepted, BY_DEVICE);
+        }
+    }
+}
