@@ -22,15 +22,15 @@ use crate::{Error, Pickle};
 impl<'de> Deserialize<'de> for Pickle {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let mut graph = Self::none().graph;
-        let root = Place(&mut graph).deserialize(deserializer)?;
+        let root = IntoGraph(&mut graph).deserialize(deserializer)?;
         Self { graph, root }.checked().map_err(D::Error::custom)
     }
 }
 
 /// The graph that gets the value. All values share it, so that each takes a few bytes.
-struct Place<'g>(&'g mut Graph);
+struct IntoGraph<'g>(&'g mut Graph);
 
-impl Place<'_> {
+impl IntoGraph<'_> {
     fn put<E: serde::de::Error>(
         self,
         put: impl FnOnce(&mut Graph, &mut Account) -> Result<Ref, Error>,
@@ -39,7 +39,7 @@ impl Place<'_> {
     }
 }
 
-impl<'de> DeserializeSeed<'de> for Place<'_> {
+impl<'de> DeserializeSeed<'de> for IntoGraph<'_> {
     type Value = Ref;
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Ref, D::Error> {
@@ -47,7 +47,7 @@ impl<'de> DeserializeSeed<'de> for Place<'_> {
     }
 }
 
-impl<'de> Visitor<'de> for Place<'_> {
+impl<'de> Visitor<'de> for IntoGraph<'_> {
     type Value = Ref;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -83,7 +83,7 @@ impl<'de> Visitor<'de> for Place<'_> {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Ref, A::Error> {
         let mut chain = Chain::EMPTY;
-        while let Some(item) = items.next_element_seed(Place(self.0))? {
+        while let Some(item) = items.next_element_seed(IntoGraph(self.0))? {
             link(self.0, &mut chain, item)?;
         }
         self.put(|graph, account| graph.add(Node::List(chain), account))
@@ -91,9 +91,9 @@ impl<'de> Visitor<'de> for Place<'_> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Ref, A::Error> {
         let mut chain = Chain::EMPTY;
-        while let Some(key) = entries.next_key_seed(Place(self.0))? {
+        while let Some(key) = entries.next_key_seed(IntoGraph(self.0))? {
             link(self.0, &mut chain, key)?;
-            let value = entries.next_value_seed(Place(self.0))?;
+            let value = entries.next_value_seed(IntoGraph(self.0))?;
             link(self.0, &mut chain, value)?;
         }
         self.put(|graph, account| graph.add(Node::Dict(chain), account))

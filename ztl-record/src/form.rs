@@ -100,7 +100,7 @@ pub(crate) struct Sound {
 
 /// `ztl.Text`.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Text {
+pub(crate) struct ZtlText {
     pub(crate) text: String,
 }
 

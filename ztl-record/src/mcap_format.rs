@@ -72,8 +72,8 @@ pub(crate) struct Chunk {
     records: Vec<u8>,
     /// The first and the last time of a message.
     span: Option<(u64, u64)>,
-    /// Time and place of each message, by channel.
-    places: BTreeMap<u16, Vec<(u64, u64)>>,
+    /// Time and byte offset of each message, by channel.
+    offsets: BTreeMap<u16, Vec<(u64, u64)>>,
 }
 
 impl Chunk {
@@ -95,11 +95,11 @@ impl Chunk {
         (log_time, publish_time): (u64, u64),
         data: &[u8],
     ) {
-        let place = self.records.len() as u64;
-        self.places
+        let offset = self.records.len() as u64;
+        self.offsets
             .entry(channel)
             .or_default()
-            .push((log_time, place));
+            .push((log_time, offset));
         let (first, last) = self.span.unwrap_or((log_time, log_time));
         self.span = Some((first.min(log_time), last.max(log_time)));
         put_record(&mut self.records, op::MESSAGE, |out| {
@@ -127,13 +127,13 @@ impl Chunk {
         put_text(&mut header, "");
         put_u64(&mut header, length);
         let mut indexes = Vec::new();
-        for (channel, places) in std::mem::take(&mut self.places) {
+        for (channel, offsets) in std::mem::take(&mut self.offsets) {
             put_record(&mut indexes, op::MESSAGE_INDEX, |out| {
                 put_u16(out, channel);
                 put_sized(out, |out| {
-                    for (time, place) in places {
+                    for (time, offset) in offsets {
                         put_u64(out, time);
-                        put_u64(out, place);
+                        put_u64(out, offset);
                     }
                 });
             });
@@ -238,7 +238,7 @@ impl<'a> End<'a> {
         }
     }
 
-    /// The place of the next byte.
+    /// The offset of the next byte.
     fn at(&self) -> u64 {
         self.at + self.bytes.len() as u64
     }
@@ -268,13 +268,13 @@ struct Chunks<'a> {
 
 /// A chunk in the index.
 struct Indexed {
-    place: u64,
+    offset: u64,
     /// Of the whole record, of the message indexes behind it, and of the messages in it.
     length: u64,
     indexes_length: u64,
     messages_length: u64,
     span: (u64, u64),
-    /// The places of its message indexes.
+    /// The offsets of its message indexes.
     indexes: Vec<(u16, u64)>,
 }
 
@@ -287,9 +287,9 @@ impl<'a> Chunks<'a> {
 
     fn next(&mut self) -> io::Result<Option<Indexed>> {
         while self.at < self.end {
-            let place = self.at;
+            let offset = self.at;
             // The file is written between two calls.
-            self.file.seek(SeekFrom::Start(place))?;
+            self.file.seek(SeekFrom::Start(offset))?;
             let (opcode, length) = self.header()?;
             if opcode != op::CHUNK {
                 self.skip(length)?;
@@ -299,7 +299,7 @@ impl<'a> Chunks<'a> {
             let messages_length = self.u64()?;
             self.skip(length.saturating_sub(24))?;
             let mut chunk = Indexed {
-                place,
+                offset,
                 length: length + HEADER as u64,
                 indexes_length: 0,
                 messages_length,
@@ -308,13 +308,13 @@ impl<'a> Chunks<'a> {
             };
             let indexes = self.at;
             while self.at < self.end {
-                let place = self.at;
+                let offset = self.at;
                 let (opcode, length) = self.header()?;
                 if opcode != op::MESSAGE_INDEX {
-                    self.at = place;
+                    self.at = offset;
                     break;
                 }
-                chunk.indexes.push((self.u16()?, place));
+                chunk.indexes.push((self.u16()?, offset));
                 self.skip(length.saturating_sub(2))?;
             }
             chunk.indexes_length = self.at - indexes;
@@ -355,12 +355,12 @@ impl Indexed {
         put_record(out, op::CHUNK_INDEX, |out| {
             put_u64(out, self.span.0);
             put_u64(out, self.span.1);
-            put_u64(out, self.place);
+            put_u64(out, self.offset);
             put_u64(out, self.length);
             put_sized(out, |out| {
-                for (channel, place) in &self.indexes {
+                for (channel, offset) in &self.indexes {
                     put_u16(out, *channel);
-                    put_u64(out, *place);
+                    put_u64(out, *offset);
                 }
             });
             put_u64(out, self.indexes_length);

@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use ztl_pickle::{Error, Kind, Pickle, Value};
 
-use crate::form::{Form, Image, Sound, Stamp, Text, to_base64};
+use crate::form::{Form, Image, Sound, Stamp, ZtlText, to_base64};
 use crate::plain::is_plain;
 use crate::source::Source;
 use crate::task::{TASKS, TaskEvent};
@@ -196,7 +196,7 @@ impl Formats {
         let is_data = body.starts_with(&JPEG) || self.sounds.contains_key(topic);
         match str::from_utf8(body) {
             Ok(text) if !is_data => {
-                let text = Text {
+                let text = ZtlText {
                     text: text.to_owned(),
                 };
                 Message {

@@ -13,7 +13,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use serde::Deserialize;
 use ztl_pickle::Pickle;
 
-use crate::form::{Form, Image, Sound, Text, from_base64};
+use crate::form::{Form, Image, Sound, ZtlText, from_base64};
 use crate::prepare::SoundFormat;
 use crate::source::Source;
 use crate::task::{TASKS, TaskEvent};
@@ -384,7 +384,7 @@ impl Waiting {
                     (None, value) => value.unwrap_or_else(Pickle::none),
                 })
             }
-            Form::Text => Content::Text(serde_json::from_slice::<Text>(&data).ok()?.text),
+            Form::Text => Content::Text(serde_json::from_slice::<ZtlText>(&data).ok()?.text),
             Form::Image => {
                 let image: Image = serde_json::from_slice(&data).ok()?;
                 Content::Image(from_base64(&image.data)?)

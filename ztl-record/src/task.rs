@@ -1,6 +1,7 @@
 //! Events of tasks.
 
 use serde_json::{Map, Value};
+use ztl_core::State;
 
 /// What is between a scope and a task's id in the topics of its events.
 pub const TASKS: &str = "/$tasks/";
@@ -41,11 +42,17 @@ impl TaskEvent {
         })
     }
 
+    /// Its state, if it is one that this version knows.
+    #[must_use]
+    pub fn state(&self) -> Option<State> {
+        let mut states = State::ALL.into_iter();
+        states.find(|state| state.name() == self.state)
+    }
+
     /// Whether the task has ended.
     #[must_use]
     pub fn is_final(&self) -> bool {
-        let states = ["COMPLETED", "FAILED", "ABORTED", "REJECTED"];
-        states.contains(&self.state.as_str())
+        self.state().is_some_and(State::is_final)
     }
 }
 

@@ -166,7 +166,7 @@ impl Board {
     }
 
     /// The server of a robot, and its scope there.
-    pub(crate) fn place_of(&self, robot: &str) -> Option<(usize, String)> {
+    pub(crate) fn locate(&self, robot: &str) -> Option<(usize, String)> {
         let mut servers = self.servers.iter().enumerate();
         servers.find_map(|(index, server)| Some((index, server.scope_of(robot)?.to_owned())))
     }

@@ -244,7 +244,7 @@ impl ShowThread {
     fn runs_from_before(&self, cue: usize) -> Option<String> {
         let tasks = &self.stage.cue(cue)?.tasks;
         tasks.iter().find_map(|task| {
-            let (server, scope) = self.board.place_of(&task.remote)?;
+            let (server, scope) = self.board.locate(&task.remote)?;
             let name = cut::text(&task.name(), cut::LINE);
             let seen = self.board.seen(server).tasks;
             let is_it = |seen: &Task| seen.runs && seen.scope == scope && seen.task == name;
@@ -289,7 +289,7 @@ impl ShowThread {
                 "nobody operates for {} s: aborting cue '{name}'",
                 alone.as_secs()
             );
-            let place = self.board.place_of(self.stage.remote_of(number));
+            let place = self.board.locate(self.stage.remote_of(number));
             let asked = match place {
                 Some((server, scope)) => {
                     let request = AbortRequest::of_stop((scope, id));

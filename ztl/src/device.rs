@@ -31,8 +31,8 @@ pub(crate) struct Device {
     bus: bool,
 
     /// Where it listens: tcp:PORT, tcp:HOST:PORT, pty (prints its path), or pty:LINK (creates a link to it)
-    #[arg(long, value_name = "WHERE", value_parser = place)]
-    on: Place,
+    #[arg(long, value_name = "WHERE", value_parser = attachment)]
+    on: Attachment,
 
     /// Send no faster than a UART of this rate, in bits a second
     #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
@@ -63,7 +63,7 @@ pub(crate) struct Device {
 }
 
 #[derive(Debug, Clone)]
-enum Place {
+enum Attachment {
     Tcp(String),
     Pty(Option<PathBuf>),
 }
@@ -96,16 +96,16 @@ fn node(text: &str) -> Result<BusNode, String> {
     })
 }
 
-fn place(text: &str) -> Result<Place, String> {
+fn attachment(text: &str) -> Result<Attachment, String> {
     let wrong = || "expected tcp:PORT, tcp:HOST:PORT, pty or pty:LINK".to_owned();
     let (scheme, rest) = text.split_once(':').unwrap_or((text, ""));
     match (scheme, rest) {
-        ("pty", "") => Ok(Place::Pty(None)),
-        ("pty", link) => Ok(Place::Pty(Some(link.into()))),
+        ("pty", "") => Ok(Attachment::Pty(None)),
+        ("pty", link) => Ok(Attachment::Pty(Some(link.into()))),
         ("tcp", rest) => {
             let (host, port) = rest.rsplit_once(':').unwrap_or(("127.0.0.1", rest));
             port.parse::<u16>().map_err(|_| wrong())?;
-            Ok(Place::Tcp(format!("{host}:{port}")))
+            Ok(Attachment::Tcp(format!("{host}:{port}")))
         }
         _ => Err(wrong()),
     }
@@ -129,14 +129,14 @@ impl Device {
             (machine, _) => machine,
         };
         let (running, url) = match self.on {
-            Place::Tcp(address) => {
+            Attachment::Tcp(address) => {
                 let (running, address) = machine
                     .on_tcp(&address)
                     .map_err(|error| format!("cannot listen at tcp:{address}: {error}"))?;
                 let bus = if self.bus { "rs485:" } else { "" };
                 (running, format!("{bus}tcp:{address}"))
             }
-            Place::Pty(link) => {
+            Attachment::Pty(link) => {
                 let (running, path) = machine.on_pty(link)?;
                 let scheme = if self.bus { "rs485" } else { "serial" };
                 (running, format!("{scheme}:{path}"))

@@ -127,8 +127,8 @@ impl Line {
         let seed = self.seed.unwrap_or_else(ztl_sim::line::random_seed);
         let limit = self.limit.map(|limit| Instant::now() + limit);
         let cable = Arc::new(self.lay(seed)?);
-        for (name, place) in NAMES.iter().zip(cable.places()) {
-            line(format_args!("{name}: {place}"));
+        for (name, address) in NAMES.iter().zip(cable.addresses()) {
+            line(format_args!("{name}: {address}"));
         }
         line(format_args!(
             "Seed {seed}: with --seed {seed} the same bytes have the same faults."
@@ -205,10 +205,10 @@ enum Laid {
 }
 
 impl Laid {
-    fn places(&self) -> Vec<&str> {
+    fn addresses(&self) -> Vec<&str> {
         match self {
-            Self::Cable(cable) => cable.places().to_vec(),
-            Self::Shared(cable) => cable.places().iter().map(String::as_str).collect(),
+            Self::Cable(cable) => cable.addresses().to_vec(),
+            Self::Shared(cable) => cable.addresses().iter().map(String::as_str).collect(),
         }
     }
 

@@ -162,14 +162,14 @@ enum Recorded {
     Streams(String, Vec<Damage>),
 }
 
-/// What is drawn of recordings, each with the place of its first run among all.
+/// What is drawn of recordings, each with the index of its first run among all.
 #[cfg(feature = "record")]
 #[derive(Default)]
 struct Drawings(Vec<(usize, ztl_record::Drawn)>);
 
 #[cfg(feature = "record")]
 impl Drawings {
-    fn read(&mut self, path: &Path, place: usize, goes_on: bool) -> Result<Recorded, String> {
+    fn read(&mut self, path: &Path, index: usize, goes_on: bool) -> Result<Recorded, String> {
         let name = path.display().to_string();
         let drawn = ztl_record::Drawn::read(path);
         let mut drawn = drawn.map_err(|error| format!("cannot report {name}: {error}"))?;
@@ -194,16 +194,16 @@ impl Drawings {
         let (runs, found) = read.map_err(|error| format!("cannot read {name}: {error}"))?;
         damage.extend(found);
         if !runs.is_empty() {
-            self.0.push((place, drawn));
+            self.0.push((index, drawn));
         }
         Ok(Recorded::Run(runs, damage))
     }
 
-    /// Streams above the tasks, for the runs of these places.
+    /// Streams above the tasks, by the index of the run.
     fn below_overviews(self, records: &[Record]) -> Vec<(usize, String)> {
-        let drawings = self.0.into_iter().filter_map(|(place, mut drawn)| {
-            let html = drawn.below_overview(records.get(place)?, place);
-            Some((place, html))
+        let drawings = self.0.into_iter().filter_map(|(index, mut drawn)| {
+            let html = drawn.below_overview(records.get(index)?, index);
+            Some((index, html))
         });
         drawings.collect()
     }

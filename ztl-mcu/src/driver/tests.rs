@@ -5,7 +5,7 @@ use core::cell::Cell;
 use core::pin::Pin;
 use core::time::Duration;
 use std::rc::Rc;
-use std::string::{String as Text, ToString};
+use std::string::{String, ToString};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::Wake;
@@ -119,13 +119,13 @@ fn turn(running: &mut Running<'_>) {
     assert!(polled.is_pending());
 }
 
-fn poll(slot: &ArmSlot) -> (Run, Text) {
+fn poll(slot: &ArmSlot) -> (Run, String) {
     let mut text = TaskText::new();
     let run = SlotComponent(slot).poll(Instant::ZERO, &mut Report::new(&mut text));
     (run, text.as_str().to_string())
 }
 
-fn start(slot: &ArmSlot, goal: &str) -> Result<(), Text> {
+fn start(slot: &ArmSlot, goal: &str) -> Result<(), String> {
     let mut slot = SlotComponent(slot);
     let mut text = TaskText::new();
     let mut why = Report::new(&mut text);
@@ -147,7 +147,7 @@ fn with_arm(play: impl FnOnce(&ArmSlot, &World, &mut Running<'_>)) {
     play(&slot, &world, &mut (running.as_mut() as Running<'_>));
 }
 
-fn said(run: Run, text: &str) -> (Run, Text) {
+fn said(run: Run, text: &str) -> (Run, String) {
     (run, text.to_string())
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 
+use ztl_core::State;
 use ztl_script::event::{RunEvent, RunStarted, TaskState};
 use ztl_script::record::Record;
 
@@ -42,7 +43,7 @@ impl Tasks {
         let key = (publisher.to_owned(), event.scope.clone(), event.id.clone());
         let known = self.newest.get(&key).copied();
         // A server that was restarted may use an id again.
-        let index = match known.filter(|_| event.state != "INITIATED") {
+        let index = match known.filter(|_| event.state() != Some(State::Initiated)) {
             Some(index) => index,
             None if self.shown.len() >= TASKS => {
                 self.hidden += 1;
@@ -68,7 +69,7 @@ impl Tasks {
         };
         task.state = cut(&event.state);
         task.text = cut(&event.text);
-        if event.state == "ACCEPTED" {
+        if event.state() == Some(State::Accepted) {
             task.accepted.get_or_insert(at);
         }
         if event.is_final() {
@@ -137,7 +138,7 @@ impl Tasks {
                 // A client learns no id of a task that was rejected at once.
                 true => {
                     let is_same = other.scope == task.scope && other.name == task.name;
-                    is_same && other.state == "REJECTED" && other.from >= task.from
+                    is_same && other.state == State::Rejected.name() && other.from >= task.from
                 }
             };
             let is_told = |index: &&usize| self.shown.get(**index).is_some_and(is_it);
@@ -149,12 +150,12 @@ impl Tasks {
         let room = TASKS.saturating_sub(self.shown.len());
         self.shown.extend(new.into_iter().take(room));
         self.shown.sort_by_key(|task| task.from);
-        // Their places have changed.
+        // Their indices have changed.
         self.newest.clear();
     }
 }
 
-/// The task at a place of a run: its name, and the scope of its server.
+/// A task of a run, by the numbers of its scene, step and part: its name, and the scope of its server.
 fn planned(run: &RunStarted, (scene, step, part): (usize, usize, usize)) -> Option<(String, &str)> {
     let scene = run.outline.scenes.get(scene)?;
     let task = scene.steps.get(step)?.tasks.get(part)?;

@@ -61,7 +61,7 @@ impl std::error::Error for CableError {
 /// An end that breaks is reopened; the other end does not notice, as with a real cable.
 pub struct Cable {
     directions: [Arc<Direction>; 2],
-    places: [String; 2],
+    addresses: [String; 2],
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
     links: Links,
@@ -70,7 +70,7 @@ pub struct Cable {
 impl std::fmt::Debug for Cable {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Cable")
-            .field("places", &self.places)
+            .field("addresses", &self.addresses)
             .finish_non_exhaustive()
     }
 }
@@ -98,15 +98,15 @@ impl Cable {
     pub fn lay(ends: [End; 2], lines: [FaultyLine; 2]) -> Result<Self, CableError> {
         let mut cable = Self {
             directions: lines.map(|line| Arc::new(Direction::new(line))),
-            places: Default::default(),
+            addresses: Default::default(),
             stop: Arc::default(),
             threads: Vec::new(),
             links: Links::default(),
         };
         for (side, end) in ends.into_iter().enumerate() {
-            let (socket, place) = prepare(end, &mut cable.links)?;
-            if let Some(known) = cable.places.get_mut(side) {
-                *known = place;
+            let (socket, address) = prepare(end, &mut cable.links)?;
+            if let Some(known) = cable.addresses.get_mut(side) {
+                *known = address;
             }
             let [first, second] = cable.directions.each_ref().map(Arc::clone);
             let (from, to) = if side == 0 {
@@ -125,8 +125,8 @@ impl Cable {
     /// How others reach each end, as `ztl gateway --device` takes it; if the cable opens the end itself, what
     /// it opens.
     #[must_use]
-    pub fn places(&self) -> [&str; 2] {
-        self.places.each_ref().map(String::as_str)
+    pub fn addresses(&self) -> [&str; 2] {
+        self.addresses.each_ref().map(String::as_str)
     }
 
     /// Statistics of the bytes from the first end to the second, and back.
@@ -160,8 +160,8 @@ impl Drop for Cable {
 fn prepare(end: End, links: &mut Links) -> Result<(Socket, String), CableError> {
     match end {
         End::Open(endpoint) => {
-            let place = endpoint.to_string();
-            Ok((Socket::Open(endpoint), place))
+            let address = endpoint.to_string();
+            Ok((Socket::Open(endpoint), address))
         }
         End::Listen { address } => {
             let listener = TcpListener::bind(&address).and_then(|listener| {

@@ -36,7 +36,7 @@ pub(super) fn watched(mut connect: Connect, board: &Arc<Board>) -> Connect {
     let (board, open) = (Arc::clone(board), Open::default());
     Box::new(move |name| {
         let inner = connect(name)?;
-        let place = board.place_of(name);
+        let place = board.locate(name);
         let (server, scope) = place.ok_or_else(|| format!("the console has no robot '{name}'"))?;
         Ok(Box::new(Watched {
             inner,

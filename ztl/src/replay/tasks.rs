@@ -237,7 +237,7 @@ fn is_agreed() -> Result<bool, Box<dyn std::error::Error>> {
 
 /// The name of a task that was asked for, and the payload of its INIT.
 fn request(event: &TaskEvent) -> Option<(String, String)> {
-    if event.state != State::Initiated.name() {
+    if event.state() != Some(State::Initiated) {
         return None;
     }
     if let Some(payload) = &event.payload {

@@ -25,7 +25,7 @@ const PIECE: usize = 1024;
 /// An end that breaks is reopened, like one of a [`Cable`](super::Cable).
 pub struct SharedCable {
     shared: Arc<Shared>,
-    places: Vec<String>,
+    addresses: Vec<String>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
     links: Links,
@@ -34,7 +34,7 @@ pub struct SharedCable {
 impl std::fmt::Debug for SharedCable {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("SharedCable")
-            .field("places", &self.places)
+            .field("addresses", &self.addresses)
             .finish_non_exhaustive()
     }
 }
@@ -94,14 +94,14 @@ impl SharedCable {
         });
         let mut cable = Self {
             shared: Arc::clone(&shared),
-            places: Vec::new(),
+            addresses: Vec::new(),
             stop: Arc::default(),
             threads: Vec::new(),
             links: Links::default(),
         };
         for (number, end) in ends.into_iter().enumerate() {
-            let (socket, place) = prepare(end, &mut cable.links)?;
-            cable.places.push(place);
+            let (socket, address) = prepare(end, &mut cable.links)?;
+            cable.addresses.push(address);
             let (line, stop) = (Arc::clone(&shared), Arc::clone(&cable.stop));
             cable.spawn("out", move || line.carry(number, &stop))?;
             let (line, stop) = (Arc::clone(&shared), Arc::clone(&cable.stop));
@@ -110,10 +110,10 @@ impl SharedCable {
         Ok(cable)
     }
 
-    /// How others reach each end, as [`Cable::places`](super::Cable::places).
+    /// How others reach each end, as [`Cable::addresses`](super::Cable::addresses).
     #[must_use]
-    pub fn places(&self) -> &[String] {
-        &self.places
+    pub fn addresses(&self) -> &[String] {
+        &self.addresses
     }
 
     /// Statistics of the bytes that each end has heard.
