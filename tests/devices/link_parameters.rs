@@ -1,21 +1,14 @@
 //! The example frames of section 13 of `docs/link.md` are those that the code writes and reads, and that a real node answers.
 
-use std::collections::BTreeSet;
-
-use ztl_core::Instant;
+use ztl_core::link::Body;
 use ztl_core::link::parameter::{
     Domain, Kept, NO_COMPONENT, Parameter, ParameterCommand, ParameterMessage,
 };
-use ztl_core::link::{
-    Body, Decoder, Frame, Hello, NO_SEQ, NO_SESSION, Offer, VERSION, encode, session_key,
-};
 use ztl_mcu::parameters;
 use ztl_mcu::parameters::{Declaration, SaveError, Storage, Tunable, Tuned, Value};
-use ztl_mcu::{Component, Identity, Node, Refused, Report, Run};
+use ztl_tests::inert;
 
-const HELLO: u32 = 0x1122_3344;
-const BOOT: u32 = 0xcafe_0001;
-const DOCUMENT: &str = include_str!("../../docs/link.md");
+use crate::link_examples::{Frames, are_played};
 
 parameters! {
     struct Calibration {
@@ -25,27 +18,7 @@ parameters! {
 
 struct Finger(Calibration);
 
-impl Component for Finger {
-    fn offer(&self) -> Offer<'_> {
-        Offer::new("finger")
-    }
-
-    fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        Err(Refused)
-    }
-
-    fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        Err(Refused)
-    }
-
-    fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run {
-        Run::Failed
-    }
-
-    fn abort(&mut self, _: Instant) {}
-
-    fn make_safe(&mut self, _: Instant) {}
-}
+inert!(Finger, "finger");
 
 impl Tunable for Finger {
     const PARAMETERS: &'static [Declaration] = Calibration::PARAMETERS;
@@ -94,7 +67,7 @@ fn speed(value: f32, kept: Kept) -> Body<'static> {
 }
 
 /// The frames of the document, in its order: name, seq, body.
-fn frames() -> Vec<(&'static str, u8, Body<'static>)> {
+fn frames() -> Frames {
     let set = |value| {
         command(ParameterCommand::Set {
             index: 0,
@@ -128,57 +101,13 @@ fn frames() -> Vec<(&'static str, u8, Body<'static>)> {
     ]
 }
 
-/// A frame as sent over the line.
-fn sent(session: u32, seq: u8, body: Body<'_>) -> Vec<u8> {
-    let mut buffer = [0xA5; 300];
-    let len = encode(session, &Frame { addr: 0, seq, body }, &mut buffer).expect("it fits");
-    buffer[..len].to_vec()
-}
-
 #[test]
 fn the_specifications_example_frames_of_parameters_match_the_code_and_a_real_node() {
-    let key = session_key(HELLO, BOOT);
     let finger = Finger(Calibration::default());
     let components = Tuned::new((finger,)).load::<_, 1>(Accepts);
-    let mut node = Node::<_, 4, 256>::new(Identity::new("gripper", "1.0.0", BOOT), components);
-    let now = Instant::from_millis(1500);
-    let hello = Body::Hello(Hello {
-        version: VERSION,
-        session: HELLO,
-        gateway: 7,
-    });
-    node.handle_bytes(now, &sent(NO_SESSION, NO_SEQ, hello));
-    let mut said = [0; 300];
-    node.poll_transmit(now, &mut said);
-    let (mut document, mut tags) = (String::new(), BTreeSet::new());
-    for (name, seq, body) in frames() {
-        let bytes = sent(key, seq, body);
-        let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        document += &format!("{name:<16}{}\n", hex.join(" "));
-        let mut decoder = Decoder::<300>::new();
-        for byte in &bytes {
-            decoder.push(*byte).expect("a frame");
-        }
-        assert_eq!(decoder.frame(&[key]).expect("a frame").1.body, body);
-        let mut first = None;
-        body.put(&mut |bytes: &[u8]| first = first.or(bytes.first().copied()));
-        tags.extend(first);
-        match body {
-            Body::Describe { .. } | Body::Parameter(ParameterMessage::Command(_)) => {
-                node.handle_bytes(now, &bytes);
-            }
-            _ => {
-                let len = node.poll_transmit(now, &mut said);
-                assert_eq!(said[..len], bytes, "{name}");
-            }
-        }
-    }
-    assert!(
-        DOCUMENT.contains(&format!("```text\n{document}```\n")),
-        "docs/link.md should have:\n{document}"
-    );
-    assert!(
-        tags.is_superset(&(22..=26).collect()),
-        "each message has an example"
-    );
+    let from_gateway = |body: &Body<'_>| {
+        let is_command = matches!(body, Body::Parameter(ParameterMessage::Command(_)));
+        is_command || matches!(body, Body::Describe { .. })
+    };
+    are_played(components, frames(), from_gateway, 16, 22..=26);
 }

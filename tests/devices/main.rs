@@ -4,6 +4,7 @@ mod boards;
 mod line_command;
 mod line_faults;
 mod link;
+mod link_examples;
 mod link_parameters;
 mod link_updates;
 mod updates;

@@ -3,9 +3,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::Value;
-use ztl_mcu::link::Offer;
 use ztl_mcu::parameters::{self, Declaration, Parameter, Tunable, Tuned};
-use ztl_mcu::{Component, Instant, Refused, Report, Run};
+use ztl_tests::inert;
 use ztl_tests::lab::{
     Ended, Keys, PATIENCE, Process, SCOPE, Scratch, Server, simulated_gripper, until, ztl,
 };
@@ -15,27 +14,7 @@ use crate::firmware::Firmware;
 /// Does nothing but note which parameters are read.
 struct Shelf(u32, [&'static AtomicBool; 4]);
 
-impl Component for Shelf {
-    fn offer(&self) -> Offer<'_> {
-        Offer::new("shelf")
-    }
-
-    fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        Err(Refused)
-    }
-
-    fn start(&mut self, _: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
-        Err(Refused)
-    }
-
-    fn poll(&mut self, _: Instant, _: &mut Report<'_>) -> Run {
-        Run::Failed
-    }
-
-    fn abort(&mut self, _: Instant) {}
-
-    fn make_safe(&mut self, _: Instant) {}
-}
+inert!(Shelf, "shelf");
 
 impl Tunable for Shelf {
     const PARAMETERS: &'static [Declaration] = &[

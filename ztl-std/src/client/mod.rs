@@ -12,6 +12,7 @@ mod description;
 mod error;
 mod parallel_requests;
 mod remote_task;
+mod reply_status;
 #[cfg(feature = "config")]
 mod saved_description;
 mod socket;

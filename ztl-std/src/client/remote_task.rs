@@ -4,15 +4,15 @@ use std::time::{Duration, Instant};
 
 use tracing::info;
 use ztl_core::client::{Client, Server};
-use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
-use ztl_core::{Request, State};
+use ztl_core::Request;
 
 use super::connection::{
     ABORT, ClientReply, Connection, Open, Question, STATUS, Wanted, server_answer,
 };
 use super::error::{RequestError, RunError, TriggerError, WaitError};
+use super::reply_status::{after_abort, status_of, unexpected};
 use super::status::{ServerInfo, Status, Triggered};
 use crate::keys::{KeyPair, PublicKey};
 use crate::log_targets::TASKS;
@@ -468,48 +468,6 @@ fn started(reply: ClientReply) -> Result<(Triggered, Option<Status>), TriggerErr
             Err(TriggerError::Request(unexpected(text)))
         }
     }
-}
-
-/// The status in the reply to a STATUS or an ABORT.
-pub(super) fn status_of(reply: ClientReply, id: &RemoteId) -> Result<Status, RequestError> {
-    match reply {
-        ClientReply::Task(status) => Ok(status),
-        ClientReply::UnknownTask { text } => Err(RequestError::UnknownTask {
-            id: id.clone(),
-            text,
-        }),
-        ClientReply::Unclear(error) => Err(error),
-        ClientReply::Accepted { text, .. } | ClientReply::Rejected { text, .. } => {
-            Err(unexpected(text))
-        }
-        ClientReply::NeverStarted => Err(unexpected(String::new())),
-    }
-}
-
-/// What an ABORT came to: its answer has a final state, and the STATUS after it tells the result.
-pub(super) fn after_abort(
-    answer: Status,
-    status: Result<Status, RequestError>,
-) -> Result<Status, RequestError> {
-    match status {
-        // Only a STATUS shows whether a failed task may still run.
-        Err(error)
-            if answer.state == State::Failed
-                || matches!(error, RequestError::UnknownOutcome { .. }) =>
-        {
-            Err(error)
-        }
-        Ok(told) if told.state == answer.state || !told.state.is_final() => Ok(told),
-        _ => Ok(Status {
-            state: answer.state,
-            text: NOTHING_KNOWN.to_owned(),
-        }),
-    }
-}
-
-/// The answer to another request; [`ztl_core::client`] prevents it.
-const fn unexpected(answer: String) -> RequestError {
-    RequestError::Unreadable { answer }
 }
 
 impl Clone for RemoteTask {

@@ -25,6 +25,7 @@ use tracing::warn;
 use ztl_core::Instant;
 use ztl_zmtp::session::Security;
 
+pub(super) use self::peer::UNSENT;
 pub(crate) use self::peer::{Incoming, PeerId};
 use self::peer::{Peer, Served};
 use self::places::Places;
@@ -36,8 +37,6 @@ use crate::time::now;
 
 /// Bytes read at once.
 const PIECE: usize = 64 * 1024;
-/// Above so many unsent bytes, a peer is not read from.
-pub(super) const UNSENT: usize = 256 * 1024;
 /// How long a peer may leave answers unread.
 const UNREAD: Duration = Duration::from_secs(10);
 /// How often deadlines are checked, while there are any.

@@ -6,7 +6,7 @@ use ztl_core::{State, TaskId};
 
 use super::clock::now;
 use super::engine::Engine;
-use super::reporter::{Ready, ReservedId};
+use super::reporter::Ready;
 use super::task_table::HeapText;
 
 /// The text of a task without a client until it reports progress.
@@ -14,10 +14,10 @@ const BY_DEVICE: &str = "started by the device";
 
 impl Engine {
     /// Reserves an id for a task of a handler itself.
-    pub(super) fn reserve(&mut self, scope: Scope, Ready(ready): Ready) {
+    pub(super) fn reserve(&mut self, Ready(ready): Ready) {
         if let Some(id) = self.dispatcher.next_id() {
             self.dispatcher.skip_to(id);
-            ready(ReservedId::new(id, scope, self.mailbox.clone()));
+            ready(id);
         }
     }
 

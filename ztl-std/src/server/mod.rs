@@ -45,11 +45,11 @@ pub(crate) use limit_text::LIMITS;
 #[cfg(feature = "config")]
 pub use limit_text::bytes;
 pub use limits::{KEEP, Limits, MAX_MESSAGE};
-pub use own_tasks::OwnTasks;
+pub use own_tasks::{OwnTasks, ReservedId};
 pub(crate) use reporter::AbortRejection;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
-pub use reporter::{ReservedId, TaskReporter};
+pub use reporter::TaskReporter;
 #[cfg(feature = "publish")]
 pub(crate) use router::{rules, to_bind};
 pub use task_server::{ServerBuilder, TaskServer};

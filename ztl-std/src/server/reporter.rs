@@ -32,14 +32,14 @@ pub(super) enum Report {
         expect(dead_code, reason = "only the gateway has a journal")
     )]
     NeedsClaim(Claim, Duration, &'static str),
-    /// Reserve an id for a task of this scope's handler itself.
-    Reserve(Scope, Ready),
+    /// Reserve an id for a task of a handler itself.
+    Reserve(Ready),
     /// A task of this scope's handler itself runs; its payload.
     Begun(Scope, String),
 }
 
 /// Gets a reserved id.
-pub(super) struct Ready(pub(super) Box<dyn FnOnce(ReservedId) + Send>);
+pub(super) struct Ready(pub(super) Box<dyn FnOnce(TaskId) + Send>);
 
 impl std::fmt::Debug for Ready {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -307,39 +307,6 @@ impl Drop for TaskReporter {
 impl std::fmt::Debug for TaskReporter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_tuple("TaskReporter").field(&self.id).finish()
-    }
-}
-
-/// The id of a task that no client knows yet.
-pub struct ReservedId {
-    id: TaskId,
-    scope: Scope,
-    mailbox: Mailbox,
-}
-
-impl ReservedId {
-    pub(super) const fn new(id: TaskId, scope: Scope, mailbox: Mailbox) -> Self {
-        Self { id, scope, mailbox }
-    }
-
-    /// The id.
-    #[must_use]
-    pub const fn id(&self) -> TaskId {
-        self.id
-    }
-
-    /// Shows the running task to clients. `payload` is the payload of the INIT that would have started it.
-    #[must_use = "dropping the reporter ends the task"]
-    pub fn begin(self, payload: String) -> TaskReporter {
-        let begun = Report::Begun(self.scope, payload);
-        self.mailbox.post(self.id, begun);
-        TaskReporter::new(self.id, self.mailbox, None)
-    }
-}
-
-impl std::fmt::Debug for ReservedId {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("ReservedId").field(&self.id).finish()
     }
 }
 

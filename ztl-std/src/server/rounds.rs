@@ -155,7 +155,7 @@ impl Engine {
                 Report::NeedsClaim(claim, within, reason) => {
                     self.claims.insert((now + within, id), (claim, reason));
                 }
-                Report::Reserve(scope, ready) => self.reserve(scope, ready),
+                Report::Reserve(ready) => self.reserve(ready),
                 Report::Begun(scope, payload) => self.on_begun(id, scope, &payload),
                 report => report.handle(|event| self.on_event(now, id, event)),
             }

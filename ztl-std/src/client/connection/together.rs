@@ -11,7 +11,7 @@ use ztl_core::{Request, State};
 
 use super::{ClientReply, Connection, is_sent, log_failure, random_id};
 use crate::client::error::RequestError;
-use crate::client::remote_task::{after_abort, status_of};
+use crate::client::reply_status::{after_abort, status_of};
 use crate::client::socket::Socket;
 use crate::client::status::Status;
 use crate::remote_id::RemoteId;

@@ -8,8 +8,10 @@ use ztl_core::Instant;
 use ztl_zmtp::session::{Inbound, Message, Outbound};
 use ztl_zmtp::{Pub, Router};
 
-use super::UNSENT;
 use crate::native::sockets::Stream;
+
+/// Above so many unsent bytes, a peer is not read from.
+pub(in crate::native) const UNSENT: usize = 256 * 1024;
 
 /// A socket type whose messages come from many peers.
 pub(crate) trait Served: ztl_zmtp::Socket {
