@@ -1,4 +1,4 @@
-//! Values that JSON tells completely.
+//! Values that JSON represents completely.
 
 use ztl_pickle::{Kind, Value};
 

@@ -1,4 +1,4 @@
-//! Reads a recording, also one that was cut off or damaged: what is whole in it is read.
+//! Reads a recording. If it is cut off or damaged, the reader returns the messages that are whole.
 
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
@@ -80,11 +80,11 @@ impl Read {
 /// What is wrong with a recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Damage {
-    /// Why it is not read further; `None` at its proper end.
+    /// Why reading stopped early; `None` if the recording has its end.
     pub end: Option<String>,
     /// Damaged chunks, which are left out.
     pub chunks: u64,
-    /// Messages that are not as ZTL records them; they are left out.
+    /// Messages that ZTL has not recorded in this form; they are left out.
     pub foreign: u64,
 }
 
@@ -129,7 +129,7 @@ pub struct Reader {
     done: bool,
 }
 
-/// A message that is whole, but not read yet: it takes less memory so.
+/// A whole message that is not decoded yet, which saves memory.
 struct Waiting {
     channel: Arc<Channel>,
     header: MessageHeader,
@@ -169,7 +169,7 @@ impl Reader {
         }
     }
 
-    /// What was found to be wrong so far.
+    /// The damage found so far.
     #[must_use]
     pub const fn damage(&self) -> &Damage {
         &self.damage
@@ -180,7 +180,7 @@ impl Reader {
         self.damage.end = why;
     }
 
-    /// Reads on until there is a message, or the end.
+    /// Reads until the next message or the end.
     fn read_on(&mut self) {
         let (opcode, data) = match self.reader.next_event() {
             None => return self.end(None),
@@ -200,7 +200,7 @@ impl Reader {
             Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data.to_vec()),
         };
         if opcode == op::FOOTER {
-            // What follows is nothing that a reader from start to end needs.
+            // A reader from start to end needs nothing of what follows.
             return self.end(None);
         }
         match parse(opcode, &data) {
@@ -291,7 +291,7 @@ impl Iterator for Reader {
     }
 }
 
-/// A record is not as it must be.
+/// A record is malformed.
 struct Unreadable;
 
 /// The records in a chunk that are used.
@@ -320,7 +320,7 @@ fn split_record(data: &[u8]) -> Option<(u8, &[u8], &[u8])> {
 
 /// Reads a record if it is of a kind that is used.
 fn parse(opcode: u8, body: &[u8]) -> Result<Option<Record<'_>>, Unreadable> {
-    // `mcap` allocates as much as a text claims to have, before it looks for it.
+    // `mcap` allocates the length that a text claims before it checks that length.
     let fits = match opcode {
         op::SCHEMA => body.get(2..).and_then(|body| skip_texts(body, 3)).is_some(),
         op::CHANNEL => is_channel(body).is_some(),
@@ -360,7 +360,7 @@ fn skip_texts(mut bytes: &[u8], number: usize) -> Option<&[u8]> {
 }
 
 impl Waiting {
-    /// The message, if it is as ZTL records it.
+    /// The message, if ZTL has recorded it.
     fn read(self) -> Option<Read> {
         let Self {
             channel,

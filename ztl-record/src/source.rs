@@ -7,7 +7,7 @@ pub struct Source {
     pub name: String,
     /// Its address, such as `tcp://robot:6000`; empty if it has none.
     pub endpoint: String,
-    /// Its public key, if it has proved to have the secret one; otherwise empty.
+    /// Its public key, if it has proved that it has the secret key; otherwise empty.
     pub key: String,
 }
 

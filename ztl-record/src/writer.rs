@@ -1,4 +1,4 @@
-//! Writes a recording. What is flushed stays readable, whatever happens to the process afterwards.
+//! Writes a recording. Flushed messages stay readable even if the process is killed.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
@@ -15,7 +15,7 @@ use crate::mcap_format::{
 use crate::prepare::Message;
 use crate::source::Source;
 
-/// Most channels, and most bytes of their topics: a publisher may choose its topics, and each takes memory.
+/// Most channels, and most bytes of their topics, because publishers choose topics and each takes memory.
 const CHANNELS: usize = 4096;
 const TOPICS: usize = 1 << 20;
 /// Size of a chunk in bytes, if it is not flushed before and no message is longer.
@@ -55,7 +55,7 @@ struct Channel {
 pub enum Written {
     /// It is.
     Yes,
-    /// It is not: the recording has as many topics as it can.
+    /// It is not: the recording has the most topics that it can have.
     TooManyTopics,
 }
 
@@ -65,7 +65,7 @@ impl Recording {
     /// # Errors
     /// If it cannot be created, or exists already: a recording is never overwritten.
     pub fn create(path: &Path) -> io::Result<Self> {
-        // Read for its index; that moves the place where a file is read and written, so it is written at its end.
+        // In append mode, because reading the file for its index moves the position.
         let mut options = OpenOptions::new();
         let file = options.read(true).append(true).create_new(true).open(path);
         let mut file = file.map_err(|error| match error.kind() {
@@ -134,7 +134,7 @@ impl Recording {
         };
         let known = self.channels.get_mut(topic);
         if let Some(channel) = known.and_then(|known| known.iter_mut().find(is_it)) {
-            // Numbers wrap, as MCAP has them.
+            // MCAP's sequence numbers wrap.
             let sequence = channel.messages as u32;
             channel.messages += 1;
             return Some((channel.id, sequence));
@@ -190,8 +190,8 @@ impl Recording {
         }
     }
 
-    /// Gives everything to the operating system, so that a crash of this process loses none of it. The file has no
-    /// end yet, but what it has is readable.
+    /// Hands all messages to the operating system, so that a crash of this process loses none of them. The file has no end
+    /// yet, but is readable.
     ///
     /// # Errors
     /// As [`write`](Self::write).
@@ -219,7 +219,7 @@ impl Recording {
         Ok(())
     }
 
-    /// After an error: half a chunk helps no reader. If it cannot be removed, readers stop there.
+    /// Removes half a chunk after an error. If that fails, too, readers stop there.
     fn cut(&mut self) {
         self.has_failed = true;
         let _ = self.file.set_len(self.whole);

@@ -11,9 +11,9 @@ use ztl_std::{RemoteId, RequestError, Status};
 use crate::cut;
 use crate::goal::Goal;
 
-/// How long an ABORT is repeated that is not answered, if a client waits for the answer.
+/// How long an unanswered ABORT is repeated while a client waits for the answer.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// The same after a Stop, which has then said that it is not confirmed: the task runs on while its robot is not reached.
+/// The same after a Stop. By then the page says that the Stop is not confirmed, but the task may still run.
 const PATIENCE_OF_STOP: Duration = Duration::from_secs(60);
 /// Between an ABORT that has failed and the next one.
 const AGAIN: Duration = Duration::from_millis(100);

@@ -1,5 +1,5 @@
-//! The console's clock: milliseconds since 1970 when the console was started, and from then on monotonic, also while the
-//! machine is suspended. A wall clock that is set would make old goals look new.
+//! The console's clock: the wall clock at the start of the console, plus the monotonic time since then, with the time in
+//! which the machine was suspended. Setting the wall clock must not make old goals look new.
 
 use std::sync::OnceLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};

@@ -1,8 +1,8 @@
-//! Bounds for what robots say of themselves and of their tasks: a hostile one must fill neither memory nor screens.
+//! Limits for texts of robots, so that a hostile robot fills neither memory nor screens.
 
 use ztl_std::Offers;
 
-/// Longest name of a scope, handler or component, in bytes. Longer ones cannot be addressed, so they are left out.
+/// Longest name of a scope, handler or component, in bytes. No client can address a longer one, so it is left out.
 pub(crate) const NAME: usize = 200;
 /// Most names of a scope.
 const NAMES: usize = 1000;

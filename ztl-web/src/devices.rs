@@ -17,7 +17,8 @@ pub(crate) struct Devices {
     pub(crate) shown: Vec<Device>,
     /// Why there may be more devices than these; empty if these are all.
     pub(crate) text: String,
-    /// Why it is not known what a device does: it does not answer, or cannot be read. Also of those not shown.
+    /// Why it is not known what a device does: it does not answer, or its answer is unreadable. Includes devices that are not
+    /// shown.
     pub(crate) unknown: Vec<String>,
 }
 
@@ -60,7 +61,7 @@ enum Standing {
 }
 
 impl Devices {
-    /// Reads an answer that came at this time. What has not changed since the one before keeps its times.
+    /// Reads an answer that came at this time. Devices that have not changed since the last answer keep their times.
     pub(crate) fn read(answer: &str, before: &Self, now: u64) -> Self {
         let scopes: BTreeMap<String, BTreeMap<String, Value>> = match serde_json::from_str(answer) {
             Ok(scopes) => scopes,

@@ -1,4 +1,4 @@
-//! Who may: the Host and Origin of each request, where it comes from, and the token of its cookie.
+//! Decides what the sender of a request may do, by the request's Host and Origin, its address and its token.
 
 use std::net::IpAddr;
 
@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 
 use crate::tokens::Tokens;
 
-/// What somebody may do. Everybody who may look may also stop: a stop is safe.
+/// What a client may do. Whoever may look may also stop, because a stop is safe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Role {
     /// Look and stop.
@@ -25,7 +25,7 @@ impl Role {
     }
 }
 
-/// Headers by which proxies tell for whom they ask, besides `Forwarded`, `Via` and `X-Forwarded-…`.
+/// Headers in which proxies name the client, besides `Forwarded`, `Via` and `X-Forwarded-…`.
 const PROXY: [&str; 4] = [
     "cf-connecting-ip",
     "true-client-ip",
@@ -33,7 +33,7 @@ const PROXY: [&str; 4] = [
     "x-real-ip",
 ];
 
-/// Headers by which browsers tell which page a request comes from, how, and what for.
+/// Headers in which browsers say which page sends a request, how, and what for.
 const SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 const FOR: HeaderName = HeaderName::from_static("sec-fetch-dest");
@@ -65,7 +65,7 @@ impl Gate {
         &self.cookie
     }
 
-    /// What the sender of a request may do. A link on a page of another origin may lead to what `is_linked`.
+    /// What the sender of a request may do. `is_linked`: pages of other origins may link to what it asks for.
     ///
     /// # Errors
     /// The answer for a sender who may do nothing.
@@ -77,7 +77,7 @@ impl Gate {
         is_linked: bool,
     ) -> Result<Role, Refusal> {
         let host = only(headers, &HOST).filter(|host| self.is_ours(host));
-        // A name that a stranger's DNS points to this machine is not ours: DNS rebinding.
+        // Prevents DNS rebinding: a stranger's DNS can point any name to this machine.
         let host = host.ok_or((
             StatusCode::FORBIDDEN,
             "wrong Host: use an IP address, localhost, or a name given by --host\n",
@@ -123,8 +123,8 @@ impl Gate {
         given.find_map(|token| self.role_of(token))
     }
 
-    /// Whether a request certainly comes from a program on this machine: not through a proxy here, which would look
-    /// the same. Who names hosts has other machines, or a proxy, in mind.
+    /// Whether a request certainly comes from a program on this machine. A proxy on this machine looks the same, so this is
+    /// `false` if `hosts` are configured: then other machines or a proxy are expected.
     fn is_local(&self, peer: IpAddr, host: &str, headers: &HeaderMap) -> bool {
         let forwarded = |name: &HeaderName| {
             [FORWARDED, VIA].contains(name)
@@ -157,7 +157,7 @@ fn comes_from_us(headers: &HeaderMap) -> bool {
         || only(headers, &SITE).is_some_and(|site| ["same-origin", "none"].contains(&site))
 }
 
-/// Whether somebody follows a link.
+/// Whether the browser follows a link.
 fn is_followed(headers: &HeaderMap) -> bool {
     only(headers, &MODE) == Some("navigate") && only(headers, &FOR) == Some("document")
 }
@@ -170,7 +170,7 @@ pub(crate) fn name_of(host: &str) -> &str {
     }
 }
 
-/// The address that a Host without its port is.
+/// The IP address in a Host without its port.
 fn address(name: &str) -> Option<IpAddr> {
     let inner = name
         .strip_prefix('[')
@@ -202,7 +202,7 @@ fn cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'
     })
 }
 
-/// Compares in a time that does not depend on where they differ.
+/// Compares in constant time.
 fn same(given: &str, token: &str) -> bool {
     let differ = given
         .bytes()

@@ -61,7 +61,7 @@ pub struct Options {
     pub tokens: Tokens,
     /// Names under which browsers reach this machine, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
-    /// A page of one's own instead of the console's, which is then at `/console`.
+    /// A user's page in place of the console's, which is then at `/console`.
     pub page: Option<OwnPage>,
     /// A script to play.
     pub show: Option<Show>,

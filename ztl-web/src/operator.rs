@@ -12,7 +12,7 @@ use crate::lock::locked;
 /// A client: one socket of a page or a program.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct Client {
-    /// No other client ever has it, also none of an earlier console.
+    /// Unique, also among the clients of earlier consoles.
     #[serde(rename = "client")]
     pub(crate) number: u64,
     /// Its role, its number since the console was started, and its address, for people.
@@ -34,11 +34,11 @@ impl Client {
 
 /// Who operates.
 pub(crate) struct Operator {
-    /// What the numbers of clients follow.
+    /// The numbers of clients are above this one.
     before: u64,
     next: Mutex<u64>,
     now: Mutex<Option<Operates>>,
-    /// When whoever operated was heard last.
+    /// When the operator was heard last.
     heard: Mutex<Instant>,
 }
 
@@ -51,7 +51,7 @@ pub(crate) struct Operates {
 
 impl Operator {
     pub(crate) fn new() -> Self {
-        // A console that starts later counts from later, because no client takes less than a millisecond.
+        // The start time, so that numbers of a later console are higher: clients come at most once a millisecond.
         let before = now_ms();
         Self {
             before,
@@ -99,7 +99,7 @@ impl Operator {
         }
     }
 
-    /// Lets a client operate instead of whoever does; with `from`, only instead of the client with that number.
+    /// Makes a client the operator; with `from`, only if the client with that number is the operator.
     ///
     /// # Errors
     /// Why it does not.
@@ -132,7 +132,7 @@ impl Operator {
         }
     }
 
-    /// For how long nothing of an operator has been heard.
+    /// For how long no operator was heard.
     pub(crate) fn alone_for(&self) -> Duration {
         locked(&self.heard).elapsed()
     }

@@ -1,4 +1,4 @@
-//! A page of one's own instead of the console's, and its forms, as the original's `ztl_web` serves them.
+//! A user's page in place of the console's, and its forms, as the original's `ztl_web` serves them.
 
 use std::io;
 use std::net::IpAddr;
@@ -24,7 +24,7 @@ const SAME_PRESS: Duration = Duration::from_millis(600);
 /// Most bytes of a page.
 const LONGEST: u64 = 16 << 20;
 
-/// A page of one's own. It is read anew each time, so that it can be written while it is served.
+/// A user's page. It is read for each request, so that it can be edited while it is served.
 pub struct OwnPage {
     pub(crate) path: PathBuf,
     last: Mutex<Option<(IpAddr, String, Instant)>>,
@@ -40,7 +40,7 @@ pub(crate) enum Posted {
 }
 
 impl OwnPage {
-    /// A page, which is there.
+    /// The page in this file.
     ///
     /// # Errors
     /// Why it cannot be read.
@@ -120,7 +120,7 @@ impl OwnPage {
     }
 }
 
-/// The component that a form means: it names a robot where others name a handler.
+/// The component that a form means. A form names a robot where a task names a handler.
 fn target(board: &Board, robot: &str, component: &str) -> Option<Target> {
     let mut servers = board.servers.iter().enumerate();
     let (server, scope) = servers.find_map(|(index, of)| Some((index, of.scope_of(robot)?)))?;
@@ -139,7 +139,7 @@ fn first_field(form: &[u8]) -> Option<(String, String)> {
     Some((decoded(parts.next()?)?, decoded(parts.next()?)?))
 }
 
-/// What is written with `+` for a space and `%` for other bytes.
+/// Decodes a form's text: `+` is a space, `%` begins other bytes.
 fn decoded(text: &[u8]) -> Option<String> {
     let mut bytes = Vec::new();
     let mut left = text;

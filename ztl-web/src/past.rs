@@ -110,7 +110,7 @@ impl Past {
         }
     }
 
-    /// What a client looks for, the newest first.
+    /// The tasks that a client looks for, the newest first.
     ///
     /// # Errors
     /// What is wrong with `wanted`.

@@ -9,7 +9,7 @@ use tokio::task::AbortHandle;
 use crate::gate::Role;
 use crate::lock::locked;
 
-/// Places for connections. Watchers get three of four, so that there is always room for an operator.
+/// Limits the connections. Watchers may take three quarters of the places, so that an operator always finds one.
 #[derive(Clone)]
 pub(crate) struct Places {
     most: usize,
@@ -17,7 +17,7 @@ pub(crate) struct Places {
     taken: Arc<Mutex<HashMap<(IpAddr, Role), usize>>>,
 }
 
-/// A place that is free again when it is dropped.
+/// A place for one connection. Dropping it frees it.
 pub(crate) struct Place {
     places: Places,
     holder: (IpAddr, Role),
@@ -72,8 +72,8 @@ impl Drop for Place {
     }
 }
 
-/// Connections of which nobody knows yet whether they may do anything. A new one takes the place of the oldest, so that
-/// strangers who do nothing keep nobody out.
+/// Connections that have not shown yet what they may do. If there are too many, a new one closes the oldest, so that
+/// idle strangers keep nobody out.
 #[derive(Clone)]
 pub(crate) struct Strangers {
     most: usize,
@@ -87,7 +87,7 @@ struct Connections {
     oldest_first: VecDeque<(u64, IpAddr, AbortHandle)>,
 }
 
-/// A place among the strangers, which ends when it is dropped.
+/// A place among the strangers. Dropping it frees it.
 pub(crate) struct Stranger {
     among: Strangers,
     number: u64,

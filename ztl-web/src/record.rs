@@ -17,7 +17,7 @@ use crate::show::Record;
 /// How much of the record is read at once, in bytes.
 const PIECE: u64 = 64 << 10;
 
-/// The report has its style in it. It may do nothing but be looked at.
+/// The content security policy of the report: its style is inline, and nothing else is allowed.
 const REPORT: (&str, &str) = (
     "content-security-policy",
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; \
@@ -47,7 +47,7 @@ impl RecordFile {
         };
         let (path, make) = (self.path.clone(), self.make_report);
         let made = spawn_blocking(move || {
-            // Until it is made, also if the browser is gone.
+            // Held until the report is made, also if the browser has disconnected.
             let _turn = turn;
             make(&path)
         });

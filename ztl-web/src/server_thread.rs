@@ -1,5 +1,5 @@
-//! The thread of a server: asks what it offers and which tasks run, and sends it ABORTs, at the same time over one
-//! connection. So an ABORT never waits for an answer, and a server that hangs delays no other.
+//! The thread of a server asks what the server offers and which tasks run, and sends ABORTs. All requests go out at the same
+//! time over one connection, so that an ABORT never waits for another answer. A server that hangs delays no other server.
 
 mod seldom;
 
@@ -23,15 +23,15 @@ use crate::cut;
 use crate::robots::Server;
 use crate::task::Task;
 
-/// Between two looks at a server while a Stop is under way, while a page is open, and while nobody looks.
+/// Pause between two questions to a server: during a Stop, while a page is open, and while none is.
 const STOPPING: Duration = Duration::from_millis(20);
 const WATCHED: Duration = Duration::from_millis(50);
 const UNWATCHED: Duration = Duration::from_millis(250);
-/// Between two looks at a server of the original, which logs each as a mistake.
+/// The same for a server of the original, which logs each question as a mistake.
 const ORIGINAL: Duration = Duration::from_secs(2);
 /// Between two attempts to make a client.
 const NO_CLIENT: Duration = Duration::from_millis(500);
-/// How long an answer may take. Also how soon a server that returns is seen.
+/// Limit for an answer. A server that comes back is noticed after this time.
 const PATIENCE: Duration = Duration::from_millis(900);
 /// The same while an ABORT is under way: a device may answer nothing else for 1.5 s.
 const PATIENCE_FOR_ABORTS: Duration = Duration::from_millis(1700);
@@ -76,7 +76,7 @@ type Answer = Result<Status, RequestError>;
 struct Look {
     /// When they were asked.
     at: Instant,
-    /// Whether all goals that were sent to this server had an answer then, so that the list shows what they started.
+    /// Whether every goal sent to this server had been answered by then, so that the list has all their tasks.
     settled: bool,
     probe: Option<Answer>,
     tasks: Option<Answer>,
@@ -465,8 +465,8 @@ impl<'b> ServerThread<'b> {
         }
     }
 
-    /// A gateway must also have said, after that list, that its devices answer: it calls the tasks of one that does not FAILED,
-    /// and that one may move all the same.
+    /// A gateway must also have said, after that list, that its devices answer. It reports the tasks of a device that does not
+    /// answer as FAILED, but such a device may still move.
     fn confirm(&mut self) {
         let Some(stop) = &self.stop else {
             return;

@@ -1,5 +1,5 @@
-//! Stop: aborts every task on every server, and tells for each robot whether it has confirmed that nothing runs. The thread
-//! of each server does that ([`server_thread`](crate::server_thread)); here is what they have decided.
+//! What the servers have confirmed about a Stop. The thread of each server ([`server_thread`](crate::server_thread)) aborts its
+//! tasks, and decides whether the server has confirmed that nothing runs.
 
 use std::sync::Mutex;
 

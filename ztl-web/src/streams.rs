@@ -1,4 +1,4 @@
-//! Streams: what publishers publish, for the clients that look at it. A publisher is subscribed to only while one does.
+//! Streams of publishers, for the clients that look at them. The console subscribes to a publisher only while a client does.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -31,11 +31,11 @@ pub struct Publisher {
 
 /// What the names of the topics begin with.
 const TOPIC: &str = "/ztl/streams/";
-/// Between two messages to the clients: values may come faster than anybody sees.
+/// Pause between two messages to the clients, because values can come faster than people see.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Until a publisher is tried again that cannot be subscribed to.
+/// Pause after a failed subscription to a publisher.
 const RETRY: Duration = Duration::from_secs(1);
-/// Most topics of a publisher: a new one takes the place of the one that was silent for the longest.
+/// Most topics of a publisher. A new one then replaces the one that was silent for longest.
 const TOPICS: usize = 50;
 /// Longest value that is kept, and most bytes of one publisher's values.
 const LONGEST: usize = 4 << 20;
@@ -44,7 +44,7 @@ const KEPT: usize = 32 << 20;
 const TEXT: usize = 300;
 /// Most numbers of a value that are shown as lines.
 const LINES: usize = 8;
-/// Longest value that is told as JSON to those who subscribe to its topic.
+/// Longest value that subscribers of its topic get as JSON.
 const TOLD: usize = 64 << 10;
 /// Most topics of all publishers that a client subscribes to.
 const SUBSCRIBED: usize = 100;
@@ -259,7 +259,7 @@ impl Channel {
         json!({ "text": text, "streams": streams })
     }
 
-    /// The newest value of a topic as JSON, and which one it is, unless that is `known`.
+    /// The newest value of a topic as JSON, with the numbers of the stream and the value; `None` if these are `known`.
     fn value(&self, topic: &str, known: Option<(usize, u64)>) -> Option<((usize, u64), String)> {
         let all = locked(&self.heard);
         let stream = all.get(topic)?;
@@ -449,7 +449,7 @@ impl Listener {
 
     fn news(&mut self) -> Vec<Message> {
         let newest = Arc::clone(&self.newest.borrow_and_update());
-        // A publisher has news ten times a second at most. Those of another one make its topics no faster.
+        // Each publisher has news ten times a second at most, also if another one has news in between.
         let has_news = |publisher: usize| match (newest.get(publisher), self.seen.get(publisher)) {
             (Some(now), Some(seen)) => !Arc::ptr_eq(now, seen),
             _ => false,

@@ -21,7 +21,7 @@ impl Series {
         }
     }
 
-    /// Adds a number. One that is not finite is left out.
+    /// Adds a number, unless it is infinite or NaN.
     pub(super) fn add(&mut self, span: Span, time: u64, number: f64) {
         if !number.is_finite() {
             return;
