@@ -1,19 +1,19 @@
-//! Who has a place: a policy without I/O.
+//! Decides which connections a server keeps: a policy without I/O. `docs/zmtp.md` has the rules in [6.5].
 //!
-//! Clients that have finished the handshake keep their place, unless they are idle where nobody needs a key. The others, *strangers*, share what is left, and a small part
-//! in any case. When it is full, a newcomer takes the place of another stranger, or is turned away. A crowd of strangers may
-//! come from the address of an honest client, and may send what an honest client sends, but nobody can finish the handshake
-//! faster than the network allows. So:
+//! A client that has finished the handshake keeps its place, except an idle one on a server without keys. The others are
+//! *strangers*. They share the free places, and have a small part of all places in any case. If these are taken, a newcomer
+//! replaces another stranger or is closed. A crowd of strangers can come from the address of an honest client and can send what
+//! it sends, but nobody can finish the handshake faster than the network allows. Three rules follow:
 //!
-//! 1. *The addresses with the most strangers pay.* A newcomer takes a place of its own address if that has half of all
-//!    places, else of an address that has at least half as many strangers as the one that has most. So a crowd from a few
-//!    addresses never costs another address its only place.
-//! 2. *Of those that pay, who takes longer than [`Patience::most`] for a step of the handshake makes room first; else the
-//!    older half stay.* Without this, a slow client would never finish beside a crowd that comes fast enough. With it, its
-//!    chance falls only in proportion to the crowd.
-//! 3. *Of the younger half, after [`Patience::least`], those make room that are at the step where most are*, the youngest
-//!    first, but not the last one there. So strangers that send nothing displace each other, and nobody who greets; those that
-//!    only greet, nobody who opened a handshake; and those that open a handshake at once, nobody who has not come so far yet.
+//! 1. *The addresses with the most strangers make room.* If the newcomer's address has half of the places, one of its own
+//!    strangers is replaced. Otherwise it is one of an address with at least half as many strangers as the largest address. So a
+//!    crowd from a few addresses never takes the only place of another address.
+//! 2. *There, a stranger that takes longer than [`Patience::most`] for a step is replaced first; if there is none, the older
+//!    half stays.* Without this rule, a slow client would never finish beside a crowd that comes fast enough. With it, the
+//!    client's chance falls only in proportion to the crowd.
+//! 3. *In the younger half, the youngest stranger at the most frequent step is replaced*, after [`Patience::least`], unless it is
+//!    alone there. So strangers that send nothing never displace one that greets, those that only greet never displace one that
+//!    has opened a handshake, and those that open a handshake at once never displace one that is not so far yet.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -24,27 +24,27 @@ use ztl_zmtp::session::Stage;
 
 use super::peer::PeerId;
 
-/// How long a stranger keeps its place, if others wait.
+/// How long a stranger keeps its place while others wait.
 struct Patience {
-    /// At least so long after it came.
+    /// At least this long after it came.
     least: Duration,
-    /// At most so long at its stage.
+    /// At most this long at one stage.
     most: Duration,
 }
 
-/// Until the first bytes, which take no round trip; but what stands between client and server may delay them.
+/// Before the first bytes. They need no round trip, but proxies can delay them.
 const SILENT: Patience = Patience {
     least: Duration::from_millis(5),
     most: Duration::from_millis(100),
 };
 
-/// Then a stage takes a round trip at most. Clients nearby finish their handshake in the least time.
+/// After the first bytes, when a stage takes one round trip at most. Clients nearby finish their handshake within `least`.
 const TALKING: Patience = Patience {
     least: Duration::from_millis(20),
     most: Duration::from_millis(200),
 };
 
-/// Most strangers. Each may take a moment of the processor, and who comes last waits for all of them.
+/// Most strangers. Each can take some processor time, and the last one waits for all of them.
 const HANDSHAKES: usize = 512;
 
 /// The places of a server's connections.
@@ -97,8 +97,8 @@ impl Places {
         }
     }
 
-    /// Whether a newcomer of this address gets a place. Who `has_unread` bytes stays: it may be further than its stage says.
-    /// `idle` finds one that has finished the handshake and may be closed, if all places are taken.
+    /// Whether a newcomer from this address gets a place. A stranger that `has_unread` bytes stays, because it may be further
+    /// than its stage says. If all places are taken, `idle` finds a client that has finished the handshake and may be closed.
     pub(super) fn room(
         &self,
         now: Instant,
@@ -203,7 +203,7 @@ impl Places {
         }
     }
 
-    /// One that had finished its handshake is gone.
+    /// A client that had finished its handshake is gone.
     pub(super) fn remove_known(&mut self) {
         self.known -= 1;
     }
