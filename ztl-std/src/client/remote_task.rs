@@ -3,10 +3,10 @@
 use std::time::{Duration, Instant};
 
 use tracing::info;
+use ztl_core::Request;
 use ztl_core::client::{Client, Server};
 use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
-use ztl_core::Request;
 
 use super::connection::{
     ABORT, ClientReply, Connection, Open, Question, STATUS, Wanted, server_answer,
