@@ -88,7 +88,7 @@ impl Component for Slide {
 }
 
 /// The server, and each client's stream.
-struct Desk {
+struct Device {
     server: Server<'static, [Slide; 1], PEERS, 8, 512, PEERS>,
     streams: [Option<TcpStream>; PEERS],
     /// When the main thread wakes up.
@@ -96,15 +96,15 @@ struct Desk {
 }
 
 struct Shared {
-    desk: Mutex<Desk>,
+    device: Mutex<Device>,
     /// Signals that something was sent, or is due earlier.
     changed: Condvar,
     begin: std::time::Instant,
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Desk> {
-        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Device> {
+        self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn now(&self) -> Instant {
@@ -112,7 +112,7 @@ impl Shared {
     }
 }
 
-impl Desk {
+impl Device {
     /// Sends the output for each client. Closes one that accepts nothing for [`TAKE`].
     fn send(&mut self) {
         for (slot, stream) in self.streams.iter_mut().enumerate() {
@@ -151,43 +151,43 @@ fn serve_client(shared: &Shared, slot: usize, mut stream: TcpStream) {
         && count > 0
     {
         let mut rest = &buffer[..count];
-        let mut desk = shared.lock();
-        if !desk.server.is_open(peer) {
+        let mut device = shared.lock();
+        if !device.server.is_open(peer) {
             // Closed while the client still sends.
             break;
         }
         while !rest.is_empty() {
             let now = shared.now();
-            let taken = desk.server.handle_bytes(now, peer, rest);
+            let taken = device.server.handle_bytes(now, peer, rest);
             rest = &rest[taken..];
-            desk.send();
-            if desk.server.poll_timeout(now) < desk.wake {
+            device.send();
+            if device.server.poll_timeout(now) < device.wake {
                 shared.changed.notify_all();
             }
             if taken == 0 {
                 // A held reply must be sent before the next request is taken.
-                let waited = shared.changed.wait_timeout(desk, SECOND);
-                desk = waited.unwrap_or_else(PoisonError::into_inner).0;
+                let waited = shared.changed.wait_timeout(device, SECOND);
+                device = waited.unwrap_or_else(PoisonError::into_inner).0;
             }
         }
     }
-    let mut desk = shared.lock();
-    desk.server.close(peer);
-    desk.streams[slot] = None;
+    let mut device = shared.lock();
+    device.server.close(peer);
+    device.streams[slot] = None;
 }
 
 /// Moves the slide and sends held replies when they are due.
 fn keep_moving(shared: &Shared) {
-    let mut desk = shared.lock();
+    let mut device = shared.lock();
     loop {
         let now = shared.now();
-        desk.server.handle_timeout(now);
-        desk.send();
+        device.server.handle_timeout(now);
+        device.send();
         shared.changed.notify_all();
-        desk.wake = desk.server.poll_timeout(now).min(now + SECOND);
-        let pause = desk.wake.since(now);
-        let waited = shared.changed.wait_timeout(desk, pause);
-        desk = waited.unwrap_or_else(PoisonError::into_inner).0;
+        device.wake = device.server.poll_timeout(now).min(now + SECOND);
+        let pause = device.wake.since(now);
+        let waited = shared.changed.wait_timeout(device, pause);
+        device = waited.unwrap_or_else(PoisonError::into_inner).0;
     }
 }
 
@@ -215,7 +215,7 @@ fn main() -> std::io::Result<ExitCode> {
     // Firmware would use a random number.
     let identity = Identity::new("desk", "1.0.0", std::process::id());
     let shared = Shared {
-        desk: Mutex::new(Desk {
+        device: Mutex::new(Device {
             server: Server::new("/desk", identity, [Slide::default()]),
             streams: [const { None }; PEERS],
             wake: Instant::ZERO,
@@ -236,14 +236,14 @@ fn main() -> std::io::Result<ExitCode> {
                     continue;
                 }
             };
-            let mut desk = shared.lock();
+            let mut device = shared.lock();
             // No free slot: close it; a ZeroMQ client retries later.
-            let Some(slot) = desk.vacant() else {
+            let Some(slot) = device.vacant() else {
                 continue;
             };
-            desk.streams[slot] = Some(second);
-            desk.server.open(shared.now(), Peer(slot as u8));
-            desk.send();
+            device.streams[slot] = Some(second);
+            device.server.open(shared.now(), Peer(slot as u8));
+            device.send();
             threads.spawn(move || serve_client(shared, slot, stream));
         }
     })

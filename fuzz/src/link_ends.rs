@@ -26,7 +26,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use ztl_core::link::{ADDR_ONLY_NODE, Body, Busy, Hello, Loss, Offer};
 use ztl_core::link::{Decoder, Frame, NO_SESSION, encode, next_seq, session_key, session_number};
 use ztl_core::{Instant, State, TaskId};
-use ztl_mcu::describe::{About, Describe, Described, Goal};
+use ztl_mcu::describe::{ComponentDescription, Describe, Described, GoalRule};
 use ztl_mcu::parameters::{Declaration, Parameter, Tunable, Tuned, Value};
 use ztl_mcu::update::{Firmware, Receiving, Updatable, UpdateError, Updater, Verification};
 use ztl_mcu::{Acting, Component, Identity, Node, Refused, Report, Run, description};
@@ -50,9 +50,9 @@ struct Motor {
 }
 
 impl Describe for Motor {
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some("closes and opens, and needs 20 ms for that"),
-        ..About::new(Goal::NUMBER)
+        ..ComponentDescription::new(GoalRule::NUMBER)
     });
 }
 

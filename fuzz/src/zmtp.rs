@@ -61,9 +61,9 @@ impl Component for Motor {
     fn make_safe(&mut self, _now: Instant) {}
 }
 
-type Desk = Server<'static, [Motor; 1], 2, 3, 256, 2>;
+type Device = Server<'static, [Motor; 1], 2, 3, 256, 2>;
 
-fn desk() -> Desk {
+fn device() -> Device {
     Server::new("/lab", Identity::new("desk", "1", BOOT), [Motor::default()])
 }
 
@@ -95,48 +95,48 @@ pub fn zmtp(stream: &[u8]) {
 /// A server's first client sends the stream in pieces. Returns all output, and whether the client is still
 /// connected.
 fn serve(stream: &[u8], piece: usize) -> ([Vec<u8>; 2], bool) {
-    let mut desk = desk();
+    let mut device = device();
     let mut now = Instant::ZERO;
-    desk.open(now, Peer(0));
-    let mut heard = drain(&mut desk, Peer(0));
+    device.open(now, Peer(0));
+    let mut heard = drain(&mut device, Peer(0));
     for piece in stream.chunks(piece) {
         let mut rest = piece;
         while !rest.is_empty() {
-            let taken = desk.handle_bytes(now, Peer(0), rest);
-            let said = drain(&mut desk, Peer(0));
+            let taken = device.handle_bytes(now, Peer(0), rest);
+            let said = drain(&mut device, Peer(0));
             if taken == 0 && said.is_empty() {
                 // Only a held reply may block input, and it is sent in time.
                 now = now + HELD;
-                desk.handle_timeout(now);
-                let held = drain(&mut desk, Peer(0));
-                assert!(!held.is_empty() || !desk.is_open(Peer(0)), "it hangs");
+                device.handle_timeout(now);
+                let held = drain(&mut device, Peer(0));
+                assert!(!held.is_empty() || !device.is_open(Peer(0)), "it hangs");
                 heard.extend(held);
             }
             heard.extend(said);
             rest = &rest[taken..];
         }
     }
-    desk.handle_timeout(now + HELD);
-    heard.extend(drain(&mut desk, Peer(0)));
+    device.handle_timeout(now + HELD);
+    heard.extend(drain(&mut device, Peer(0)));
     let heard = parts(&heard);
-    let lives = desk.is_open(Peer(0));
+    let lives = device.is_open(Peer(0));
 
     // A good client is served next to it and in its slot.
-    assert_serves(&mut desk, Peer(1), now + HELD);
-    assert_serves(&mut desk, Peer(0), now + HELD);
+    assert_serves(&mut device, Peer(1), now + HELD);
+    assert_serves(&mut device, Peer(0), now + HELD);
     (heard, lives)
 }
 
-fn drain(desk: &mut Desk, peer: Peer) -> Vec<u8> {
+fn drain(device: &mut Device, peer: Peer) -> Vec<u8> {
     let mut heard = Vec::new();
     loop {
-        let pending = desk.transmit_buf(peer);
+        let pending = device.transmit_buf(peer);
         let count = pending.len().min(50);
         heard.extend(&pending[..count]);
         if count == 0 {
             return heard;
         }
-        desk.consume(peer, count);
+        device.consume(peer, count);
     }
 }
 
@@ -202,13 +202,13 @@ fn greeting() -> Vec<u8> {
 const QUESTION: &[u8] = b"\x01\0\0\x13/lab;2;4294967295;x";
 const ANSWER: &[u8] = b"\x01\0\0\x29/lab;2;4294967295;Invalid ID '4294967295'";
 
-fn assert_serves(desk: &mut Desk, peer: Peer, now: Instant) {
-    desk.open(now, peer);
-    desk.handle_bytes(now, peer, &greeting());
-    let hello = drain(desk, peer);
+fn assert_serves(device: &mut Device, peer: Peer, now: Instant) {
+    device.open(now, peer);
+    device.handle_bytes(now, peer, &greeting());
+    let hello = drain(device, peer);
     assert!(hello.ends_with(b"REP"), "{hello:?}");
-    desk.handle_bytes(now, peer, QUESTION);
-    assert_eq!(drain(desk, peer), ANSWER);
+    device.handle_bytes(now, peer, QUESTION);
+    assert_eq!(drain(device, peer), ANSWER);
 }
 
 struct Port<'s> {
@@ -249,7 +249,7 @@ impl Write for Port<'_> {
 
 /// A serial port receives the stream, and then a good client, with nothing between them.
 fn line(stream: &[u8]) {
-    let mut desk = desk();
+    let mut device = device();
     let mut line = Line::new();
     let mut now = Instant::ZERO;
     let good = [&greeting(), QUESTION].concat();
@@ -265,7 +265,7 @@ fn line(stream: &[u8]) {
                 received: &[],
                 sent: Vec::new(),
             };
-            line.turn(&mut desk, &mut port, &mut out, now)
+            line.turn(&mut device, &mut port, &mut out, now)
                 .expect("the port never fails");
             sent.extend(out.sent);
             now = now + HELD;

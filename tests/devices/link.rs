@@ -9,7 +9,7 @@ use ztl_core::link::{
     Welcome, encode, session_key,
 };
 use ztl_core::{Instant, State};
-use ztl_mcu::describe::{About, Describe, Described, Goal};
+use ztl_mcu::describe::{ComponentDescription, Describe, Described, GoalRule};
 use ztl_mcu::log::LogSource;
 use ztl_mcu::{Acting, Component, Identity, Node, Reading, Refused, Report, Run, description};
 
@@ -216,9 +216,9 @@ struct Finger {
 }
 
 impl Describe for Finger {
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some("opens the gripper"),
-        ..About::new(Goal::NUMBER)
+        ..ComponentDescription::new(GoalRule::NUMBER)
     });
 }
 

@@ -4,10 +4,8 @@ use heapless::{String, Vec};
 use ztl_core::Instant;
 use ztl_core::link::LinkId;
 
-use crate::bus::BusState;
-use crate::component::{Component, Components, Report, forward};
+use crate::component::{Components, Report, forward};
 use crate::node::tasks::{TEXT, TaskText};
-use crate::parameters::Tuning;
 
 /// Most tasks of the firmware that a node holds at a time.
 const TASKS: usize = 4;

@@ -20,9 +20,7 @@ use core::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
 
-use crate::acting::OwnWork;
-use crate::component::{Component, Components, forward};
-use crate::parameters::Tuning;
+use crate::component::{Components, forward};
 
 /// A node does not answer later than this after the question, because the gateway may have asked another node by then.
 pub const TURN: Duration = Duration::from_millis(4);

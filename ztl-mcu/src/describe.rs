@@ -4,7 +4,7 @@
 //!
 //! ```
 //! use serde::Deserialize;
-//! use ztl_mcu::describe::{About, Describe, Described, GoalType};
+//! use ztl_mcu::describe::{ComponentDescription, Describe, Described, GoalType};
 //! use ztl_mcu::{description, goal_fields};
 //!
 //! #[derive(Deserialize)]
@@ -16,10 +16,10 @@
 //! struct Base;
 //!
 //! impl Describe for Base {
-//!     const DESCRIPTION: &str = description!(About {
+//!     const DESCRIPTION: &str = description!(ComponentDescription {
 //!         about: Some("drives to a place on the desk"),
 //!         examples: &["[0, 0, 1.57]"],
-//!         ..About::new(Pose::GOAL)
+//!         ..ComponentDescription::new(Pose::GOAL)
 //!     });
 //! }
 //!
@@ -28,17 +28,14 @@
 //! # drop(components);
 //! ```
 
-use ztl_core::Instant;
 use ztl_core::link::DESCRIPTION_PART;
 use ztl_core::link::parameter::NO_COMPONENT;
 use ztl_core::link::update::TAKES_UPDATES;
 
-use crate::acting::{Acting, OwnWork};
-use crate::bus::BusState;
-use crate::component::{Component, Components, forward};
-use crate::parameters::Tuning;
+use crate::acting::Acting;
+use crate::component::{Components, forward};
 
-pub use ztl_core::describe::{Component as About, ConstPart, Field, Goal, GoalType};
+pub use ztl_core::describe::{ComponentDescription, ConstPart, Field, GoalRule, GoalType};
 
 /// A type of component that says what it does and which goals it takes.
 pub trait Describe {

@@ -12,10 +12,7 @@ pub use ztl_core::link::update::{Firmware, PIECE_UNIT, SelfTest, UpdateError};
 #[cfg(feature = "embassy-boot")]
 pub use slots::{Image, Slots};
 
-use crate::acting::OwnWork;
-use crate::bus::BusState;
-use crate::component::{Component, Components, forward};
-use crate::parameters::Tuning;
+use crate::component::{Components, forward};
 
 /// An image that is being received.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -12,7 +12,7 @@ use embedded_hal::pwm::SetDutyCycle;
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::{self, I2c};
 use embedded_io::{Read, ReadReady, Write};
-use ztl_mcu::describe::{About, Describe, Described, GoalType};
+use ztl_mcu::describe::{ComponentDescription, Describe, Described, GoalType};
 use ztl_mcu::driver::{Driver, Failed, Progress, Slot};
 use ztl_mcu::link::Offer;
 use ztl_mcu::parameters::{Declaration, Tunable, Tuned, Value};
@@ -116,10 +116,10 @@ impl<P: SetDutyCycle> Component for Valve<P> {
 }
 
 impl<P> Describe for Valve<P> {
-    const DESCRIPTION: &str = description!(About {
+    const DESCRIPTION: &str = description!(ComponentDescription {
         about: Some("opens a valve; it closes when the link is lost"),
         examples: &["25"],
-        ..About::new(f32::GOAL)
+        ..ComponentDescription::new(f32::GOAL)
     });
 }
 

@@ -24,13 +24,13 @@ use crate::socket::Echo;
 const TOGETHER: usize = 50;
 
 /// A server, with a connection for fences.
-struct Desk {
+struct TestServer {
     _server: RunningServer,
     port: u16,
     fence: TcpStream,
 }
 
-impl Desk {
+impl TestServer {
     fn new(transport: Transport) -> Self {
         let mut limits = Limits::default();
         limits.message = MOST;
@@ -236,7 +236,7 @@ fn all_cases() -> Vec<Case> {
 const AGREED: usize = 3;
 
 /// What each case shall do: what ours does, and libzmq. Where no difference is listed, it is what both agree on.
-fn expected(cases: &[Case], native: &Desk, libzmq: &Desk) -> Vec<[String; 2]> {
+fn expected(cases: &[Case], native: &TestServer, libzmq: &TestServer) -> Vec<[String; 2]> {
     let listed = |case: &Case| {
         let shown = DIFFERENCES.iter().flat_map(|difference| difference.shown);
         let mut shown = shown.filter(|(name, _, _)| *name == case.name);
@@ -259,11 +259,11 @@ fn expected(cases: &[Case], native: &Desk, libzmq: &Desk) -> Vec<[String; 2]> {
 fn agreed(
     cases: &[Case],
     listed: &[Option<[String; 2]>],
-    native: &Desk,
-    libzmq: &Desk,
+    native: &TestServer,
+    libzmq: &TestServer,
 ) -> Vec<String> {
     let jobs: Vec<_> = cases.iter().map(|case| (case, 0)).collect();
-    let mut sides = [native, libzmq].map(|desk| desk.start(&jobs));
+    let mut sides = [native, libzmq].map(|server| server.start(&jobs));
     let start = Instant::now();
     let mut times = 0;
     loop {
@@ -290,7 +290,7 @@ fn agreed(
 #[test]
 fn ours_and_libzmq_do_the_same_wherever_the_bytes_are_cut() {
     let cases = all_cases();
-    let [native, libzmq] = [Transport::Native, Transport::Libzmq].map(Desk::new);
+    let [native, libzmq] = [Transport::Native, Transport::Libzmq].map(TestServer::new);
     let expected = expected(&cases, &native, &libzmq);
     let names: BTreeSet<_> = cases.iter().map(|case| case.name).collect();
     for (name, ..) in DIFFERENCES.iter().flat_map(|difference| difference.shown) {
@@ -320,9 +320,9 @@ fn ours_and_libzmq_do_the_same_wherever_the_bytes_are_cut() {
     let mut wrong = Vec::new();
     for chunk in jobs.chunks(TOGETHER) {
         let streams: Vec<_> = chunk.iter().map(|(case, cut, _)| (*case, *cut)).collect();
-        for (side, (who, desk)) in [("ours", &native), ("libzmq", &libzmq)].iter().enumerate() {
+        for (side, (who, server)) in [("ours", &native), ("libzmq", &libzmq)].iter().enumerate() {
             let expected: Vec<_> = chunk.iter().map(|(.., both)| &both[side]).collect();
-            let outcomes = desk.run(&streams, &expected);
+            let outcomes = server.run(&streams, &expected);
             for ((outcome, expected), (case, cut)) in outcomes.iter().zip(expected).zip(&streams) {
                 if outcome != expected {
                     let name = case.name;
@@ -348,7 +348,7 @@ fn ours_serves_two_connections_with_the_same_identity() {
     ] {
         let expected = [SERVED, second].map(|text| text.replace("ANSWER", ANSWER));
         let jobs = [(&case, 0), (&case, 0)];
-        let outcomes = Desk::new(transport).run(&jobs, &expected.each_ref());
+        let outcomes = TestServer::new(transport).run(&jobs, &expected.each_ref());
         assert_eq!(outcomes, expected, "{transport:?}");
     }
 }
@@ -357,7 +357,7 @@ fn ours_serves_two_connections_with_the_same_identity() {
 #[test]
 fn ours_closes_a_client_that_is_silent_after_a_request() {
     let case = silent();
-    let [native, libzmq] = [Transport::Native, Transport::Libzmq].map(Desk::new);
+    let [native, libzmq] = [Transport::Native, Transport::Libzmq].map(TestServer::new);
     let closed = format!("3.1 READY 4'\u{4}PONG' {ANSWER} closed");
     let mut theirs = libzmq.start(&[(&case, 0)]);
     assert_eq!(native.run(&[(&case, 0)], &[&closed]), [closed]);
@@ -371,7 +371,7 @@ fn ours_closes_a_client_that_is_silent_after_a_request() {
 #[test]
 fn ours_answers_a_request_before_the_end_of_its_stream() {
     let no_request = b"\0\x0C/test;2;99;x".as_slice();
-    let native = Desk::new(Transport::Native);
+    let native = TestServer::new(Transport::Native);
     for (bytes, answer) in [(STATUS, 30), (no_request, 0), (&STATUS[..9], 0), (b"", 0)] {
         let mut stream = shake_hands(native.port);
         stream.write_all(bytes).expect("to write");

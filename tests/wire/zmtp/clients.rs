@@ -8,7 +8,7 @@ use ztl_tests::lab::{
     ABORTED, ACCEPTED, COMPLETED, OriginalClient, PATIENCE, Peer, REJECTED, until,
 };
 
-use super::device::{Desk, Dribble, SCOPE};
+use super::device::{Device, Dribble, SCOPE};
 
 /// Tasks end in each way.
 #[track_caller]
@@ -56,9 +56,9 @@ fn drive(mut client: OriginalClient, who: &str) {
 
 #[test]
 fn the_originals_client_runs_tasks_over_libzmq_4_3() {
-    let desk = Desk::start();
-    drive(OriginalClient::connect(desk.port, SCOPE), "whole");
-    let slow = Dribble::before(&desk);
+    let device = Device::start();
+    drive(OriginalClient::connect(device.port, SCOPE), "whole");
+    let slow = Dribble::before(&device);
     drive(OriginalClient::connect(slow.port, SCOPE), "byte by byte");
 }
 
@@ -66,9 +66,9 @@ fn the_originals_client_runs_tasks_over_libzmq_4_3() {
 #[test]
 fn old_and_other_zeromq_peers_run_tasks() {
     for peer in Peer::here() {
-        let desk = Desk::start();
-        drive(peer.client(desk.port, SCOPE), &format!("{peer:?}, whole"));
-        let slow = Dribble::before(&desk);
+        let device = Device::start();
+        drive(peer.client(device.port, SCOPE), &format!("{peer:?}, whole"));
+        let slow = Dribble::before(&device);
         drive(
             peer.client(slow.port, SCOPE),
             &format!("{peer:?}, byte by byte"),
@@ -78,8 +78,8 @@ fn old_and_other_zeromq_peers_run_tasks() {
 
 #[test]
 fn our_client_runs_tasks_and_gets_the_servers_description() {
-    let desk = Desk::start();
-    let mut client = RemoteTask::connect(&desk.endpoint(), SCOPE).expect("an address");
+    let device = Device::start();
+    let mut client = RemoteTask::connect(&device.endpoint(), SCOPE).expect("an address");
     let id = client.trigger("desk", "slide", "30").expect("taken").id;
     let end = client
         .wait(id, Some(Duration::from_secs(20)))
@@ -107,7 +107,7 @@ fn events_until(monitor: &zmq::Socket, wanted: SocketEvent) -> Vec<SocketEvent> 
 /// As libzmq itself sees it.
 #[test]
 fn libzmq_reports_a_clean_handshake_and_gets_its_heartbeats_answered() {
-    let desk = Desk::start();
+    let device = Device::start();
     let context = zmq::Context::new();
     for kind in [zmq::REQ, zmq::DEALER] {
         let socket = context.socket(kind).expect("a socket");
@@ -124,7 +124,7 @@ fn libzmq_reports_a_clean_handshake_and_gets_its_heartbeats_answered() {
         let monitor = context.socket(zmq::PAIR).expect("a socket");
         monitor.set_rcvtimeo(20_000).unwrap();
         monitor.connect(&address).unwrap();
-        socket.connect(&desk.endpoint()).unwrap();
+        socket.connect(&device.endpoint()).unwrap();
         let seen = events_until(&monitor, SocketEvent::HANDSHAKE_SUCCEEDED);
         assert_eq!(seen.len(), 3, "{seen:?}");
         assert_eq!(seen[1], SocketEvent::CONNECTED);
@@ -143,8 +143,8 @@ fn libzmq_reports_a_clean_handshake_and_gets_its_heartbeats_answered() {
 
 #[test]
 fn a_dealer_gets_its_envelope_back_and_its_pipelined_requests_in_order() {
-    let desk = Desk::start();
-    let dealer = desk.socket(zmq::DEALER, |_| {});
+    let device = Device::start();
+    let dealer = device.socket(zmq::DEALER, |_| {});
     for number in 0..100_u32 {
         let number = number.to_be_bytes();
         let body = format!("/desk;2;{};x", u32::from_be_bytes(number));

@@ -15,12 +15,12 @@ pub(super) const SCOPE: &str = "/desk";
 pub(super) const PLACES: usize = 4;
 
 /// The example in its own process.
-pub(super) struct Desk {
+pub(super) struct Device {
     pub(super) process: Process,
     pub(super) port: u16,
 }
 
-impl Desk {
+impl Device {
     #[track_caller]
     pub(super) fn start() -> Self {
         Self::of(example("zmtp").arg("127.0.0.1:0"))
@@ -58,17 +58,17 @@ impl Desk {
     }
 }
 
-/// Between clients and the desk: sends each byte in its own packet.
+/// Between clients and the device: sends each byte in its own packet.
 pub(super) struct Dribble {
     pub(super) port: u16,
 }
 
 impl Dribble {
     /// Its threads end with the connections, and the first with the test.
-    pub(super) fn before(desk: &Desk) -> Self {
+    pub(super) fn before(device: &Device) -> Self {
         let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let port = listener.local_addr().expect("its address").port();
-        let behind = desk.port;
+        let behind = device.port;
         std::thread::spawn(move || {
             for client in listener.incoming().map_while(Result::ok) {
                 let Ok(server) = TcpStream::connect(("127.0.0.1", behind)) else {

@@ -4,7 +4,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use super::device::Desk;
+use super::device::Device;
 use crate::socket::TIMEOUT;
 
 const READY: &[u8] = b"\x04\x19\x05READY\x0BSocket-Type\0\0\0\x03REQ";
@@ -15,8 +15,8 @@ fn greeting() -> Vec<u8> {
     bytes
 }
 
-fn connect(desk: &Desk) -> TcpStream {
-    let stream = TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection");
+fn connect(device: &Device) -> TcpStream {
+    let stream = TcpStream::connect(("127.0.0.1", device.port)).expect("a connection");
     stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     stream
 }
@@ -34,8 +34,8 @@ fn assert_closed(mut stream: TcpStream, after: &str) {
 
 #[test]
 fn a_protocol_error_closes_only_its_connection() {
-    let desk = Desk::start();
-    let neighbour = desk.req();
+    let device = Device::start();
+    let neighbour = device.req();
     let met = [greeting(), READY.to_vec()].concat();
     let mut plain = greeting();
     plain[12..17].copy_from_slice(b"PLAIN");
@@ -57,7 +57,7 @@ fn a_protocol_error_closes_only_its_connection() {
         ("strange flags", [met.clone(), b"\x48".to_vec()].concat()),
         ("2^63 bytes", [met, huge].concat()),
     ] {
-        let mut stream = connect(&desk);
+        let mut stream = connect(&device);
         stream.write_all(&bytes).expect("to write");
         assert_closed(stream, after);
         assert_eq!(
@@ -65,22 +65,22 @@ fn a_protocol_error_closes_only_its_connection() {
             "/desk;2;1;Invalid ID '1'",
             "{after}"
         );
-        desk.assert_serves(after);
+        device.assert_serves(after);
     }
 }
 
 #[test]
 fn a_client_that_disconnects_after_any_byte_affects_no_other() {
-    let desk = Desk::start();
-    let neighbour = desk.req();
+    let device = Device::start();
+    let neighbour = device.req();
     let request = b"\x01\0\0\x1E/desk;1;-1;ZGVzazpzbGlkZTox\x31MA==";
     let whole = [greeting(), READY.to_vec(), request.to_vec()].concat();
     for cut in 0..whole.len() {
-        let mut stream = connect(&desk);
+        let mut stream = connect(&device);
         stream.write_all(&whole[..cut]).expect("to write");
         drop(stream);
         if cut % 10 == 0 {
-            desk.assert_serves(&format!("{cut} bytes"));
+            device.assert_serves(&format!("{cut} bytes"));
         }
     }
     assert_eq!(neighbour.ask("/desk;2;1;x"), "/desk;2;1;Invalid ID '1'");
@@ -88,8 +88,8 @@ fn a_client_that_disconnects_after_any_byte_affects_no_other() {
 
 #[test]
 fn requests_that_the_original_leaves_unanswered_are_answered() {
-    let desk = Desk::start();
-    let client = desk.req();
+    let device = Device::start();
+    let client = device.req();
     for (body, answer) in [
         (&b"\xFF\xFE"[..], ";2;-1;Unknown protocol"),
         (b"", ";2;-1;Unknown protocol"),
@@ -107,7 +107,7 @@ fn requests_that_the_original_leaves_unanswered_are_answered() {
     ] {
         assert_eq!(client.ask(body), answer);
     }
-    let dealer = desk.socket(zmq::DEALER, |_| {});
+    let dealer = device.socket(zmq::DEALER, |_| {});
     dealer.send(&["", "/desk;2;1;x", "more"]);
     assert_eq!(dealer.receive(), [&b""[..], b";2;-1;Unknown protocol"]);
     // No delimiter: no request.
@@ -119,16 +119,16 @@ fn requests_that_the_original_leaves_unanswered_are_answered() {
 /// Endless requests whose replies are never read.
 #[test]
 fn a_client_that_never_reads_is_closed_and_delays_others_briefly() {
-    let desk = Desk::start();
-    let neighbour = desk.req();
+    let device = Device::start();
+    let neighbour = device.req();
     let met = [greeting(), READY.to_vec()].concat();
     let request = b"\x01\0\0\x0B/desk;2;1;x".repeat(1000);
     let longest = std::thread::scope(|threads| {
         let deaf = threads.spawn(|| {
-            let mut stream = connect(&desk);
+            let mut stream = connect(&device);
             stream.set_write_timeout(Some(20 * TIMEOUT)).unwrap();
             stream.write_all(&met).expect("to write");
-            // Ends when the desk closes it.
+            // Ends when the device closes it.
             while stream.write_all(&request).is_ok() {}
         });
         let mut longest = Duration::ZERO;

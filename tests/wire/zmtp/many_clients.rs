@@ -4,18 +4,18 @@ use std::time::Duration;
 
 use ztl_tests::lab::{Process, our_client};
 
-use super::device::{Desk, PLACES};
+use super::device::{Device, PLACES};
 use crate::socket::Socket;
 
 #[test]
 fn a_thousand_clients_come_and_go() {
-    let desk = Desk::start();
+    let device = Device::start();
     let context = zmq::Context::new();
     for number in 0..1000 {
         let socket = context.socket(zmq::REQ).expect("a socket");
         socket.set_linger(0).unwrap();
         socket.set_rcvtimeo(20_000).unwrap();
-        socket.connect(&desk.endpoint()).unwrap();
+        socket.connect(&device.endpoint()).unwrap();
         socket.send(&format!("/desk;2;{number};x"), 0).unwrap();
         let answer = socket.recv_string(0).expect("an answer").unwrap();
         assert_eq!(answer, format!("/desk;2;{number};Invalid ID '{number}'"));
@@ -24,8 +24,8 @@ fn a_thousand_clients_come_and_go() {
 
 #[test]
 fn all_slots_are_served_and_an_extra_client_gets_a_freed_slot() {
-    let desk = Desk::start();
-    let mut clients: Vec<Socket> = (0..PLACES).map(|_| desk.req()).collect();
+    let device = Device::start();
+    let mut clients: Vec<Socket> = (0..PLACES).map(|_| device.req()).collect();
     for round in 0..50 {
         for client in &clients {
             client.send(&[format!("/desk;2;{round};x")]);
@@ -35,7 +35,7 @@ fn all_slots_are_served_and_an_extra_client_gets_a_freed_slot() {
             assert_eq!(client.receive(), [answer.as_bytes()]);
         }
     }
-    let further = desk.req();
+    let further = device.req();
     further.send(&["/desk;2;99;x"]);
     further.0.set_rcvtimeo(500).unwrap();
     assert_eq!(further.0.recv_bytes(0), Err(zmq::Error::EAGAIN));
@@ -47,14 +47,14 @@ fn all_slots_are_served_and_an_extra_client_gets_a_freed_slot() {
     assert_eq!(further.receive(), [b"/desk;2;99;Invalid ID '99'"]);
 }
 
-/// Each is new to the desk, which keeps four records.
+/// Each is new to the device, which keeps four records.
 #[test]
 fn our_command_runs_more_often_in_a_minute_than_there_are_records() {
-    let desk = Desk::start();
+    let device = Device::start();
     let run = |goal: &str| {
         let mut client = our_client();
         client.args(["--exit-status", "-r", "127.0.0.1", "-s", "/desk", "-p"]);
-        client.arg(desk.port.to_string());
+        client.arg(device.port.to_string());
         Process::run(client.arg(format!("desk:slide:{goal}")))
     };
     for goal in 1..=10 {
@@ -70,8 +70,8 @@ fn our_command_runs_more_often_in_a_minute_than_there_are_records() {
 
 #[test]
 fn a_held_reply_delays_no_other_client() {
-    let desk = Desk::start();
-    let (one, two) = (desk.socket(zmq::DEALER, |_| {}), desk.req());
+    let device = Device::start();
+    let (one, two) = (device.socket(zmq::DEALER, |_| {}), device.req());
     let id = {
         let payload = "ZGVzazpzbGlkZToxMDA=";
         let answer = two.ask(format!("/desk;1;-1;{payload}"));
@@ -97,22 +97,23 @@ fn running_out_of_file_descriptors_does_not_stop_the_server() {
     let example = ztl_tests::lab::example("zmtp");
     let mut few = std::process::Command::new("sh");
     few.args(["-c", "ulimit -n 7 && exec \"$0\" 127.0.0.1:0"]);
-    let desk = Desk::of(few.arg(example.get_program()));
-    let connect = || std::net::TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection");
+    let device = Device::of(few.arg(example.get_program()));
+    let connect =
+        || std::net::TcpStream::connect(("127.0.0.1", device.port)).expect("a connection");
     let crowd = [(); PLACES].map(|()| connect());
-    desk.process.wait_for("cannot take a client");
+    device.process.wait_for("cannot take a client");
     drop(crowd);
-    desk.assert_serves("there are files again");
+    device.assert_serves("there are files again");
 }
 
 #[test]
 fn unfinished_greetings_free_their_slots_after_a_timeout() {
-    let desk = Desk::start();
+    let device = Device::start();
     let start = std::time::Instant::now();
     let silent: Vec<_> = (0..PLACES)
-        .map(|_| std::net::TcpStream::connect(("127.0.0.1", desk.port)).expect("a connection"))
+        .map(|_| std::net::TcpStream::connect(("127.0.0.1", device.port)).expect("a connection"))
         .collect();
-    let client = desk.req();
+    let client = device.req();
     assert_eq!(client.ask("/desk;2;1;x"), "/desk;2;1;Invalid ID '1'");
     let waited = start.elapsed();
     assert!(waited > Duration::from_secs(4), "{waited:?}");

@@ -13,14 +13,14 @@ fn classify<'a>(asked: &[u8], body: &'a [u8]) -> Option<Answer<'a>> {
     Answer::of(request, &asked, &Message::parse(body).ok()?)
 }
 
-struct Desk {
+struct TestClient {
     client: Client,
     now: Instant,
     /// The body of the last request.
     asked: Vec<u8>,
 }
 
-impl Desk {
+impl TestClient {
     fn new() -> Self {
         Self {
             client: Client::new(ClientId([7; 16]), TIMEOUT),
@@ -87,8 +87,8 @@ impl Desk {
 
 #[test]
 fn a_late_reply_is_never_matched_to_the_next_request() {
-    let mut desk = Desk::new();
-    let (first, _) = desk.written(|client, now, sink| {
+    let mut client = TestClient::new();
+    let (first, _) = client.written(|client, now, sink| {
         Some(client.request(
             now,
             Request::Status,
@@ -98,9 +98,9 @@ fn a_late_reply_is_never_matched_to_the_next_request() {
             sink,
         ))
     });
-    assert_eq!(desk.client.handle_timeout(desk.now), Late::NotYet);
-    assert_eq!(desk.late(), Late::NoAnswer);
-    let (second, body) = desk.written(|client, now, sink| {
+    assert_eq!(client.client.handle_timeout(client.now), Late::NotYet);
+    assert_eq!(client.late(), Late::NoAnswer);
+    let (second, body) = client.written(|client, now, sink| {
         Some(client.request(
             now,
             Request::Abort,
@@ -111,17 +111,17 @@ fn a_late_reply_is_never_matched_to_the_next_request() {
         ))
     });
     assert_eq!(body, "/lab;3;9;abort command");
-    assert_eq!(desk.handle_reply(first, b"/lab;5;9;late"), None);
+    assert_eq!(client.handle_reply(first, b"/lab;5;9;late"), None);
     let stranger = Envelope {
         client: ClientId([8; 16]),
         ..second
     };
-    assert_eq!(desk.handle_reply(stranger, b"/lab;4;9;True"), None);
+    assert_eq!(client.handle_reply(stranger, b"/lab;4;9;True"), None);
     let aborted = Answer::Task {
         state: State::Aborted,
         text: "True",
     };
-    let heard = desk.handle_reply(second, b"/lab;4;9;True");
+    let heard = client.handle_reply(second, b"/lab;4;9;True");
     assert_eq!(heard, Some(Heard::Answer(aborted)));
 }
 
@@ -135,9 +135,12 @@ fn an_invalid_message_is_reported_as_unreadable() {
         b"/lab;1;;y",
         beyond_reason.as_bytes(),
     ] {
-        let mut desk = Desk::new();
-        let (envelope, _) = desk.init();
-        assert_eq!(desk.handle_reply(envelope, reply), Some(Heard::Unreadable));
+        let mut client = TestClient::new();
+        let (envelope, _) = client.init();
+        assert_eq!(
+            client.handle_reply(envelope, reply),
+            Some(Heard::Unreadable)
+        );
     }
     for reply in [&b"\xff"[..], b"/lab;5", b"/lab;x;1;y", b"/lab;;1;y"] {
         assert_eq!(classify(b"/lab;2;7;x", reply), None);
@@ -299,8 +302,8 @@ fn an_unknown_outcome_accepts_the_init_without_a_final_state() {
 #[test]
 fn an_id_of_any_length_is_sent_in_plain_digits() {
     for (id, plain) in [(" +4_294967296 ", "4294967296"), ("-0", "0")] {
-        let mut desk = Desk::new();
-        let (_, body) = desk.written(|client, now, sink| {
+        let mut client = TestClient::new();
+        let (_, body) = client.written(|client, now, sink| {
             let id = Integer::parse(id).ok();
             Some(client.request(now, Request::Abort, "/lab", id, "x", sink))
         });
@@ -310,9 +313,9 @@ fn an_id_of_any_length_is_sent_in_plain_digits() {
 
 #[test]
 fn the_reply_to_an_init_can_be_queried_later() {
-    let mut desk = Desk::new();
-    let asked = desk.outcome();
-    let heard = desk.handle_reply(asked, b"$ztl;1;12;Initiated");
+    let mut client = TestClient::new();
+    let asked = client.outcome();
+    let heard = client.handle_reply(asked, b"$ztl;1;12;Initiated");
     let accepted = Answer::Accepted {
         id: Integer::parse("12").unwrap(),
         ended: None,
@@ -321,7 +324,7 @@ fn the_reply_to_an_init_can_be_queried_later() {
     assert_eq!(heard, Some(Heard::Answer(accepted)));
     let mut none = |_: &[u8]| {};
     assert_eq!(
-        desk.client.outcome(desk.now, &mut none),
+        client.client.outcome(client.now, &mut none),
         None,
         "it is settled"
     );
@@ -329,28 +332,31 @@ fn the_reply_to_an_init_can_be_queried_later() {
 
 #[test]
 fn an_init_that_never_arrived_is_reported_as_not_started() {
-    let mut desk = Desk::new();
-    let asked = desk.outcome();
+    let mut client = TestClient::new();
+    let asked = client.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4711";
-    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::NeverStarted));
+    assert_eq!(client.handle_reply(asked, reply), Some(Heard::NeverStarted));
 }
 
 #[test]
 fn after_a_server_restart_the_outcome_is_unknown() {
-    let mut desk = Desk::new();
-    let asked = desk.outcome();
+    let mut client = TestClient::new();
+    let asked = client.outcome();
     let reply = b"$ztl;2;0;never seen since boot 4712";
-    assert_eq!(desk.handle_reply(asked, reply), Some(Heard::OutcomeUnknown));
+    assert_eq!(
+        client.handle_reply(asked, reply),
+        Some(Heard::OutcomeUnknown)
+    );
 }
 
 #[test]
 fn an_unanswered_outcome_query_can_be_repeated() {
-    let mut desk = Desk::new();
-    desk.outcome();
-    assert_eq!(desk.late(), Late::AskOutcome);
-    let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
+    let mut client = TestClient::new();
+    client.outcome();
+    assert_eq!(client.late(), Late::AskOutcome);
+    let (asked, body) = client.written(|client, now, sink| client.outcome(now, sink));
     assert_eq!(body, "$ztl;2;-1;outcome 2");
-    let heard = desk.handle_reply(asked, b"$ztl;2;-1;busy");
+    let heard = client.handle_reply(asked, b"$ztl;2;-1;busy");
     assert!(
         matches!(heard, Some(Heard::Answer(_))),
         "a rejection is an answer"
@@ -359,12 +365,12 @@ fn an_unanswered_outcome_query_can_be_repeated() {
 
 #[test]
 fn the_original_server_gets_no_outcome_queries() {
-    let mut desk = Desk::new();
-    let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
-    desk.handle_reply(envelope, b"$ztl;2;-1;No controller for scope: $ztl");
-    assert_eq!(desk.client.server(), Server::Original);
-    desk.init();
-    assert_eq!(desk.late(), Late::NoAnswer);
+    let mut client = TestClient::new();
+    let (envelope, _) = client.written(|client, now, sink| Some(client.probe(now, sink)));
+    client.handle_reply(envelope, b"$ztl;2;-1;No controller for scope: $ztl");
+    assert_eq!(client.client.server(), Server::Original);
+    client.init();
+    assert_eq!(client.late(), Late::NoAnswer);
 }
 
 #[test]
@@ -380,13 +386,13 @@ fn large_numbers_are_written_whole() {
 /// and believed its reply that the INIT never arrived.
 #[test]
 fn an_outcome_is_not_queried_once_the_server_may_have_dropped_it() {
-    let mut desk = Desk::new();
-    desk.probe(4711);
-    let (_, _) = desk.init();
-    desk.now = desk.now + Duration::from_secs(51);
-    assert_eq!(desk.client.handle_timeout(desk.now), Late::AskOutcome);
+    let mut client = TestClient::new();
+    client.probe(4711);
+    let (_, _) = client.init();
+    client.now = client.now + Duration::from_secs(51);
+    assert_eq!(client.client.handle_timeout(client.now), Late::AskOutcome);
     let mut none = |_: &[u8]| {};
-    assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+    assert_eq!(client.client.outcome(client.now, &mut none), None);
 }
 
 /// Regression, found through a proxy that hid the envelope: the server could not read the query, and the
@@ -399,9 +405,9 @@ fn an_outcome_query_that_is_not_understood_gives_an_unknown_outcome() {
         b"$ztl;2;-1;No controller for scope: $ztl",
         b"/lab;1;7;ok",
     ] {
-        let mut desk = Desk::new();
-        let asked = desk.outcome();
-        let heard = desk.handle_reply(asked, reply);
+        let mut client = TestClient::new();
+        let asked = client.outcome();
+        let heard = client.handle_reply(asked, reply);
         assert_eq!(heard, Some(Heard::OutcomeUnknown));
     }
 }
@@ -410,82 +416,82 @@ fn an_outcome_query_that_is_not_understood_gives_an_unknown_outcome() {
 /// was known when the INIT was sent.
 #[test]
 fn never_seen_is_not_trusted_from_a_server_probed_after_the_init() {
-    let mut desk = Desk::new();
-    desk.probe(111);
-    desk.init();
-    assert_eq!(desk.late(), Late::AskOutcome);
-    desk.probe(222);
-    let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
+    let mut client = TestClient::new();
+    client.probe(111);
+    client.init();
+    assert_eq!(client.late(), Late::AskOutcome);
+    client.probe(222);
+    let (asked, body) = client.written(|client, now, sink| client.outcome(now, sink));
     assert_eq!(body, "$ztl;2;-1;outcome 2");
     let reply = b"$ztl;2;0;never seen since boot 222";
-    let heard = desk.handle_reply(asked, reply);
+    let heard = client.handle_reply(asked, reply);
     assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
 #[test]
 fn never_seen_is_not_trusted_for_an_init_sent_before_any_probe() {
-    let mut desk = Desk::new();
-    desk.init();
-    assert_eq!(desk.late(), Late::NoAnswer);
-    desk.probe(222);
-    let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
+    let mut client = TestClient::new();
+    client.init();
+    assert_eq!(client.late(), Late::NoAnswer);
+    client.probe(222);
+    let (asked, _) = client.written(|client, now, sink| client.outcome(now, sink));
     let reply = b"$ztl;2;0;never seen since boot 222";
-    let heard = desk.handle_reply(asked, reply);
+    let heard = client.handle_reply(asked, reply);
     assert_eq!(heard, Some(Heard::OutcomeUnknown));
 }
 
 /// Regression: with a timeout above 10 s, the client accepted a reply from when the server may have dropped the record.
 #[test]
 fn an_outcome_is_valid_only_while_the_server_keeps_it() {
-    let mut desk = Desk::new();
-    desk.client.set_timeout(Duration::from_secs(45));
-    desk.probe(4711);
-    desk.init();
-    assert_eq!(desk.late(), Late::AskOutcome);
-    let (asked, _) = desk.written(|client, now, sink| client.outcome(now, sink));
+    let mut client = TestClient::new();
+    client.client.set_timeout(Duration::from_secs(45));
+    client.probe(4711);
+    client.init();
+    assert_eq!(client.late(), Late::AskOutcome);
+    let (asked, _) = client.written(|client, now, sink| client.outcome(now, sink));
     let forgotten = Instant::ZERO + KEEP_INIT;
-    assert_eq!(desk.client.poll_timeout(), Some(forgotten));
-    assert_eq!(desk.late(), Late::AskOutcome);
+    assert_eq!(client.client.poll_timeout(), Some(forgotten));
+    assert_eq!(client.late(), Late::AskOutcome);
     let reply = b"$ztl;2;0;never seen since boot 4711";
-    assert_eq!(desk.handle_reply(asked, reply), None);
+    assert_eq!(client.handle_reply(asked, reply), None);
     let mut none = |_: &[u8]| {};
-    assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+    assert_eq!(client.client.outcome(client.now, &mut none), None);
 }
 
 #[test]
 fn a_pending_or_abandoned_init_can_be_queried() {
     for given_up in [false, true] {
-        let mut desk = Desk::new();
-        desk.probe(4711);
-        let (init, _) = desk.init();
+        let mut client = TestClient::new();
+        client.probe(4711);
+        let (init, _) = client.init();
         if given_up {
-            desk.probe(4711);
+            client.probe(4711);
         }
-        let (asked, body) = desk.written(|client, now, sink| client.outcome(now, sink));
+        let (asked, body) = client.written(|client, now, sink| client.outcome(now, sink));
         assert_eq!(body, "$ztl;2;-1;outcome 2");
-        assert_eq!(desk.handle_reply(init, b"/lab;1;12;late"), None);
-        let heard = desk.handle_reply(asked, b"$ztl;1;12;Initiated");
+        assert_eq!(client.handle_reply(init, b"/lab;1;12;late"), None);
+        let heard = client.handle_reply(asked, b"$ztl;1;12;Initiated");
         assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
     }
 }
 
 #[test]
 fn an_answered_init_is_not_queried() {
-    let mut desk = Desk::new();
-    desk.probe(4711);
-    let (init, _) = desk.init();
-    let heard = desk.handle_reply(init, b"/lab;1;12;Initiated");
+    let mut client = TestClient::new();
+    client.probe(4711);
+    let (init, _) = client.init();
+    let heard = client.handle_reply(init, b"/lab;1;12;Initiated");
     assert!(matches!(heard, Some(Heard::Answer(_))), "{heard:?}");
     let mut none = |_: &[u8]| {};
-    assert_eq!(desk.client.outcome(desk.now, &mut none), None);
+    assert_eq!(client.client.outcome(client.now, &mut none), None);
 }
 
 #[test]
 fn the_longest_message_comes_from_the_latest_probe_not_a_scope_name() {
-    let mut desk = Desk::new();
-    assert_eq!(desk.client.longest_message(), None);
-    assert_eq!(desk.longest(", message: 65536, scopes: {}"), Some(65_536));
-    assert_eq!(desk.longest(", message: 4096"), Some(4096));
+    let mut client = TestClient::new();
+    assert_eq!(client.client.longest_message(), None);
+    assert_eq!(client.longest(", message: 65536, scopes: {}"), Some(65_536));
+    assert_eq!(client.longest(", message: 4096"), Some(4096));
     for none in [
         ", scopes: {}",
         ", scopes: {\"/a, message: 5,\": {}}",
@@ -494,12 +500,12 @@ fn the_longest_message_comes_from_the_latest_probe_not_a_scope_name() {
         ", message: 4294967296, scopes: {}",
         ", message: ",
     ] {
-        assert_eq!(desk.longest(none), None, "{none}");
+        assert_eq!(client.longest(none), None, "{none}");
     }
     // Another server is at the other end now.
-    desk.longest(", message: 65536, scopes: {}");
-    let (envelope, _) = desk.written(|client, now, sink| Some(client.probe(now, sink)));
+    client.longest(", message: 65536, scopes: {}");
+    let (envelope, _) = client.written(|client, now, sink| Some(client.probe(now, sink)));
     let refused = b"$ztl;2;-1;No controller for scope: $ztl, boot: 7, message: 5";
-    desk.handle_reply(envelope, refused);
-    assert_eq!(desk.client.longest_message(), None);
+    client.handle_reply(envelope, refused);
+    assert_eq!(client.client.longest_message(), None);
 }

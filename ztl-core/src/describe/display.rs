@@ -2,12 +2,12 @@
 
 use core::fmt;
 
-use super::{Goal, Storage};
+use super::{GoalRule, Storage};
 
 /// No message has more characters, so a higher limit means none.
 const LONGEST: usize = 1 << 20;
 
-impl<S: Storage> fmt::Display for Goal<S> {
+impl<S: Storage> fmt::Display for GoalRule<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Any => f.write_str("anything"),

@@ -2,7 +2,7 @@
 
 use core::fmt::{self, Display, Formatter, Write};
 
-use super::{Component, Field, Goal, Storage};
+use super::{ComponentDescription, Field, GoalRule, Storage};
 
 /// A text in JSON's quotes, without characters that YAML does not allow there.
 pub(super) struct Quoted<'a>(pub &'a str);
@@ -68,7 +68,7 @@ fn text(f: &mut Formatter<'_>, key: &str, value: Option<&str>) -> fmt::Result {
 
 struct Json<'a, T>(&'a T);
 
-impl<S: Storage> Component<S> {
+impl<S: Storage> ComponentDescription<S> {
     /// The description in one line of JSON, which is also YAML in flow style. Leaves out what it does not
     /// say.
     pub fn json(&self) -> impl Display + '_ {
@@ -76,7 +76,7 @@ impl<S: Storage> Component<S> {
     }
 }
 
-impl<S: Storage> Display for Json<'_, Component<S>> {
+impl<S: Storage> Display for Json<'_, ComponentDescription<S>> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let it = self.0;
         f.write_str("{\"goal\": {")?;
@@ -100,18 +100,18 @@ impl<S: Storage> Display for Json<'_, Component<S>> {
 }
 
 /// The pairs of a goal.
-fn goal<S: Storage>(f: &mut Formatter<'_>, it: &Goal<S>) -> fmt::Result {
+fn goal<S: Storage>(f: &mut Formatter<'_>, it: &GoalRule<S>) -> fmt::Result {
     match it {
-        Goal::Any => f.write_str("\"type\": \"any\""),
-        Goal::Nothing => f.write_str("\"type\": \"nothing\""),
-        Goal::Text { longest } => {
+        GoalRule::Any => f.write_str("\"type\": \"any\""),
+        GoalRule::Nothing => f.write_str("\"type\": \"nothing\""),
+        GoalRule::Text { longest } => {
             f.write_str("\"type\": \"text\"")?;
             match longest {
                 Some(longest) => write!(f, ", \"longest\": {longest}"),
                 None => Ok(()),
             }
         }
-        Goal::Number {
+        GoalRule::Number {
             whole,
             least,
             most,
@@ -125,14 +125,14 @@ fn goal<S: Storage>(f: &mut Formatter<'_>, it: &Goal<S>) -> fmt::Result {
             bound(f, "step", *step)?;
             text(f, "unit", unit.as_ref().map(AsRef::as_ref))
         }
-        Goal::Bool => f.write_str("\"type\": \"truth\""),
-        Goal::OneOf(words) => write!(f, "\"one-of\": {}", Texts(words.as_ref())),
-        Goal::ListOf(item) => {
+        GoalRule::Bool => f.write_str("\"type\": \"truth\""),
+        GoalRule::OneOf(words) => write!(f, "\"one-of\": {}", Texts(words.as_ref())),
+        GoalRule::ListOf(item) => {
             f.write_str("\"list-of\": {")?;
             goal(f, item.as_ref())?;
             f.write_char('}')
         }
-        Goal::Fields(fields) => {
+        GoalRule::Fields(fields) => {
             f.write_str("\"fields\": [")?;
             list(f, fields.as_ref(), field)?;
             f.write_char(']')

@@ -1,18 +1,18 @@
 //! What a component says of itself: which goals it takes, what they mean, and what comes of them.
 //!
 //! The same model is a `const` in firmware ([`Const`]) and grows on a host, which chooses another [`Storage`].
-//! [`Component::json`] writes it in one line, as JSON, which is also YAML in flow style; [`Goal::schema`]
+//! [`ComponentDescription::json`] writes it in one line, as JSON, which is also YAML in flow style; [`GoalRule::schema`]
 //! writes the goal as JSON Schema. `docs/protocol.md` [11.7] describes the keys. For firmware,
 //! [`description!`](crate::description) lets the compiler write the JSON, and [`goal_fields!`](crate::goal_fields)
 //! describes a struct.
 //!
 //! ```
-//! use ztl_core::describe::{Component, Goal};
+//! use ztl_core::describe::{ComponentDescription, GoalRule};
 //!
-//! const GRIPPER: Component = Component {
+//! const GRIPPER: ComponentDescription = ComponentDescription {
 //!     about: Some("opens the gripper"),
 //!     examples: &["40"],
-//!     ..Component::new(Goal::range(0.0, 80.0, "mm"))
+//!     ..ComponentDescription::new(GoalRule::range(0.0, 80.0, "mm"))
 //! };
 //! assert_eq!(GRIPPER.goal.to_string(), "a number from 0 to 80 mm");
 //! assert_eq!(
@@ -56,7 +56,7 @@ impl Storage for Const {
     type Part<T: 'static> = ConstPart<T>;
 }
 
-/// A constant elsewhere: `ConstPart(&Goal::Bool)`.
+/// A constant elsewhere: `ConstPart(&GoalRule::Bool)`.
 #[derive(Debug)]
 pub struct ConstPart<T: 'static>(pub &'static T);
 
@@ -74,9 +74,9 @@ impl<T> AsRef<T> for ConstPart<T> {
 
 /// What a component says of itself.
 #[derive(Clone)]
-pub struct Component<S: Storage = Const> {
+pub struct ComponentDescription<S: Storage = Const> {
     /// What goals must be.
-    pub goal: Goal<S>,
+    pub goal: GoalRule<S>,
     /// What it does, in one line.
     pub about: Option<S::Text>,
     /// Goals that it takes.
@@ -91,10 +91,10 @@ pub struct Component<S: Storage = Const> {
     pub usually_ms: Option<u32>,
 }
 
-impl Component {
+impl ComponentDescription {
     /// A component that says no more than its goal.
     #[must_use]
-    pub const fn new(goal: Goal) -> Self {
+    pub const fn new(goal: GoalRule) -> Self {
         Self {
             goal,
             about: None,
@@ -109,7 +109,7 @@ impl Component {
 
 /// What a goal must be.
 #[derive(Clone, Default)]
-pub enum Goal<S: Storage = Const> {
+pub enum GoalRule<S: Storage = Const> {
     /// Any goal.
     #[default]
     Any,
@@ -138,7 +138,7 @@ pub enum Goal<S: Storage = Const> {
     /// One of these words.
     OneOf(S::List<S::Text>),
     /// Any number of these.
-    ListOf(S::Part<Goal<S>>),
+    ListOf(S::Part<GoalRule<S>>),
     /// These fields and no others: a mapping, or a list of all in their order.
     Fields(S::List<Field<S>>),
 }
@@ -149,14 +149,14 @@ pub struct Field<S: Storage = Const> {
     /// Its name.
     pub name: S::Text,
     /// What its value must be.
-    pub rule: Goal<S>,
+    pub rule: GoalRule<S>,
     /// Whether a client may leave it out.
     pub optional: bool,
     /// What is used when it is left out.
     pub default: Option<S::Text>,
 }
 
-impl Goal {
+impl GoalRule {
     /// Any finite number. For the component of a device: any within the range of its offer, in its unit.
     pub const NUMBER: Self = Self::Number {
         whole: false,
@@ -197,7 +197,7 @@ impl Goal {
     }
 }
 
-impl<S: Storage> Goal<S> {
+impl<S: Storage> GoalRule<S> {
     /// Whether the goals are numbers or words of the description, so that no client can choose a text.
     pub const fn is_closed(&self) -> bool {
         matches!(
@@ -224,13 +224,13 @@ impl<S: Storage> Goal<S> {
     }
 }
 
-impl<S: Storage> fmt::Debug for Component<S> {
+impl<S: Storage> fmt::Debug for ComponentDescription<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.json())
     }
 }
 
-impl<S: Storage> fmt::Debug for Goal<S> {
+impl<S: Storage> fmt::Debug for GoalRule<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{self}")
     }

@@ -3,11 +3,11 @@
 use core::fmt::{self, Display, Formatter};
 
 use super::json::{Quoted, Texts, bound, list};
-use super::{Goal, Storage};
+use super::{GoalRule, Storage};
 
-struct Schema<'a, S: Storage>(&'a Goal<S>);
+struct Schema<'a, S: Storage>(&'a GoalRule<S>);
 
-impl<S: Storage> Goal<S> {
+impl<S: Storage> GoalRule<S> {
     /// The goal as JSON Schema, for the goal as a JSON value. Steps are not rules, so it leaves them out.
     pub fn schema(&self) -> impl Display + '_ {
         Schema(self)
@@ -17,17 +17,17 @@ impl<S: Storage> Goal<S> {
 impl<S: Storage> Display for Schema<'_, S> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match self.0 {
-            Goal::Any => f.write_str("{}"),
+            GoalRule::Any => f.write_str("{}"),
             // An empty goal is the empty text.
-            Goal::Nothing => f.write_str("{\"enum\": [null, \"\"]}"),
-            Goal::Text { longest } => {
+            GoalRule::Nothing => f.write_str("{\"enum\": [null, \"\"]}"),
+            GoalRule::Text { longest } => {
                 f.write_str("{\"type\": \"string\"")?;
                 if let Some(longest) = longest {
                     write!(f, ", \"maxLength\": {longest}")?;
                 }
                 f.write_str("}")
             }
-            Goal::Number {
+            GoalRule::Number {
                 whole,
                 least,
                 most,
@@ -43,13 +43,13 @@ impl<S: Storage> Display for Schema<'_, S> {
                 }
                 f.write_str("}")
             }
-            Goal::Bool => f.write_str("{\"type\": \"boolean\"}"),
-            Goal::OneOf(words) => write!(f, "{{\"enum\": {}}}", Texts(words.as_ref())),
-            Goal::ListOf(item) => {
+            GoalRule::Bool => f.write_str("{\"type\": \"boolean\"}"),
+            GoalRule::OneOf(words) => write!(f, "{{\"enum\": {}}}", Texts(words.as_ref())),
+            GoalRule::ListOf(item) => {
                 let item = Schema(item.as_ref());
                 write!(f, "{{\"type\": \"array\", \"items\": {item}}}")
             }
-            Goal::Fields(fields) => {
+            GoalRule::Fields(fields) => {
                 let fields = fields.as_ref();
                 f.write_str("{\"anyOf\": [{\"type\": \"object\", \"properties\": {")?;
                 list(f, fields, |f, field| {

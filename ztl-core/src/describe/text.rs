@@ -1,25 +1,25 @@
 //! A description in JSON that the compiler writes, so that firmware holds it as a constant and has no code for it.
 
-use super::{Component, Field, Goal};
+use super::{ComponentDescription, Field, GoalRule};
 
-/// The description of a component in JSON, as a `&'static str`: what [`Component::json`] says, without spaces.
+/// The description of a component in JSON, as a `&'static str`: what [`ComponentDescription::json`] says, without spaces.
 ///
 /// The compiler evaluates it and rejects a number of 2^53 or more, or with more than 9 decimals.
 ///
 /// ```
-/// use ztl_core::describe::{Component, Goal};
+/// use ztl_core::describe::{ComponentDescription, GoalRule};
 /// use ztl_core::description;
 ///
-/// const LAMP: &str = description!(Component {
+/// const LAMP: &str = description!(ComponentDescription {
 ///     about: Some("lights the desk"),
-///     ..Component::new(Goal::words(&["on", "off"]))
+///     ..ComponentDescription::new(GoalRule::words(&["on", "off"]))
 /// });
 /// assert_eq!(LAMP, r#"{"goal":{"one-of":["on","off"]},"about":"lights the desk"}"#);
 /// ```
 #[macro_export]
 macro_rules! description {
     ($component:expr) => {{
-        const COMPONENT: $crate::describe::Component = $component;
+        const COMPONENT: $crate::describe::ComponentDescription = $component;
         const LENGTH: usize = $crate::describe::text_len(&COMPONENT);
         const TEXT: [u8; LENGTH] = $crate::describe::text(&COMPONENT);
         const VALID: &str = match ::core::str::from_utf8(&TEXT) {
@@ -32,7 +32,7 @@ macro_rules! description {
 
 /// The length of a description in JSON; for [`description!`](crate::description).
 #[must_use]
-pub const fn text_len(component: &Component) -> usize {
+pub const fn text_len(component: &ComponentDescription) -> usize {
     let mut counted = Writer::<0>::new();
     counted.component(component);
     counted.len
@@ -43,7 +43,7 @@ pub const fn text_len(component: &Component) -> usize {
 /// # Panics
 /// If a number is 2^53 or more, or has more than 9 decimals. A constant does not compile then.
 #[must_use]
-pub const fn text<const LENGTH: usize>(component: &Component) -> [u8; LENGTH] {
+pub const fn text<const LENGTH: usize>(component: &ComponentDescription) -> [u8; LENGTH] {
     let mut written = Writer::<LENGTH>::new();
     written.component(component);
     written.bytes
@@ -204,9 +204,9 @@ impl<const N: usize> Writer<N> {
         self.decimal(value, 0);
     }
 
-    const fn component(&mut self, it: &Component) {
+    const fn component(&mut self, it: &ComponentDescription) {
         self.open();
-        if !matches!(it.goal, Goal::Any) {
+        if !matches!(it.goal, GoalRule::Any) {
             self.key("goal");
             self.open();
             self.goal(&it.goal);
@@ -231,17 +231,17 @@ impl<const N: usize> Writer<N> {
     }
 
     /// The pairs of a goal.
-    const fn goal(&mut self, it: &Goal) {
+    const fn goal(&mut self, it: &GoalRule) {
         match it {
-            Goal::Any => self.pair("type", Some("any")),
-            Goal::Nothing => self.pair("type", Some("nothing")),
-            Goal::Text { longest } => {
+            GoalRule::Any => self.pair("type", Some("any")),
+            GoalRule::Nothing => self.pair("type", Some("nothing")),
+            GoalRule::Text { longest } => {
                 self.pair("type", Some("text"));
                 if let Some(longest) = longest {
                     self.whole("longest", *longest as u64);
                 }
             }
-            Goal::Number {
+            GoalRule::Number {
                 whole,
                 least,
                 most,
@@ -254,15 +254,15 @@ impl<const N: usize> Writer<N> {
                 self.number("step", *step);
                 self.pair("unit", *unit);
             }
-            Goal::Bool => self.pair("type", Some("truth")),
-            Goal::OneOf(words) => self.texts("one-of", words),
-            Goal::ListOf(item) => {
+            GoalRule::Bool => self.pair("type", Some("truth")),
+            GoalRule::OneOf(words) => self.texts("one-of", words),
+            GoalRule::ListOf(item) => {
                 self.key("list-of");
                 self.open();
                 self.goal(item.0);
                 self.close();
             }
-            Goal::Fields(fields) => {
+            GoalRule::Fields(fields) => {
                 self.key("fields");
                 self.byte(b'[');
                 let mut rest: &[Field] = fields;
@@ -300,7 +300,7 @@ mod tests {
     const FIELDS: &[Field] = &[
         Field {
             name: "list",
-            rule: Goal::list(&Goal::Number {
+            rule: GoalRule::list(&GoalRule::Number {
                 whole: false,
                 least: Some(-0.001),
                 most: Some(1e300 * 1e300),
@@ -312,26 +312,26 @@ mod tests {
         },
         Field {
             name: "which",
-            rule: Goal::words(&["on", "off"]),
+            rule: GoalRule::words(&["on", "off"]),
             optional: false,
             default: None,
         },
         Field {
             name: "text",
-            rule: Goal::Text { longest: Some(10) },
+            rule: GoalRule::Text { longest: Some(10) },
             optional: false,
             default: None,
         },
     ];
 
-    const FULL: Component = Component {
+    const FULL: ComponentDescription = ComponentDescription {
         about: Some("says \"it\" \\ \u{7} grüßt"),
         examples: &["a", "b"],
         result: Some("where it is"),
         streams: &["/pose"],
         can_abort: false,
         usually_ms: Some(1500),
-        goal: Goal::fields(FIELDS),
+        goal: GoalRule::fields(FIELDS),
     };
 
     #[test]
@@ -343,11 +343,11 @@ mod tests {
             .replace(", ", ",")
             .replace(": ", ":");
         assert_eq!(FULL_TEXT, fields);
-        assert_eq!(description!(Component::new(Goal::Any)), "{}");
+        assert_eq!(description!(ComponentDescription::new(GoalRule::Any)), "{}");
         let (of_bool, of_nothing, of_whole) = (
-            description!(Component::new(Goal::Bool)),
-            description!(Component::new(Goal::Nothing)),
-            description!(Component::new(Goal::Number {
+            description!(ComponentDescription::new(GoalRule::Bool)),
+            description!(ComponentDescription::new(GoalRule::Nothing)),
+            description!(ComponentDescription::new(GoalRule::Number {
                 whole: true,
                 least: None,
                 most: Some(9_007_199_254_740_991.0),
@@ -374,7 +374,7 @@ mod tests {
             -90.0,
             1.57,
         ] {
-            let written = Component::new(Goal::Number {
+            let written = ComponentDescription::new(GoalRule::Number {
                 whole: false,
                 least: Some(value),
                 most: None,

@@ -14,13 +14,13 @@ use std::vec::Vec;
 const MANY_CLIENTS: &str = "too many clients at a time, try again in a minute";
 
 /// A server on virtual time. A client is a number; replies are collected as text.
-struct Desk {
+struct TestServer {
     dispatcher: Dispatcher<Fixed<u8, 2, 3, 16, 2>>,
     now: Instant,
     answers: Vec<(u8, String)>,
 }
 
-impl Desk {
+impl TestServer {
     fn new() -> Self {
         let memory = Fixed::new(["/test", "/other"]);
         let config = Config::new(TaskId::new(1).unwrap(), 4711);
@@ -120,112 +120,112 @@ fn every_malformed_request_is_answered_and_the_next_valid_one_is_served() {
             "/test;2;99999999999999999999;Invalid ID '99999999999999999999'",
         ),
     ] {
-        let mut desk = Desk::new();
-        assert_eq!(desk.handle(7, None, Body::One(request)), None);
-        desk.told(&[(7, answer)]);
-        desk.accepted(1);
+        let mut server = TestServer::new();
+        assert_eq!(server.handle(7, None, Body::One(request)), None);
+        server.told(&[(7, answer)]);
+        server.accepted(1);
     }
-    let mut desk = Desk::new();
-    desk.handle(7, None, Body::Several);
-    desk.told(&[(7, ";2;-1;Unknown protocol")]);
+    let mut server = TestServer::new();
+    server.handle(7, None, Body::Several);
+    server.told(&[(7, ";2;-1;Unknown protocol")]);
     let digits = "9".repeat(5000);
-    desk.ask(7, &std::format!("/test;2;{digits};x"));
-    desk.told(&[(7, "/test;2;-1;Invalid request")]);
+    server.ask(7, &std::format!("/test;2;{digits};x"));
+    server.told(&[(7, "/test;2;-1;Invalid request")]);
 }
 
 #[test]
 fn a_task_is_started_queried_and_completed() {
-    let mut desk = Desk::new();
-    assert_eq!(desk.ask(1, "/test;1;-1;x"), Some(("start", 1)));
-    desk.told(&[]);
-    desk.event(1, TaskEvent::Accepted { reply: "Initiated" });
-    desk.told(&[(1, "/test;1;1;Initiated")]);
-    desk.ask(2, "/test;2;1;a;b;c");
-    desk.told(&[(2, "/test;1;1;None")]);
-    desk.event(1, TaskEvent::Progress { text: "half" });
-    desk.ask(2, "/test;2;1;");
-    desk.told(&[(2, "/test;1;1;half")]);
-    desk.event(1, TaskEvent::Completed { result: "done" });
-    desk.ask(2, "/test;2;1;");
-    desk.told(&[(2, "/test;5;1;done")]);
+    let mut server = TestServer::new();
+    assert_eq!(server.ask(1, "/test;1;-1;x"), Some(("start", 1)));
+    server.told(&[]);
+    server.event(1, TaskEvent::Accepted { reply: "Initiated" });
+    server.told(&[(1, "/test;1;1;Initiated")]);
+    server.ask(2, "/test;2;1;a;b;c");
+    server.told(&[(2, "/test;1;1;None")]);
+    server.event(1, TaskEvent::Progress { text: "half" });
+    server.ask(2, "/test;2;1;");
+    server.told(&[(2, "/test;1;1;half")]);
+    server.event(1, TaskEvent::Completed { result: "done" });
+    server.ask(2, "/test;2;1;");
+    server.told(&[(2, "/test;5;1;done")]);
 }
 
 #[test]
 fn a_task_is_unknown_under_another_scope() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.ask(2, "/other;2;1;");
-    desk.told(&[(2, "/other;2;1;Invalid ID '1'")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.ask(2, "/other;2;1;");
+    server.told(&[(2, "/other;2;1;Invalid ID '1'")]);
 }
 
 #[test]
 fn a_rejected_init_has_no_id_but_consumes_one() {
-    let mut desk = Desk::new();
-    desk.ask(1, "/test;1;-1;x");
-    desk.event(1, TaskEvent::Rejected { reason: "busy" });
-    desk.told(&[(1, "/test;2;-1;busy")]);
-    desk.ask(1, "/test;1;-1;x");
-    desk.event(2, TaskEvent::Threw { message: "'goal'" });
-    desk.told(&[(1, "/test;3;-1;Controller threw exception: 'goal'")]);
-    desk.ask(1, "/test;2;1;");
-    desk.told(&[(1, "/test;2;1;Invalid ID '1'")]);
-    desk.accepted(3);
+    let mut server = TestServer::new();
+    server.ask(1, "/test;1;-1;x");
+    server.event(1, TaskEvent::Rejected { reason: "busy" });
+    server.told(&[(1, "/test;2;-1;busy")]);
+    server.ask(1, "/test;1;-1;x");
+    server.event(2, TaskEvent::Threw { message: "'goal'" });
+    server.told(&[(1, "/test;3;-1;Controller threw exception: 'goal'")]);
+    server.ask(1, "/test;2;1;");
+    server.told(&[(1, "/test;2;1;Invalid ID '1'")]);
+    server.accepted(3);
 }
 
 #[test]
 fn abort_is_answered_when_the_task_has_ended() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    assert_eq!(desk.ask(2, "/test;3;1;"), Some(("abort", 1)));
-    desk.told(&[]);
-    desk.event(1, TaskEvent::Aborted { result: "at 40" });
-    desk.told(&[(2, "/test;4;1;True")]);
-    desk.ask(2, "/test;2;1;");
-    desk.told(&[(2, "/test;4;1;at 40")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    assert_eq!(server.ask(2, "/test;3;1;"), Some(("abort", 1)));
+    server.told(&[]);
+    server.event(1, TaskEvent::Aborted { result: "at 40" });
+    server.told(&[(2, "/test;4;1;True")]);
+    server.ask(2, "/test;2;1;");
+    server.told(&[(2, "/test;4;1;at 40")]);
 }
 
 #[test]
 fn abort_of_a_task_that_completes_meanwhile_reports_completed() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.ask(2, "/test;3;1;");
-    desk.event(1, TaskEvent::Completed { result: "40" });
-    desk.told(&[(2, "/test;5;1;40")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.ask(2, "/test;3;1;");
+    server.event(1, TaskEvent::Completed { result: "40" });
+    server.told(&[(2, "/test;5;1;40")]);
 }
 
 #[test]
 fn a_slow_abort_is_answered_in_time_and_status_reports_the_final_state() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.ask(2, "/test;3;1;");
-    desk.pass(Duration::from_millis(1499));
-    desk.told(&[]);
-    desk.pass(Duration::from_millis(1));
-    desk.told(&[(2, "/test;1;1;aborting")]);
-    desk.event(1, TaskEvent::Aborted { result: "late" });
-    desk.told(&[]);
-    desk.ask(2, "/test;2;1;");
-    desk.told(&[(2, "/test;4;1;late")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.ask(2, "/test;3;1;");
+    server.pass(Duration::from_millis(1499));
+    server.told(&[]);
+    server.pass(Duration::from_millis(1));
+    server.told(&[(2, "/test;1;1;aborting")]);
+    server.event(1, TaskEvent::Aborted { result: "late" });
+    server.told(&[]);
+    server.ask(2, "/test;2;1;");
+    server.told(&[(2, "/test;4;1;late")]);
 }
 
 #[test]
 fn a_refused_abort_is_reported_and_the_task_continues() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.ask(2, "/test;3;1;");
-    desk.event(1, TaskEvent::AbortRejected);
-    desk.told(&[(2, "/test;1;1;False")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.ask(2, "/test;3;1;");
+    server.event(1, TaskEvent::AbortRejected);
+    server.told(&[(2, "/test;1;1;False")]);
 }
 
 #[test]
 fn abort_of_a_finished_task_keeps_its_result() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.event(1, TaskEvent::Completed { result: "hi" });
-    assert_eq!(desk.ask(2, "/test;3;1;"), None);
-    desk.told(&[(2, "/test;5;1;False")]);
-    desk.ask(2, "/test;2;1;");
-    desk.told(&[(2, "/test;5;1;hi")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.event(1, TaskEvent::Completed { result: "hi" });
+    assert_eq!(server.ask(2, "/test;3;1;"), None);
+    server.told(&[(2, "/test;5;1;False")]);
+    server.ask(2, "/test;2;1;");
+    server.told(&[(2, "/test;5;1;hi")]);
 }
 
 #[test]
@@ -236,85 +236,85 @@ fn a_final_state_and_its_result_never_change() {
         TaskEvent::Aborted { result: "a" },
     ];
     for first in ends {
-        let mut desk = Desk::new();
-        desk.accepted(1);
-        desk.event(1, first);
-        desk.ask(1, "/test;2;1;");
-        let told = desk.answers.clone();
+        let mut server = TestServer::new();
+        server.accepted(1);
+        server.event(1, first);
+        server.ask(1, "/test;2;1;");
+        let told = server.answers.clone();
         for later in ends.into_iter().chain([
             TaskEvent::Progress { text: "p" },
             TaskEvent::Accepted { reply: "r" },
             TaskEvent::Rejected { reason: "j" },
             TaskEvent::AbortRejected,
         ]) {
-            desk.event(1, later);
+            server.event(1, later);
         }
-        desk.answers.clear();
-        desk.ask(1, "/test;2;1;");
-        assert_eq!(desk.answers, told);
+        server.answers.clear();
+        server.ask(1, "/test;2;1;");
+        assert_eq!(server.answers, told);
     }
 }
 
 #[test]
 fn an_undecided_init_is_answered_in_time_with_its_id() {
-    let mut desk = Desk::new();
-    desk.ask(1, "/test;1;-1;x");
-    desk.pass(HOLD);
-    desk.told(&[(1, "/test;1;1;Initiated task '1', nobody has taken it yet")]);
-    desk.ask(1, "/test;2;1;");
-    desk.told(&[(1, "/test;0;1;None")]);
-    desk.event(1, TaskEvent::Rejected { reason: "no" });
-    desk.ask(1, "/test;2;1;");
-    desk.told(&[(1, "/test;2;1;no")]);
+    let mut server = TestServer::new();
+    server.ask(1, "/test;1;-1;x");
+    server.pass(HOLD);
+    server.told(&[(1, "/test;1;1;Initiated task '1', nobody has taken it yet")]);
+    server.ask(1, "/test;2;1;");
+    server.told(&[(1, "/test;0;1;None")]);
+    server.event(1, TaskEvent::Rejected { reason: "no" });
+    server.ask(1, "/test;2;1;");
+    server.told(&[(1, "/test;2;1;no")]);
 }
 
 #[test]
 fn a_full_table_drops_the_oldest_ended_task_and_never_a_running_one() {
-    let mut desk = Desk::new();
+    let mut server = TestServer::new();
     for id in 1..=3 {
-        desk.accepted(id);
+        server.accepted(id);
     }
-    desk.ask(1, "/test;1;-1;x");
-    desk.told(&[(
+    server.ask(1, "/test;1;-1;x");
+    server.told(&[(
         1,
         "/test;2;-1;too many tasks are running, wait for one to end",
     )]);
-    desk.event(2, TaskEvent::Completed { result: "2" });
-    desk.pass(Duration::from_secs(1));
-    desk.event(1, TaskEvent::Completed { result: "1" });
-    desk.accepted(4);
-    desk.ask(1, "/test;2;2;");
-    desk.ask(1, "/test;2;1;");
-    desk.told(&[(1, "/test;2;2;Invalid ID '2'"), (1, "/test;5;1;1")]);
+    server.event(2, TaskEvent::Completed { result: "2" });
+    server.pass(Duration::from_secs(1));
+    server.event(1, TaskEvent::Completed { result: "1" });
+    server.accepted(4);
+    server.ask(1, "/test;2;2;");
+    server.ask(1, "/test;2;1;");
+    server.told(&[(1, "/test;2;2;Invalid ID '2'"), (1, "/test;5;1;1")]);
 }
 
 #[test]
 fn a_device_keeps_an_ended_task_until_its_slot_is_needed() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.event(1, TaskEvent::Completed { result: "done" });
-    desk.pass(Duration::from_secs(7200));
-    assert_eq!(desk.dispatcher.poll_timeout(), None);
-    desk.accepted(2);
-    desk.accepted(3);
-    desk.ask(1, "/test;2;1;");
-    desk.told(&[(1, "/test;5;1;done")]);
-    desk.accepted(4);
-    desk.ask(1, "/test;2;1;");
-    desk.told(&[(1, "/test;2;1;Invalid ID '1'")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.event(1, TaskEvent::Completed { result: "done" });
+    server.pass(Duration::from_secs(7200));
+    assert_eq!(server.dispatcher.poll_timeout(), None);
+    server.accepted(2);
+    server.accepted(3);
+    server.ask(1, "/test;2;1;");
+    server.told(&[(1, "/test;5;1;done")]);
+    server.accepted(4);
+    server.ask(1, "/test;2;1;");
+    server.told(&[(1, "/test;2;1;Invalid ID '1'")]);
 }
 
 #[test]
 fn requests_are_answered_at_once_when_no_reply_can_be_held() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.ask(1, "/test;1;-1;x");
-    desk.ask(2, "/test;1;-1;x");
-    assert_eq!(desk.ask(3, "/test;1;-1;x"), None);
-    desk.event(2, TaskEvent::Rejected { reason: "no" });
-    desk.ask(3, "/test;3;3;");
-    assert_eq!(desk.ask(4, "/test;3;1;"), Some(("abort", 1)));
-    desk.told(&[
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.ask(1, "/test;1;-1;x");
+    server.ask(2, "/test;1;-1;x");
+    assert_eq!(server.ask(3, "/test;1;-1;x"), None);
+    server.event(2, TaskEvent::Rejected { reason: "no" });
+    server.ask(3, "/test;3;3;");
+    assert_eq!(server.ask(4, "/test;3;1;"), Some(("abort", 1)));
+    server.told(&[
         (3, "/test;2;-1;too many requests are waiting, try again"),
         (1, "/test;2;-1;no"),
         (4, "/test;1;1;aborting"),
@@ -323,29 +323,29 @@ fn requests_are_answered_at_once_when_no_reply_can_be_held() {
 
 #[test]
 fn a_result_that_does_not_fit_is_cut_at_a_character_boundary() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.event(
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.event(
         1,
         TaskEvent::Completed {
             result: "fünfzehn zeichen und mehr",
         },
     );
-    desk.ask(1, "/test;2;1;");
-    let (_, answer) = desk.answers.pop().unwrap();
+    server.ask(1, "/test;2;1;");
+    let (_, answer) = server.answers.pop().unwrap();
     assert_eq!(answer, "/test;5;1;fünfzehn zei…".to_string());
 }
 
 #[test]
 fn an_abort_of_a_task_that_is_then_rejected_is_answered_too() {
-    let mut desk = Desk::new();
-    desk.ask(1, "/test;1;-1;x");
-    desk.ask(2, "/test;3;1;");
-    desk.event(1, TaskEvent::Rejected { reason: "no" });
-    desk.told(&[(1, "/test;2;-1;no"), (2, "/test;2;1;no")]);
+    let mut server = TestServer::new();
+    server.ask(1, "/test;1;-1;x");
+    server.ask(2, "/test;3;1;");
+    server.event(1, TaskEvent::Rejected { reason: "no" });
+    server.told(&[(1, "/test;2;-1;no"), (2, "/test;2;1;no")]);
 }
 
-impl Desk {
+impl TestServer {
     /// A request of client 7 with this number, in our envelope.
     fn ours(&mut self, peer: u8, number: u64, request: &str) -> Option<(&'static str, u32)> {
         self.with_early_end(peer, number, false, request)
@@ -382,22 +382,22 @@ impl Desk {
 
 #[test]
 fn status_of_our_clients_waits_for_the_final_state_and_others_do_not() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.ours(2, 1, "/test;2;1;wait 1000");
-    desk.ask(3, "/test;2;1;wait 1000");
-    desk.told(&[(3, "/test;1;1;None")]);
-    desk.event(1, TaskEvent::Progress { text: "half" });
-    desk.pass(Duration::from_millis(999));
-    desk.told(&[]);
-    desk.pass(Duration::from_millis(1));
-    desk.told(&[(2, "/test;1;1;half")]);
-    desk.ours(2, 2, "/test;2;1;wait 60000");
-    desk.pass(Duration::from_millis(1998));
-    desk.event(1, TaskEvent::Completed { result: "all" });
-    desk.told(&[(2, "/test;5;1;all")]);
-    desk.ours(2, 3, "/test;2;1;wait 1000");
-    desk.told(&[(2, "/test;5;1;all")]);
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.ours(2, 1, "/test;2;1;wait 1000");
+    server.ask(3, "/test;2;1;wait 1000");
+    server.told(&[(3, "/test;1;1;None")]);
+    server.event(1, TaskEvent::Progress { text: "half" });
+    server.pass(Duration::from_millis(999));
+    server.told(&[]);
+    server.pass(Duration::from_millis(1));
+    server.told(&[(2, "/test;1;1;half")]);
+    server.ours(2, 2, "/test;2;1;wait 60000");
+    server.pass(Duration::from_millis(1998));
+    server.event(1, TaskEvent::Completed { result: "all" });
+    server.told(&[(2, "/test;5;1;all")]);
+    server.ours(2, 3, "/test;2;1;wait 1000");
+    server.told(&[(2, "/test;5;1;all")]);
 }
 
 /// Both the table and the held replies or client records are full, and the table holds an ended task.
@@ -448,13 +448,13 @@ fn a_rejected_init_drops_no_ended_task() {
 
 #[test]
 fn probe_describes_the_server() {
-    let mut desk = Desk::new();
-    desk.accepted(1);
-    desk.accepted(2);
-    desk.event(1, TaskEvent::Completed { result: "" });
-    desk.ask(3, "$ztl;2;-1;probe");
+    let mut server = TestServer::new();
+    server.accepted(1);
+    server.accepted(2);
+    server.event(1, TaskEvent::Completed { result: "" });
+    server.ask(3, "$ztl;2;-1;probe");
     let version = crate::VERSION;
-    desk.told(&[(
+    server.told(&[(
         3,
         &std::format!(
             "$ztl;5;0;{{ztl: 1, version: '{version}', boot: 4711, scopes: {{\"/test\": {{}}, \"/other\": {{}}}}, running: {{2: \"/test\"}}}}"
@@ -466,51 +466,51 @@ fn probe_describes_the_server() {
         "$ztl;x;-1;probe",
         "$ztl;2;-1;outcome 5",
     ] {
-        assert_eq!(desk.ask(3, request), None);
-        let (_, answer) = desk.answers.pop().unwrap();
+        assert_eq!(server.ask(3, request), None);
+        let (_, answer) = server.answers.pop().unwrap();
         assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
     for payload in ["outcome", "outcome x", "outcome -1"] {
-        desk.ours(3, 9, &std::format!("$ztl;2;-1;{payload}"));
-        let (_, answer) = desk.answers.pop().unwrap();
+        server.ours(3, 9, &std::format!("$ztl;2;-1;{payload}"));
+        let (_, answer) = server.answers.pop().unwrap();
         assert!(answer.starts_with("$ztl;2;0;Invalid request"), "{answer}");
     }
 }
 
 #[test]
 fn tasks_from_before_a_restart_are_known_and_their_ids_are_not_reused() {
-    let mut desk = Desk::new();
-    desk.now = Instant::from_millis(7_200_000);
-    let restore = |desk: &mut Desk, id, state, ended| {
+    let mut server = TestServer::new();
+    server.now = Instant::from_millis(7_200_000);
+    let restore = |server: &mut TestServer, id, state, ended| {
         let mut task = Task::<_, heapless::String<16>>::new(Scope(1));
         task.state = state;
         crate::tasks::StoredText::set(&mut task.text, "before");
         task.ended = ended;
-        desk.dispatcher.restore(TaskId::new(id).unwrap(), task)
+        server.dispatcher.restore(TaskId::new(id).unwrap(), task)
     };
     let half_an_hour_ago = Instant::from_millis(5_400_000);
-    assert!(restore(&mut desk, 7, State::Accepted, Instant::NEVER));
-    assert!(restore(&mut desk, 5, State::Completed, half_an_hour_ago));
-    desk.dispatcher.skip_to(TaskId::new(20).unwrap());
-    desk.accepted(21);
+    assert!(restore(&mut server, 7, State::Accepted, Instant::NEVER));
+    assert!(restore(&mut server, 5, State::Completed, half_an_hour_ago));
+    server.dispatcher.skip_to(TaskId::new(20).unwrap());
+    server.accepted(21);
     assert!(
-        !restore(&mut desk, 30, State::Accepted, Instant::NEVER),
+        !restore(&mut server, 30, State::Accepted, Instant::NEVER),
         "there is no room"
     );
-    desk.ask(2, "/other;2;7;");
-    desk.ask(2, "/other;2;5;");
-    desk.ask(2, "/test;2;7;");
-    desk.told(&[
+    server.ask(2, "/other;2;7;");
+    server.ask(2, "/other;2;5;");
+    server.ask(2, "/test;2;7;");
+    server.told(&[
         (2, "/other;1;7;before"),
         (2, "/other;5;5;before"),
         (2, "/test;2;7;Invalid ID '7'"),
     ]);
-    assert_eq!(desk.ask(2, "/other;3;7;"), Some(("abort", 7)));
-    desk.event(7, TaskEvent::Aborted { result: "here" });
-    desk.told(&[(2, "/other;4;7;True")]);
+    assert_eq!(server.ask(2, "/other;3;7;"), Some(("abort", 7)));
+    server.event(7, TaskEvent::Aborted { result: "here" });
+    server.told(&[(2, "/other;4;7;True")]);
     // The task that ended first is dropped, and that was before the restart.
-    desk.accepted(31);
-    desk.ask(2, "/other;2;5;");
-    desk.ask(2, "/other;2;7;");
-    desk.told(&[(2, "/other;2;5;Invalid ID '5'"), (2, "/other;4;7;here")]);
+    server.accepted(31);
+    server.ask(2, "/other;2;5;");
+    server.ask(2, "/other;2;7;");
+    server.told(&[(2, "/other;2;5;Invalid ID '5'"), (2, "/other;4;7;here")]);
 }

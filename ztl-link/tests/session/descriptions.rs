@@ -7,7 +7,7 @@ use ztl_core::link::{
 };
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::{LinkEvent, Session};
-use ztl_mcu::describe::{About, Describe, Described, Goal};
+use ztl_mcu::describe::{ComponentDescription, Describe, Described, GoalRule};
 use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Components, Identity, Node, Refused, Report, Run, description};
 
@@ -16,11 +16,11 @@ struct Lamp(&'static str);
 
 impl Describe for Lamp {
     // Two bytes of the text's umlauts are in different parts, whatever comes before.
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some(
             "grüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüüßt, xüüüüüüüüüüüüüüüüüüüüüüüüüüü"
         ),
-        ..About::new(Goal::words(&["on", "off"]))
+        ..ComponentDescription::new(GoalRule::words(&["on", "off"]))
     });
 }
 

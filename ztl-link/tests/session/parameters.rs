@@ -72,9 +72,9 @@ impl Tunable for Part<'_> {
     }
 }
 
-type Desk<'t> = Node<'static, Tuned<(Part<'t>,)>, 2, 128>;
+type DeviceNode<'t> = Node<'static, Tuned<(Part<'t>,)>, 2, 128>;
 
-fn node(sets: &RefCell<Vec<u32>>, boot: u32) -> Desk<'_> {
+fn node(sets: &RefCell<Vec<u32>>, boot: u32) -> DeviceNode<'_> {
     let part = Part {
         sets,
         values: [0; 2],
@@ -102,7 +102,7 @@ impl Dice {
 struct Talk<'t> {
     now: Instant,
     session: Session,
-    node: Desk<'t>,
+    node: DeviceNode<'t>,
     boot: u32,
     /// Frames on the way, with the time at which they arrive: to the node, and back.
     lanes: [VecDeque<(Instant, Vec<u8>)>; 2],

@@ -84,9 +84,9 @@ impl Updater for Flash<'_> {
     }
 }
 
-type Desk<'t> = Node<'static, Updatable<(Part,), Flash<'t>>, 2, 128>;
+type DeviceNode<'t> = Node<'static, Updatable<(Part,), Flash<'t>>, 2, 128>;
 
-fn node(stored: &RefCell<Vec<u8>>, boot: u32) -> Desk<'_> {
+fn node(stored: &RefCell<Vec<u8>>, boot: u32) -> DeviceNode<'_> {
     let identity = Identity::new("desk", "1", boot << 20);
     Node::new(identity, Updatable::new((Part,), Flash(stored)))
 }

@@ -1,7 +1,7 @@
 //! A node on a shared line, played by hand on virtual time.
 
 use super::*;
-use crate::component::{Refused, Report, Run};
+use crate::component::{Component, Refused, Report, Run};
 use crate::{Identity, Node};
 use std::vec::Vec;
 use ztl_core::link::{

@@ -213,18 +213,18 @@ macro_rules! forward {
             self.$field.count()
         }
 
-        fn component(&self, index: usize) -> Option<&dyn Component> {
+        fn component(&self, index: usize) -> Option<&dyn crate::component::Component> {
             self.$field.component(index)
         }
 
         fn component_mut(
             &mut self,
             index: usize,
-        ) -> Option<&mut dyn Component> {
+        ) -> Option<&mut dyn crate::component::Component> {
             self.$field.component_mut(index)
         }
 
-        fn next_tick(&self, index: usize) -> Instant {
+        fn next_tick(&self, index: usize) -> ::ztl_core::Instant {
             self.$field.next_tick(index)
         }
 
@@ -240,33 +240,33 @@ macro_rules! forward {
         }
     };
     (@bus $field:tt) => {
-        fn bus(&self) -> Option<&BusState> {
+        fn bus(&self) -> Option<&crate::bus::BusState> {
             self.$field.bus()
         }
 
-        fn bus_mut(&mut self) -> Option<&mut BusState> {
+        fn bus_mut(&mut self) -> Option<&mut crate::bus::BusState> {
             self.$field.bus_mut()
         }
     };
     (@own_work $field:tt) => {
         const ACTING: bool = C::ACTING;
 
-        fn own_work(&self) -> Option<&OwnWork> {
+        fn own_work(&self) -> Option<&crate::acting::OwnWork> {
             self.$field.own_work()
         }
 
-        fn own_work_mut(&mut self) -> Option<&mut OwnWork> {
+        fn own_work_mut(&mut self) -> Option<&mut crate::acting::OwnWork> {
             self.$field.own_work_mut()
         }
     };
     (@parameters $field:tt) => {
         const PARAMETER_COUNT: u8 = C::PARAMETER_COUNT;
 
-        fn tuning(&self) -> Option<&dyn Tuning> {
+        fn tuning(&self) -> Option<&dyn crate::parameters::Tuning> {
             self.$field.tuning()
         }
 
-        fn tuning_mut(&mut self) -> Option<&mut dyn Tuning> {
+        fn tuning_mut(&mut self) -> Option<&mut dyn crate::parameters::Tuning> {
             self.$field.tuning_mut()
         }
     };

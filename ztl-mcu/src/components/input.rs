@@ -8,7 +8,7 @@ use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 
 use super::expected::put_takes;
 use crate::component::{Component, Reading, Refused, Report, Run};
-use crate::describe::{About, Describe, Goal as Rule};
+use crate::describe::{ComponentDescription, Describe, GoalRule};
 use crate::description;
 use crate::parameters::Tunable;
 
@@ -96,9 +96,9 @@ impl<P: InputPin> DigitalInput<P> {
 impl<P> Tunable for DigitalInput<P> {}
 
 impl<P> Describe for DigitalInput<P> {
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some("waits until it is pressed or released"),
-        ..About::new(Rule::words(&["pressed", "released"]))
+        ..ComponentDescription::new(GoalRule::words(&["pressed", "released"]))
     });
 }
 

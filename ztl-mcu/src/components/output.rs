@@ -10,7 +10,7 @@ use ztl_core::sink::div_10;
 use super::expected::put_takes;
 use super::number;
 use crate::component::{Component, Refused, Report, Run};
-use crate::describe::{About, Describe, Goal as Rule};
+use crate::describe::{ComponentDescription, Describe, GoalRule};
 use crate::description;
 use crate::parameters::Tunable;
 
@@ -147,10 +147,10 @@ impl<P> Tunable for DigitalOutput<P> {}
 
 impl<P> Describe for DigitalOutput<P> {
     // No rule covers `pulse 200`, and one that leaves it out would call it wrong.
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some("switches on or off, or on for some ms"),
         examples: &["on", "off", "pulse 500"],
-        ..About::new(Rule::Any)
+        ..ComponentDescription::new(GoalRule::Any)
     });
 }
 

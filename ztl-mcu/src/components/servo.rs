@@ -9,7 +9,7 @@ use super::number;
 use super::power::Power;
 use super::profile::{Limits, Profile, after_ticks, ticks_between};
 use crate::component::{Component, Refused, Report, Run};
-use crate::describe::{About, Describe, Goal as Rule};
+use crate::describe::{ComponentDescription, Describe, GoalRule};
 use crate::description;
 use crate::parameters::Tunable;
 
@@ -194,10 +194,10 @@ impl<P: SetDutyCycle> Servo<P> {
 impl<P> Tunable for Servo<P> {}
 
 impl<P> Describe for Servo<P> {
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some("turns to an angle"),
         result: Some("the commanded angle"),
-        ..About::new(Rule::NUMBER)
+        ..ComponentDescription::new(GoalRule::NUMBER)
     });
 }
 

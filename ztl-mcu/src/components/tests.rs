@@ -16,7 +16,7 @@ const SESSION: u32 = 5;
 const BOOT: u32 = 77;
 
 /// A gateway's side of a session.
-struct Desk<'c, C: Components> {
+struct TestGateway<'c, C: Components> {
     node: Node<'static, C, 6, 160>,
     now: Instant,
     seq: u8,
@@ -27,7 +27,7 @@ struct Desk<'c, C: Components> {
     pings: bool,
 }
 
-impl<C: Components> Desk<'_, C> {
+impl<C: Components> TestGateway<'_, C> {
     fn send(&mut self, session: u32, seq: u8, body: Body<'_>) {
         let frame = Frame {
             addr: ADDR_ONLY_NODE,
@@ -152,9 +152,9 @@ fn components(world: &World) -> impl Components + use<'_> {
     )
 }
 
-fn desk(world: &World) -> Desk<'_, impl Components + use<'_>> {
+fn gateway(world: &World) -> TestGateway<'_, impl Components + use<'_>> {
     let identity = Identity::new("desk", "1.0.0", BOOT);
-    let mut desk = Desk {
+    let mut gateway = TestGateway {
         node: Node::new(identity, components(world)),
         now: Instant::from_millis(1),
         seq: 0,
@@ -163,19 +163,19 @@ fn desk(world: &World) -> Desk<'_, impl Components + use<'_>> {
         progress: &world.progress,
         pings: true,
     };
-    desk.hello();
-    desk
+    gateway.hello();
+    gateway
 }
 
 #[test]
 fn each_component_describes_its_goals() {
     let world = World::default();
-    let mut desk = desk(&world);
+    let mut gateway = gateway(&world);
     for index in 0..4 {
-        desk.command(Body::Describe { index });
+        gateway.command(Body::Describe { index });
     }
     assert_eq!(
-        desk.heard(),
+        gateway.heard(),
         [
             "0 pan Some((-90.0, 90.0)) degrees [] Abort []",
             "1 slide Some((0.0, 4000.0)) steps [home] Hold []",
@@ -189,43 +189,46 @@ fn each_component_describes_its_goals() {
 fn components_run_tasks_concurrently() {
     let world = World::default();
     world.button.value.set(1);
-    let mut desk = desk(&world);
-    desk.start(1, 0, "90.5");
-    desk.start(2, 0, "90");
-    desk.start(3, 1, "700");
-    desk.start(4, 2, "pulse 300");
-    desk.start(5, 3, "pressed");
-    assert_eq!(desk.heard(), ["refused: pan takes -90 to 90 degrees"]);
-    desk.pass(250);
+    let mut gateway = gateway(&world);
+    gateway.start(1, 0, "90.5");
+    gateway.start(2, 0, "90");
+    gateway.start(3, 1, "700");
+    gateway.start(4, 2, "pulse 300");
+    gateway.start(5, 3, "pressed");
+    assert_eq!(gateway.heard(), ["refused: pan takes -90 to 90 degrees"]);
+    gateway.pass(250);
     assert_eq!(world.lamp.value.get(), 1);
     world.button.value.set(0);
-    desk.pass(250);
+    gateway.pass(250);
     assert_eq!(world.lamp.value.get(), 0);
-    assert_eq!(desk.heard(), ["5 COMPLETED: pressed", "4 COMPLETED: off"]);
-    desk.pass(2000);
-    assert_eq!(desk.heard(), ["3 COMPLETED: 700", "2 COMPLETED: 90.0"]);
+    assert_eq!(
+        gateway.heard(),
+        ["5 COMPLETED: pressed", "4 COMPLETED: off"]
+    );
+    gateway.pass(2000);
+    assert_eq!(gateway.heard(), ["3 COMPLETED: 700", "2 COMPLETED: 90.0"]);
     assert_eq!(world.pan.value.get(), 6500);
     assert!(world.progress.get() > 20);
 
-    desk.start(6, 1, "home");
-    desk.pass(500);
+    gateway.start(6, 1, "home");
+    gateway.pass(500);
     world.end.value.set(1);
-    desk.pass(20);
-    assert_eq!(desk.heard(), ["6 COMPLETED: 0"]);
+    gateway.pass(20);
+    assert_eq!(gateway.heard(), ["6 COMPLETED: 0"]);
 }
 
 #[test]
 fn a_lost_link_makes_each_component_safe() {
     let world = World::default();
-    let mut desk = desk(&world);
-    desk.start(1, 0, "90");
-    desk.start(2, 1, "4000");
-    desk.start(3, 2, "pulse 60000");
-    desk.pass(600);
-    desk.pings = false;
-    desk.pass(1100);
+    let mut gateway = gateway(&world);
+    gateway.start(1, 0, "90");
+    gateway.start(2, 1, "4000");
+    gateway.start(3, 2, "pulse 60000");
+    gateway.pass(600);
+    gateway.pings = false;
+    gateway.pass(1100);
     assert_eq!(
-        desk.heard(),
+        gateway.heard(),
         [
             "1 FAILED: link was lost",
             "2 FAILED: link was lost",
@@ -235,48 +238,48 @@ fn a_lost_link_makes_each_component_safe() {
     assert_eq!(world.pan.value.get(), 0, "released");
     assert_eq!(world.lamp.value.get(), 0);
     world.step.value.set(9);
-    desk.pass(100);
+    gateway.pass(100);
     assert_eq!(world.step.value.get(), 9, "no step more");
 }
 
 #[test]
 fn a_lost_link_makes_outputs_of_earlier_tasks_safe() {
     let world = World::default();
-    let mut desk = desk(&world);
-    desk.start(1, 0, "0");
-    desk.start(2, 1, "40");
-    desk.start(3, 2, "on");
-    desk.pass(60_000);
-    assert_eq!(desk.heard().len(), 3);
+    let mut gateway = gateway(&world);
+    gateway.start(1, 0, "0");
+    gateway.start(2, 1, "40");
+    gateway.start(3, 2, "on");
+    gateway.pass(60_000);
+    assert_eq!(gateway.heard().len(), 3);
     assert!(world.pan.value.get() > 0 && world.lamp.value.get() == 1);
-    desk.pings = false;
-    desk.pass(1100);
+    gateway.pings = false;
+    gateway.pass(1100);
     assert_eq!(world.lamp.value.get(), 0);
     assert_eq!(world.pan.value.get(), 0, "released");
     assert_eq!(world.step.value.get(), 0);
     // It stays so, and the link, which is back, moves nothing by itself.
-    desk.pass(60_000);
-    desk.pings = true;
-    desk.pass(1000);
+    gateway.pass(60_000);
+    gateway.pings = true;
+    gateway.pass(1000);
     assert_eq!((world.lamp.value.get(), world.pan.value.get()), (0, 0));
-    assert_eq!(desk.heard(), [""; 0]);
-    desk.start(4, 2, "on");
+    assert_eq!(gateway.heard(), [""; 0]);
+    gateway.start(4, 2, "on");
     assert_eq!(world.lamp.value.get(), 1);
 }
 
 #[test]
 fn an_abort_reports_where_each_component_stopped() {
     let world = World::default();
-    let mut desk = desk(&world);
-    desk.start(1, 0, "90");
-    desk.start(2, 1, "4000");
-    desk.start(3, 2, "60000");
-    desk.pass(1000);
+    let mut gateway = gateway(&world);
+    gateway.start(1, 0, "90");
+    gateway.start(2, 1, "4000");
+    gateway.start(3, 2, "60000");
+    gateway.pass(1000);
     for task in 1..=3 {
-        desk.command(Body::Abort { task: LinkId(task) });
+        gateway.command(Body::Abort { task: LinkId(task) });
     }
-    desk.pass(1000);
-    let heard = desk.heard();
+    gateway.pass(1000);
+    let heard = gateway.heard();
     let begins = ["3 ABORTED: off", "1 ABORTED: 60.", "2 ABORTED: 9"];
     for begin in begins {
         let found = heard.iter().any(|line| line.starts_with(begin));

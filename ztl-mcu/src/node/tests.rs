@@ -183,13 +183,13 @@ fn said<C: Components, const TASKS: usize>(
 }
 
 /// A gateway's side of a session, played by hand.
-struct Desk<'n, C, const TASKS: usize> {
+struct TestGateway<'n, C, const TASKS: usize> {
     node: &'n mut Node<'static, C, TASKS, 128>,
     session: u32,
     now: Instant,
 }
 
-impl<C: Components, const TASKS: usize> Desk<'_, C, TASKS> {
+impl<C: Components, const TASKS: usize> TestGateway<'_, C, TASKS> {
     fn send(&mut self, session: u32, seq: u8, body: Body<'_>) -> Grown<String> {
         let mut buffer = [0xA5; 160];
         let frame = Frame {
@@ -242,7 +242,7 @@ impl<C: Components, const TASKS: usize> Desk<'_, C, TASKS> {
 }
 
 /// Runs `play` against a node with three motors: abort, hold and carry on when the link is lost.
-fn with_node(play: impl FnOnce(&mut Desk<'_, [Motor<'_>; 3], 2>, &Trace)) {
+fn with_node(play: impl FnOnce(&mut TestGateway<'_, [Motor<'_>; 3], 2>, &Trace)) {
     let trace = Trace::default();
     let components = [
         motor("a", Loss::Abort, &trace),
@@ -250,13 +250,13 @@ fn with_node(play: impl FnOnce(&mut Desk<'_, [Motor<'_>; 3], 2>, &Trace)) {
         motor("c", Loss::CarryOn, &trace),
     ];
     let mut node = TestNode::new(Identity::new("desk", "1", 77), components);
-    play(&mut desk(&mut node), &trace);
+    play(&mut gateway(&mut node), &trace);
 }
 
-fn desk<'n, C, const TASKS: usize>(
+fn gateway<'n, C, const TASKS: usize>(
     node: &'n mut Node<'static, C, TASKS, 128>,
-) -> Desk<'n, C, TASKS> {
-    Desk {
+) -> TestGateway<'n, C, TASKS> {
+    TestGateway {
         node,
         session: 5,
         now: Instant::from_millis(10_000),
@@ -264,19 +264,19 @@ fn desk<'n, C, const TASKS: usize>(
 }
 
 /// What a node says to a gateway that asks for its components only, and for nothing that came later.
-fn play_older_gateway<C: Components>(mut desk: Desk<'_, C, 2>) -> Grown<String> {
-    let mut heard = desk.pass(300);
-    heard.extend(desk.hello(5, 1));
-    let count = desk.node.components().count() as u8;
+fn play_older_gateway<C: Components>(mut gateway: TestGateway<'_, C, 2>) -> Grown<String> {
+    let mut heard = gateway.pass(300);
+    heard.extend(gateway.hello(5, 1));
+    let count = gateway.node.components().count() as u8;
     for index in 0..count {
-        heard.extend(desk.command(index + 1, Body::Describe { index }));
+        heard.extend(gateway.command(index + 1, Body::Describe { index }));
     }
-    heard.extend(desk.start(count + 1, 1, 0, "50"));
-    heard.extend(desk.command(count + 2, Body::Ping));
-    heard.extend(desk.command(count + 3, Body::Abort { task: LinkId(1) }));
-    heard.extend(desk.pass(100));
-    heard.extend(desk.hello(6, 1));
-    heard.extend(desk.pass(5000));
+    heard.extend(gateway.start(count + 1, 1, 0, "50"));
+    heard.extend(gateway.command(count + 2, Body::Ping));
+    heard.extend(gateway.command(count + 3, Body::Abort { task: LinkId(1) }));
+    heard.extend(gateway.pass(100));
+    heard.extend(gateway.hello(6, 1));
+    heard.extend(gateway.pass(5000));
     heard
 }
 
@@ -287,85 +287,91 @@ fn assert_said(heard: Grown<String>, expected: &[&str]) {
 
 #[test]
 fn nodes_with_the_same_future_behaviour_are_equal() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        let before = desk.node.clone();
-        desk.node.handle_bytes(desk.now, &[7, 7, 7, 0]);
-        assert!(*desk.node == before, "what was counted does not matter");
-        assert_ne!(desk.node.counters(), before.counters());
-        desk.node.handle_bytes(desk.now, &[7]);
-        assert!(*desk.node != before, "a frame has begun");
-        desk.node.handle_bytes(desk.now, &[0]);
-        desk.start(1, 9, 0, "50");
-        assert!(*desk.node != before, "a task runs");
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
+        let before = gateway.node.clone();
+        gateway.node.handle_bytes(gateway.now, &[7, 7, 7, 0]);
+        assert!(*gateway.node == before, "what was counted does not matter");
+        assert_ne!(gateway.node.counters(), before.counters());
+        gateway.node.handle_bytes(gateway.now, &[7]);
+        assert!(*gateway.node != before, "a frame has begun");
+        gateway.node.handle_bytes(gateway.now, &[0]);
+        gateway.start(1, 9, 0, "50");
+        assert!(*gateway.node != before, "a task runs");
     });
 }
 
 #[test]
 fn a_repeated_command_is_answered_but_not_executed_again() {
-    with_node(|desk, trace| {
-        desk.hello(5, 1);
-        assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
-        assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
-        assert_said(desk.start(1, 9, 0, "50"), &["1 Started 9"]);
+    with_node(|gateway, trace| {
+        gateway.hello(5, 1);
+        assert_said(gateway.start(1, 9, 0, "50"), &["1 Started 9"]);
+        assert_said(gateway.start(1, 9, 0, "50"), &["1 Started 9"]);
+        assert_said(gateway.start(1, 9, 0, "50"), &["1 Started 9"]);
         assert_eq!(trace.borrow().as_slice(), ["a 50"]);
-        assert_eq!(desk.node.counters().repeats, 2);
+        assert_eq!(gateway.node.counters().repeats, 2);
         // Out of sequence: the previous number and one too far ahead.
-        assert_said(desk.command(3, Body::Ping), &[]);
-        assert_said(desk.command(255, Body::Ping), &[]);
-        assert_eq!(desk.node.counters().out_of_sequence, 2);
-        assert_said(desk.command(2, Body::Ping), &["2 Pong 1"]);
+        assert_said(gateway.command(3, Body::Ping), &[]);
+        assert_said(gateway.command(255, Body::Ping), &[]);
+        assert_eq!(gateway.node.counters().out_of_sequence, 2);
+        assert_said(gateway.command(2, Body::Ping), &["2 Pong 1"]);
     });
 }
 
 #[test]
 fn the_sequence_number_wraps_from_255_to_1() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
         for seq in 1..=255 {
-            assert_said(desk.command(seq, Body::Ping), &[&format!("{seq} Pong 0")]);
+            assert_said(
+                gateway.command(seq, Body::Ping),
+                &[&format!("{seq} Pong 0")],
+            );
         }
-        assert_said(desk.command(0, Body::Ping), &[]);
-        assert_said(desk.command(1, Body::Ping), &["1 Pong 0"]);
+        assert_said(gateway.command(0, Body::Ping), &[]);
+        assert_said(gateway.command(1, Body::Ping), &["1 Pong 0"]);
     });
 }
 
 #[test]
 fn a_task_reports_progress_and_repeats_its_outcome_until_acknowledged() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "50");
-        assert_said(desk.pass(10), &["Progress 9 moving"]);
-        assert_said(desk.pass(10), &[]);
-        assert_said(desk.pass(40), &["Ended 9 COMPLETED moving"]);
-        assert_said(desk.pass(99), &[]);
-        assert_said(desk.pass(1), &["Ended 9 COMPLETED moving"]);
-        assert_said(desk.command(2, Body::Ping), &["2 Pong 1"]);
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "50");
+        assert_said(gateway.pass(10), &["Progress 9 moving"]);
+        assert_said(gateway.pass(10), &[]);
+        assert_said(gateway.pass(40), &["Ended 9 COMPLETED moving"]);
+        assert_said(gateway.pass(99), &[]);
+        assert_said(gateway.pass(1), &["Ended 9 COMPLETED moving"]);
+        assert_said(gateway.command(2, Body::Ping), &["2 Pong 1"]);
         assert_said(
-            desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) }),
+            gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) }),
             &[],
         );
-        assert_said(desk.pass(200), &[]);
-        assert_said(desk.command(3, Body::Ping), &["3 Pong 0"]);
+        assert_said(gateway.pass(200), &[]);
+        assert_said(gateway.command(3, Body::Ping), &["3 Pong 0"]);
     });
 }
 
 #[test]
 fn an_acknowledgement_of_a_running_task_changes_nothing() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "50");
-        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
-        assert_said(desk.pass(60), &["Ended 9 COMPLETED moving"]);
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "50");
+        gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
+        assert_said(gateway.pass(60), &["Ended 9 COMPLETED moving"]);
     });
 }
 
 #[test]
 fn a_task_that_cannot_start_is_rejected_with_the_reason() {
-    with_node(|desk, trace| {
-        desk.hello(5, 1);
-        assert_said(desk.start(1, 9, 0, "far"), &["1 Refused a number of ms"]);
-        assert_said(desk.start(2, 9, 7, "1"), &["2 Refused no such component"]);
+    with_node(|gateway, trace| {
+        gateway.hello(5, 1);
+        assert_said(gateway.start(1, 9, 0, "far"), &["1 Refused a number of ms"]);
+        assert_said(
+            gateway.start(2, 9, 7, "1"),
+            &["2 Refused no such component"],
+        );
         let late = Body::Start {
             task: LinkId(9),
             component: 0,
@@ -373,65 +379,68 @@ fn a_task_that_cannot_start_is_rejected_with_the_reason() {
             before_ms: 9_999,
         };
         assert_said(
-            desk.command(3, late),
+            gateway.command(3, late),
             &["3 Refused the command came too late"],
         );
         assert!(trace.borrow().is_empty());
-        assert_said(desk.start(4, 9, 0, "50"), &["4 Started 9"]);
+        assert_said(gateway.start(4, 9, 0, "50"), &["4 Started 9"]);
         assert_said(
-            desk.start(5, 10, 0, "50"),
+            gateway.start(5, 10, 0, "50"),
             &["5 Refused busy with another task"],
         );
-        assert_said(desk.start(6, 10, 1, "50"), &["6 Started 10"]);
+        assert_said(gateway.start(6, 10, 1, "50"), &["6 Started 10"]);
         assert_said(
-            desk.start(7, 11, 2, "50"),
+            gateway.start(7, 11, 2, "50"),
             &["7 Refused too many tasks are running"],
         );
-        desk.pass(60);
+        gateway.pass(60);
         assert_said(
-            desk.start(8, 11, 2, "50"),
+            gateway.start(8, 11, 2, "50"),
             &["8 Refused ends not yet acknowledged"],
         );
-        desk.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
+        gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
         let again = "a task of this or a later id was started already";
-        assert_said(desk.start(9, 10, 2, "50"), &[&format!("9 Refused {again}")]);
-        assert_said(desk.start(10, 11, 2, "50"), &["10 Started 11"]);
+        assert_said(
+            gateway.start(9, 10, 2, "50"),
+            &[&format!("9 Refused {again}")],
+        );
+        assert_said(gateway.start(10, 11, 2, "50"), &["10 Started 11"]);
     });
 }
 
 #[test]
 fn abort_stops_the_task_and_reports_its_outcome() {
-    with_node(|desk, trace| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "50");
+    with_node(|gateway, trace| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "50");
         let abort = Body::Abort { task: LinkId(9) };
-        assert_said(desk.command(2, abort), &["2 Aborting 9"]);
-        assert_said(desk.command(2, abort), &["2 Aborting 9"]);
-        assert_said(desk.pass(1), &["Ended 9 ABORTED moving"]);
-        assert_said(desk.command(3, abort), &["3 Aborting 9"]);
+        assert_said(gateway.command(2, abort), &["2 Aborting 9"]);
+        assert_said(gateway.command(2, abort), &["2 Aborting 9"]);
+        assert_said(gateway.pass(1), &["Ended 9 ABORTED moving"]);
+        assert_said(gateway.command(3, abort), &["3 Aborting 9"]);
         assert_eq!(trace.borrow().as_slice(), ["a 50", "a abort"]);
         let other = Body::Abort { task: LinkId(8) };
-        assert_said(desk.command(4, other), &["4 Refused no such task"]);
+        assert_said(gateway.command(4, other), &["4 Refused no such task"]);
     });
 }
 
 #[test]
 fn without_new_commands_each_component_follows_its_loss_policy() {
-    with_node(|desk, trace| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "5000");
-        desk.start(2, 10, 2, "5000");
+    with_node(|gateway, trace| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "5000");
+        gateway.start(2, 10, 2, "5000");
         // A repeated command proves nothing about the way back, and neither does a new session.
         for _ in 0..9 {
-            desk.pass(100);
-            desk.start(2, 10, 2, "5000");
+            gateway.pass(100);
+            gateway.start(2, 10, 2, "5000");
         }
-        desk.hello(6, 1);
-        assert_said(desk.pass(100), &["Ended 9 FAILED link was lost"]);
+        gateway.hello(6, 1);
+        assert_said(gateway.pass(100), &["Ended 9 FAILED link was lost"]);
         // One without a task too.
         let safe = ["a 5000", "c 5000", "a safe", "h safe"];
         assert_eq!(trace.borrow().as_slice(), safe);
-        let ends: Grown<String> = (0..50).flat_map(|_| desk.pass(100)).collect();
+        let ends: Grown<String> = (0..50).flat_map(|_| gateway.pass(100)).collect();
         assert!(
             ends.iter().any(|line| line == "Ended 10 COMPLETED moving"),
             "{ends:?}"
@@ -445,39 +454,39 @@ fn without_new_commands_each_component_follows_its_loss_policy() {
 
 #[test]
 fn a_holding_component_becomes_safe_and_its_task_fails() {
-    with_node(|desk, trace| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 1, "5000");
-        assert_said(desk.pass(1000), &["Ended 9 FAILED link was lost"]);
+    with_node(|gateway, trace| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 1, "5000");
+        assert_said(gateway.pass(1000), &["Ended 9 FAILED link was lost"]);
         assert_eq!(trace.borrow().as_slice(), ["h 5000", "a safe", "h safe"]);
     });
 }
 
 #[test]
 fn an_emergency_stop_is_latched() {
-    with_node(|desk, trace| {
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "500");
-        desk.node.stop_everything(desk.now);
-        assert_said(desk.pass(1), &["Ended 9 ABORTED emergency stop"]);
+    with_node(|gateway, trace| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "500");
+        gateway.node.stop_everything(gateway.now);
+        assert_said(gateway.pass(1), &["Ended 9 ABORTED emergency stop"]);
         assert_eq!(
             trace.borrow().as_slice(),
             ["a 500", "a safe", "h safe", "c safe"]
         );
-        assert_said(desk.start(2, 10, 0, "5"), &["2 Refused emergency stop"]);
-        desk.node.clear_stop();
-        assert_said(desk.start(3, 10, 0, "5"), &["3 Started 10"]);
+        assert_said(gateway.start(2, 10, 0, "5"), &["2 Refused emergency stop"]);
+        gateway.node.clear_stop();
+        assert_said(gateway.start(3, 10, 0, "5"), &["3 Started 10"]);
     });
 }
 
 #[test]
 fn a_command_after_the_link_timeout_does_not_save_the_task() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        desk.start(1, 7, 0, "50000");
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
+        gateway.start(1, 7, 0, "50000");
         // The firmware was busy with something else.
-        desk.now = desk.now + Duration::from_millis(1400);
-        let heard = desk.command(2, Body::Ping);
+        gateway.now = gateway.now + Duration::from_millis(1400);
+        let heard = gateway.command(2, Body::Ping);
         let lost = heard.iter().any(|line| line.contains("link was lost"));
         assert!(lost, "{heard:?}");
     });

@@ -1,13 +1,10 @@
 //! The components of a node together with their parameters, and where values are saved.
 
-use ztl_core::Instant;
 use ztl_core::link::parameter::{Kept, NO_COMPONENT, Parameter, Unfit, Value};
 use ztl_core::sink::SliceSink;
 
 use super::{Declaration, Tunable, TuneAll};
-use crate::acting::OwnWork;
-use crate::bus::BusState;
-use crate::component::{Component, Components, forward};
+use crate::component::{Components, forward};
 use crate::describe::DescribeAll;
 
 /// Longest saved value: kind, length, and a text of 48 bytes.

@@ -175,42 +175,42 @@ impl Component for Motor {
 /// With this boot id the first task has id 1.
 pub(super) const BOOT: u32 = 0x3A2C_BD44;
 
-pub(super) type Desk = Server<'static, [Motor; 1], 2, 2, 256, 2>;
+pub(super) type TestServer = Server<'static, [Motor; 1], 2, 2, 256, 2>;
 
-pub(super) fn desk() -> Desk {
+pub(super) fn server() -> TestServer {
     Server::new("/lab", Identity::new("desk", "1", BOOT), [Motor::default()])
 }
 
 /// A client of a server, as a test sees it.
 pub(super) struct Client<'d> {
-    pub(super) desk: &'d mut Desk,
+    pub(super) server: &'d mut TestServer,
     pub(super) peer: Peer,
 }
 
 impl End for Client<'_> {
     fn feed(&mut self, bytes: &[u8]) -> usize {
-        self.desk.handle_bytes(NOW, self.peer, bytes)
+        self.server.handle_bytes(NOW, self.peer, bytes)
     }
 
     fn drain(&mut self) -> Vec<u8> {
         let mut heard = Vec::new();
         loop {
-            let pending = self.desk.transmit_buf(self.peer);
+            let pending = self.server.transmit_buf(self.peer);
             let sent = pending.len().min(7);
             heard.extend(&pending[..sent]);
             if sent == 0 {
                 return heard;
             }
-            self.desk.consume(self.peer, sent);
+            self.server.consume(self.peer, sent);
         }
     }
 }
 
 /// Connects a REQ in this slot.
-pub(super) fn connect(desk: &mut Desk, peer: u8) -> Client<'_> {
-    desk.open(NOW, Peer(peer));
+pub(super) fn connect(server: &mut TestServer, peer: u8) -> Client<'_> {
+    server.open(NOW, Peer(peer));
     let mut client = Client {
-        desk,
+        server,
         peer: Peer(peer),
     };
     client.talk(Pieces::Whole, &[greeting(), ready("REQ")].concat());

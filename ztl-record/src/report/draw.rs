@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use ztl_script::drawing::{Axis, Drawing, Layout, escape};
 
+use super::Drawn;
 use super::series::Series;
+use super::span::Span;
 use super::streams::{IMAGES as MOST_IMAGES, Stream};
 use super::tasks::Task;
-use super::{Drawn, Span};
 use crate::form::to_base64;
 
 /// Heights of rows, in units of the drawing.

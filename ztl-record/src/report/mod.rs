@@ -4,6 +4,7 @@
 mod draw;
 mod page;
 mod series;
+mod span;
 mod streams;
 mod tasks;
 
@@ -14,34 +15,9 @@ use ztl_script::drawing::{BELOW_OVERVIEW, NARROW, WIDE};
 use ztl_script::record::Record;
 
 use crate::reader::{Content, Damage, Reader};
+use span::Span;
 use streams::Streams;
 use tasks::Tasks;
-
-/// First and last time of a recording, in nanoseconds since 1970.
-#[derive(Debug, Clone, Copy)]
-struct Span {
-    from: u64,
-    to: u64,
-}
-
-impl Span {
-    fn widen(span: &mut Option<Self>, at: u64) {
-        let span = span.get_or_insert(Self { from: at, to: at });
-        *span = Self {
-            from: span.from.min(at),
-            to: span.to.max(at),
-        };
-    }
-
-    const fn length(self) -> u64 {
-        self.to.saturating_sub(self.from)
-    }
-
-    /// From its start to a time.
-    const fn at(self, time: u64) -> std::time::Duration {
-        std::time::Duration::from_nanos(time.saturating_sub(self.from))
-    }
-}
 
 /// A recording, reduced to what is drawn. It takes memory for that only, not for the whole recording.
 pub struct Drawn {

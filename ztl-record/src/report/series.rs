@@ -1,6 +1,6 @@
 //! Numbers over time, in so many steps as can be drawn.
 
-use super::Span;
+use super::span::Span;
 
 /// Steps of a series: as many as there is room for in the widest drawing.
 const STEPS: usize = 640;

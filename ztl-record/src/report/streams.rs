@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use ztl_pickle::{Kind, Value};
 
-use super::Span;
 use super::series::Series;
+use super::span::Span;
 use crate::prepare::SoundFormat;
 use crate::reader::{Content, Read};
 

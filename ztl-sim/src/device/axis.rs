@@ -1,6 +1,6 @@
 //! A motor that moves at constant speed.
 
-use ztl_mcu::describe::{About, Goal};
+use ztl_mcu::describe::{ComponentDescription, GoalRule};
 use ztl_mcu::link::Offer;
 use ztl_mcu::parameters::{Declaration, Text, Tunable, Value};
 use ztl_mcu::{Component, Instant, Refused, Report, Run, description, parameters};
@@ -30,10 +30,10 @@ pub(super) const FINGER: AxisKind = AxisKind {
     words: "",
     positions: &[],
     takes: "finger takes 0 to 100 percent",
-    description: description!(About {
+    description: description!(ComponentDescription {
         about: Some("opens the finger"),
         result: Some("its opening in percent"),
-        ..About::new(Goal::NUMBER)
+        ..ComponentDescription::new(GoalRule::NUMBER)
     }),
 };
 
@@ -46,11 +46,11 @@ pub(super) const PAN: AxisKind = AxisKind {
     positions: &[("left", 90.0), ("straight", 0.0), ("right", -90.0)],
     takes: "pan takes -90 to 90 degrees, or left, straight, right",
     // No rule covers both numbers and words.
-    description: description!(About {
+    description: description!(ComponentDescription {
         about: Some("turns the head"),
         examples: &["left", "straight", "right", "45"],
         result: Some("its angle in degrees"),
-        ..About::new(Goal::Any)
+        ..ComponentDescription::new(GoalRule::Any)
     }),
 };
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ztl_mcu::describe::{About, Goal};
+use ztl_mcu::describe::{ComponentDescription, GoalRule};
 use ztl_mcu::link::Offer;
 use ztl_mcu::parameters::Tunable;
 use ztl_mcu::{Component, Instant, Reading, Refused, Report, Run, description};
@@ -31,9 +31,9 @@ impl Sensor {
 }
 
 /// What it says of itself.
-pub(super) const DESCRIPTION: &str = description!(About {
+pub(super) const DESCRIPTION: &str = description!(ComponentDescription {
     about: Some("publishes readings, takes no goals"),
-    ..About::new(Goal::Any)
+    ..ComponentDescription::new(GoalRule::Any)
 });
 
 const TAKES: &str = "probe takes no goals, it only publishes";

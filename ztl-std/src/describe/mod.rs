@@ -29,9 +29,9 @@ impl Storage for Owned {
 }
 
 /// What a component says of itself.
-pub type ComponentDescription = ztl_core::describe::Component<Owned>;
+pub type ComponentDescription = ztl_core::describe::ComponentDescription<Owned>;
 /// What a goal must be.
-pub type GoalRule = ztl_core::describe::Goal<Owned>;
+pub type GoalRule = ztl_core::describe::GoalRule<Owned>;
 /// A field of a structured goal.
 pub type GoalField = ztl_core::describe::Field<Owned>;
 

@@ -24,7 +24,7 @@ struct Last {
     tag: String,
     number: u64,
     body: String,
-    desk: usize,
+    endpoint: usize,
     boot: u32,
     sent: Instant,
     told: bool,
@@ -72,32 +72,32 @@ impl World {
         match last {
             Some(last) if !last.told && choice < 4 && self.is_kept(&last) => {
                 let elsewhere = self.dice.chance(0.1);
-                let desk = (last.desk + usize::from(elsewhere)) % ENDPOINTS;
-                self.ask_outcome(person, &last, desk);
+                let endpoint = (last.endpoint + usize::from(elsewhere)) % ENDPOINTS;
+                self.ask_outcome(person, &last, endpoint);
             }
             Some(last)
                 if choice < 4
                     && last.unwritten == Some(self.robots[last.robot].machine)
                     && self.now.since(last.sent) < Duration::from_secs(10) =>
             {
-                let desk = self.dice.below(ENDPOINTS as u64) as usize;
+                let endpoint = self.dice.below(ENDPOINTS as u64) as usize;
                 let kind = Kind::Init(last.tag);
-                self.send(person, desk, kind, Some(last.number), last.body);
+                self.send(person, endpoint, kind, Some(last.number), last.body);
             }
             Some(last) if choice < 7 && !last.told || choice == 0 => {
-                let runs = self.at(last.desk, last.boot).is_some();
+                let runs = self.at(last.endpoint, last.boot).is_some();
                 if runs && self.now.since(last.sent) < Duration::from_secs(10) {
                     let kind = Kind::Init(last.tag);
                     let number = Some(last.number);
-                    self.send(person, last.desk, kind, number, last.body);
+                    self.send(person, last.endpoint, kind, number, last.body);
                 }
             }
             _ if (4..8).contains(&choice) => {
                 self.ask_task(person, choice == 4);
             }
             _ => {
-                let desk = self.dice.below(ENDPOINTS as u64) as usize;
-                self.init(person, desk);
+                let endpoint = self.dice.below(ENDPOINTS as u64) as usize;
+                self.init(person, endpoint);
             }
         }
     }
@@ -107,8 +107,8 @@ impl World {
         self.now.since(last.sent) < Duration::from_secs(50)
     }
 
-    fn init(&mut self, person: usize, desk: usize) -> Option<u64> {
-        let boot = self.desks[desk].as_ref()?.boot;
+    fn init(&mut self, person: usize, endpoint: usize) -> Option<u64> {
+        let boot = self.endpoints[endpoint].as_ref()?.boot;
         let robot = self.dice.below(ROBOTS as u64) as usize;
         let scope = SCOPES[self.dice.below(2) as usize];
         let tag = format!("t{}", self.number());
@@ -121,7 +121,7 @@ impl World {
                 tag: tag.clone(),
                 number,
                 body: body.clone(),
-                desk,
+                endpoint,
                 boot,
                 sent: self.now,
                 told: false,
@@ -129,7 +129,7 @@ impl World {
                 robot,
             });
         }
-        self.send(person, desk, Kind::Init(tag), number, body)
+        self.send(person, endpoint, Kind::Init(tag), number, body)
     }
 
     /// The next number of a client with envelopes.
@@ -144,11 +144,11 @@ impl World {
         Some(self.people[person].number)
     }
 
-    fn ask_outcome(&mut self, person: usize, last: &Last, desk: usize) -> Option<u64> {
+    fn ask_outcome(&mut self, person: usize, last: &Last, endpoint: usize) -> Option<u64> {
         let number = self.next_number(person);
         let body = format!("$ztl;2;-1;outcome {}", last.number);
         let kind = Kind::Outcome(last.tag.clone());
-        let request = self.send(person, desk, kind, number, body)?;
+        let request = self.send(person, endpoint, kind, number, body)?;
         if let Some(asked) = self.asked.get_mut(&request) {
             asked.boot = last.boot;
         }
@@ -159,13 +159,13 @@ impl World {
         let told = self.truths.iter().filter(|(_, truth)| truth.starts > 0);
         let told: Vec<String> = told.map(|(tag, _)| tag.clone()).collect();
         let nth = self.dice.below(told.len() as u64) as usize;
-        let desk = self.dice.below(ENDPOINTS as u64) as usize;
+        let endpoint = self.dice.below(ENDPOINTS as u64) as usize;
         if let Some(tag) = told.get(nth) {
-            self.ask_about(person, desk, tag, abort);
+            self.ask_about(person, endpoint, tag, abort);
         }
     }
 
-    fn ask_about(&mut self, person: usize, desk: usize, tag: &str, abort: bool) -> Option<u64> {
+    fn ask_about(&mut self, person: usize, endpoint: usize, tag: &str, abort: bool) -> Option<u64> {
         let truth = self.truths.get(tag)?;
         let (robot, id) = (truth.robot, truth.id);
         let server = self.robots[robot].server.as_ref();
@@ -179,7 +179,7 @@ impl World {
             false => Kind::Status(tag.to_owned(), boot),
         };
         let number = self.next_number(person);
-        self.send(person, desk, kind, number, body)
+        self.send(person, endpoint, kind, number, body)
     }
 
     fn scope_of(&self, tag: &str) -> &'static str {
@@ -192,12 +192,12 @@ impl World {
     fn send(
         &mut self,
         person: usize,
-        desk: usize,
+        endpoint: usize,
         kind: Kind,
         number: Option<u64>,
         body: String,
     ) -> Option<u64> {
-        let boot = self.desks[desk].as_ref()?.boot;
+        let boot = self.endpoints[endpoint].as_ref()?.boot;
         let request = self.number();
         let client = self.people[person].id;
         let envelope = number.zip(client).map(|(number, client)| Envelope {
@@ -206,7 +206,7 @@ impl World {
             early_end: false,
         });
         self.note(|| {
-            format!("client {person} request {request} to endpoint {desk}: {number:?} {body}")
+            format!("client {person} request {request} to endpoint {endpoint}: {number:?} {body}")
         });
         let asked = Asked {
             person,
@@ -220,17 +220,20 @@ impl World {
         self.asked.insert(request, asked);
         for time in self.arrivals().into_iter().take(1) {
             // A connection does not keep it for longer.
-            self.after(time.min(5000), Event::ToFleet(desk, request));
+            self.after(time.min(5000), Event::ToFleet(endpoint, request));
         }
         Some(request)
     }
 
-    pub(super) fn on_request(&mut self, desk: usize, request: u64) {
-        let Some(boot) = self.desks[desk].as_ref().map(|desk| desk.boot) else {
+    pub(super) fn on_request(&mut self, endpoint: usize, request: u64) {
+        let Some(boot) = self.endpoints[endpoint]
+            .as_ref()
+            .map(|endpoint| endpoint.boot)
+        else {
             return;
         };
         let fresh = self.random_id();
-        let (Some(at), Some(asked)) = (self.at(desk, boot), self.asked.get(&request)) else {
+        let (Some(at), Some(asked)) = (self.at(endpoint, boot), self.asked.get(&request)) else {
             return;
         };
         if asked.sent_to != boot {
@@ -244,8 +247,9 @@ impl World {
             fresh,
             body: Some(body.as_bytes()),
         };
-        let effects = self.with_desk(desk, |rules| rules.handle_request(at, asked, |_| true));
-        self.desk_effects(desk, effects);
+        let effects =
+            self.with_endpoint(endpoint, |rules| rules.handle_request(at, asked, |_| true));
+        self.endpoint_effects(endpoint, effects);
     }
 
     pub(super) fn on_told(&mut self, request: u64, body: &[u8]) -> Result<(), String> {
@@ -292,10 +296,10 @@ impl World {
         for person in 0..PEOPLE {
             let last = self.people[person].last.clone();
             if let Some(last) = last.filter(|last| !last.told)
-                && self.at(last.desk, last.boot).is_some()
+                && self.at(last.endpoint, last.boot).is_some()
                 && self.is_kept(&last)
             {
-                open.extend(self.ask_outcome(person, &last, last.desk));
+                open.extend(self.ask_outcome(person, &last, last.endpoint));
             }
         }
         self.settle("an outcome", &open)?;
@@ -309,8 +313,8 @@ impl World {
         for tag in tags {
             let truth = self.truths.get(&tag).ok_or("no such INIT")?;
             if truth.starts > 0 {
-                for desk in 0..ENDPOINTS {
-                    open.extend(self.ask_about(0, desk, &tag, false));
+                for endpoint in 0..ENDPOINTS {
+                    open.extend(self.ask_about(0, endpoint, &tag, false));
                 }
             }
         }

@@ -109,7 +109,7 @@ enum FromAgent {
 }
 
 /// A copy of an endpoint that runs.
-struct Desk {
+struct EndpointCopy {
     rules: Endpoint,
     boot: u32,
     started: Instant,
@@ -117,7 +117,7 @@ struct Desk {
     seen: [bool; ROBOTS],
 }
 
-impl Desk {
+impl EndpointCopy {
     fn clock(&self, now: Instant) -> Instant {
         Instant::ZERO + now.since(self.started)
     }
@@ -144,7 +144,7 @@ struct World {
     waiting: BTreeMap<u64, Event>,
     next: u64,
     robots: [Robot; ROBOTS],
-    desks: [Option<Desk>; ENDPOINTS],
+    endpoints: [Option<EndpointCopy>; ENDPOINTS],
     /// Whether an endpoint does not reach a robot.
     cut: [[bool; ROBOTS]; ENDPOINTS],
     people: Vec<Person>,
@@ -195,7 +195,7 @@ impl World {
             waiting: BTreeMap::new(),
             next: 0,
             robots: Default::default(),
-            desks: [None, None],
+            endpoints: [None, None],
             cut: Default::default(),
             people: (0..PEOPLE).map(|_| Person::default()).collect(),
             asked: BTreeMap::new(),
@@ -210,9 +210,9 @@ impl World {
             world.start_server(robot);
             world.start_agent(robot);
         }
-        for desk in 0..ENDPOINTS {
-            world.start_desk(desk);
-            world.after(0, Event::Look(desk));
+        for endpoint in 0..ENDPOINTS {
+            world.start_endpoint(endpoint);
+            world.after(0, Event::Look(endpoint));
         }
         for person in 0..PEOPLE {
             let millis = 100 + world.dice.below(1500);
@@ -307,30 +307,31 @@ impl World {
     fn happen(&mut self, event: Event) -> Result<(), String> {
         match event {
             Event::ToAgent(robot, back, ask) => self.on_query(robot, back, ask),
-            Event::ToEndpoint((desk, boot, query), verdict) => {
-                if let Some(at) = self.at(desk, boot) {
-                    self.note(|| format!("endpoint {desk} query {query}: {verdict:?}"));
+            Event::ToEndpoint((endpoint, boot, query), verdict) => {
+                if let Some(at) = self.at(endpoint, boot) {
+                    self.note(|| format!("endpoint {endpoint} query {query}: {verdict:?}"));
+                    let effects = self
+                        .with_endpoint(endpoint, |rules| rules.handle_verdict(at, query, verdict));
+                    self.endpoint_effects(endpoint, effects);
+                }
+            }
+            Event::End((endpoint, boot, query)) => {
+                if let Some(at) = self.at(endpoint, boot) {
                     let effects =
-                        self.with_desk(desk, |rules| rules.handle_verdict(at, query, verdict));
-                    self.desk_effects(desk, effects);
+                        self.with_endpoint(endpoint, |rules| rules.handle_no_reply(at, query));
+                    self.endpoint_effects(endpoint, effects);
                 }
             }
-            Event::End((desk, boot, query)) => {
-                if let Some(at) = self.at(desk, boot) {
-                    let effects = self.with_desk(desk, |rules| rules.handle_no_reply(at, query));
-                    self.desk_effects(desk, effects);
-                }
-            }
-            Event::Info(desk, boot, info) => {
-                if let Some(at) = self.at(desk, boot) {
+            Event::Info(endpoint, boot, info) => {
+                if let Some(at) = self.at(endpoint, boot) {
                     let (name, agent) = (info.name.clone(), info.agent.clone());
-                    self.with_desk(desk, |rules| {
+                    self.with_endpoint(endpoint, |rules| {
                         rules.handle_info(at, &name, &agent, info);
                         Vec::new()
                     });
                 }
             }
-            Event::Look(desk) => self.look(desk),
+            Event::Look(endpoint) => self.look(endpoint),
             Event::Forward(robot, boot, from, envelope, body) => {
                 self.forward(robot, boot, from, envelope, body);
             }
@@ -341,13 +342,13 @@ impl World {
             Event::Decide(robot, boot, id, payload) => self.decide(robot, boot, id, &payload)?,
             Event::EndTask(robot, boot, id, state) => self.end_task(robot, boot, id, state),
             Event::Act(person) => self.act(person),
-            Event::ToFleet(desk, request) => self.on_request(desk, request),
+            Event::ToFleet(endpoint, request) => self.on_request(endpoint, request),
             Event::ToClient(request, body) => self.on_told(request, &body)?,
             Event::Fault => self.fault(),
             Event::StartAgent(robot) => self.start_agent(robot),
             Event::StartServer(robot) => self.start_server(robot),
-            Event::StartEndpoint(desk) => self.start_desk(desk),
-            Event::Heal(desk, robot) => self.cut[desk][robot] = false,
+            Event::StartEndpoint(endpoint) => self.start_endpoint(endpoint),
+            Event::Heal(endpoint, robot) => self.cut[endpoint][robot] = false,
             Event::Room(robot) => self.robots[robot].disk.full = false,
         }
         Ok(())
@@ -360,7 +361,7 @@ impl World {
         let wait = self.dice.below(2 * self.weather.fault);
         self.after(wait, Event::Fault);
         let robot = self.dice.below(ROBOTS as u64) as usize;
-        let desk = self.dice.below(ENDPOINTS as u64) as usize;
+        let endpoint = self.dice.below(ENDPOINTS as u64) as usize;
         match self.dice.below(10) {
             0 | 1 => {
                 let effects = self.dice.below(5) as u32;
@@ -370,7 +371,7 @@ impl World {
             2 => self.kill_agent(robot),
             3 => self.kill_server(robot),
             4 => self.cut_power(robot),
-            5 => self.kill_desk(desk),
+            5 => self.kill_endpoint(endpoint),
             6 | 7 if self.weather.full => {
                 self.note(|| format!("> the disk of robot {robot} is full"));
                 self.robots[robot].disk.full = true;
@@ -378,10 +379,10 @@ impl World {
                 self.after(wait, Event::Room(robot));
             }
             _ => {
-                self.note(|| format!("> endpoint {desk} does not reach robot {robot}"));
-                self.cut[desk][robot] = true;
+                self.note(|| format!("> endpoint {endpoint} does not reach robot {robot}"));
+                self.cut[endpoint][robot] = true;
                 let wait = self.dice.below(6000);
-                self.after(wait, Event::Heal(desk, robot));
+                self.after(wait, Event::Heal(endpoint, robot));
             }
         }
     }

@@ -10,29 +10,33 @@ use super::super::ends::fleet::agent::{Agent, AgentEffect, Entry, ServerSaid};
 use super::super::ends::fleet::endpoint::{Ask, Endpoint, EndpointEffect};
 use super::super::ends::fleet::wire::{InitId, RobotInfo, Verdict};
 use super::robot::{Disk, Job, Robot, Running, SCOPES, Server, ending};
-use super::{Desk, Event, FromAgent, ROBOTS, Return, World, agent_id, name, running, said};
+use super::{EndpointCopy, Event, FromAgent, ROBOTS, Return, World, agent_id, name, running, said};
 
 /// How long an agent waits for its server, in milliseconds.
 const ANSWER: u64 = 2000;
 
 impl World {
     pub(super) fn wake(&self) -> Instant {
-        let desks = self.desks.iter().flatten();
-        let desks = desks.filter_map(|desk| local(desk.started, desk.rules.poll_timeout()));
+        let endpoints = self.endpoints.iter().flatten();
+        let endpoints =
+            endpoints.filter_map(|endpoint| local(endpoint.started, endpoint.rules.poll_timeout()));
         let agents = self.robots.iter().filter_map(|robot| robot.agent.as_ref());
         let agents = agents.filter_map(|agent| local(agent.started, agent.rules.poll_timeout()));
         let servers = self.robots.iter().filter_map(|robot| robot.server.as_ref());
         let servers = servers.filter_map(|server| server.rules.poll_timeout());
-        let all = desks.chain(agents).chain(servers).min();
+        let all = endpoints.chain(agents).chain(servers).min();
         all.unwrap_or(Instant::NEVER)
     }
 
     pub(super) fn timeouts(&mut self) {
         let now = self.now;
-        for desk in 0..self.desks.len() {
-            if let Some(at) = self.desks[desk].as_ref().map(|desk| desk.clock(now)) {
-                let effects = self.with_desk(desk, |rules| rules.handle_timeout(at));
-                self.desk_effects(desk, effects);
+        for endpoint in 0..self.endpoints.len() {
+            if let Some(at) = self.endpoints[endpoint]
+                .as_ref()
+                .map(|endpoint| endpoint.clock(now))
+            {
+                let effects = self.with_endpoint(endpoint, |rules| rules.handle_timeout(at));
+                self.endpoint_effects(endpoint, effects);
             }
         }
         for robot in 0..ROBOTS {
@@ -46,18 +50,20 @@ impl World {
     }
 
     /// The clock of an endpoint that runs with this boot id.
-    pub(super) fn at(&self, desk: usize, boot: u32) -> Option<Instant> {
-        let desk = self.desks[desk].as_ref()?;
-        (desk.boot == boot).then(|| desk.clock(self.now))
+    pub(super) fn at(&self, endpoint: usize, boot: u32) -> Option<Instant> {
+        let endpoint = self.endpoints[endpoint].as_ref()?;
+        (endpoint.boot == boot).then(|| endpoint.clock(self.now))
     }
 
-    pub(super) fn with_desk(
+    pub(super) fn with_endpoint(
         &mut self,
-        desk: usize,
+        endpoint: usize,
         act: impl FnOnce(&mut Endpoint) -> Vec<EndpointEffect>,
     ) -> Vec<EndpointEffect> {
-        let desk = self.desks[desk].as_mut();
-        desk.map(|desk| act(&mut desk.rules)).unwrap_or_default()
+        let endpoint = self.endpoints[endpoint].as_mut();
+        endpoint
+            .map(|endpoint| act(&mut endpoint.rules))
+            .unwrap_or_default()
     }
 
     fn with_agent(
@@ -74,8 +80,11 @@ impl World {
         agent.map(act).unwrap_or_default()
     }
 
-    pub(super) fn desk_effects(&mut self, desk: usize, effects: Vec<EndpointEffect>) {
-        let Some(boot) = self.desks[desk].as_ref().map(|desk| desk.boot) else {
+    pub(super) fn endpoint_effects(&mut self, endpoint: usize, effects: Vec<EndpointEffect>) {
+        let Some(boot) = self.endpoints[endpoint]
+            .as_ref()
+            .map(|endpoint| endpoint.boot)
+        else {
             return;
         };
         for effect in effects {
@@ -95,12 +104,12 @@ impl World {
                 } => {
                     let robot = (0..ROBOTS).find(|known| name(*known) == robot);
                     let robot = robot.expect("it was announced");
-                    let back = (desk, boot, query);
+                    let back = (endpoint, boot, query);
                     self.note(|| {
-                        format!("endpoint {desk} query {query} to robot {robot}: {what:?}")
+                        format!("endpoint {endpoint} query {query} to robot {robot}: {what:?}")
                     });
                     let mut limit = u64::try_from(limit.as_millis()).unwrap_or(u64::MAX);
-                    if !self.cut[desk][robot] {
+                    if !self.cut[endpoint][robot] {
                         for time in self.arrivals() {
                             self.after(time, Event::ToAgent(robot, back, what.clone()));
                         }
@@ -113,22 +122,22 @@ impl World {
                 }
                 EndpointEffect::AskInfo { robot, .. } => {
                     let robot = (0..ROBOTS).find(|known| name(*known) == robot);
-                    self.ask_info(desk, robot.expect("it was announced"));
+                    self.ask_info(endpoint, robot.expect("it was announced"));
                 }
                 EndpointEffect::Rivals { .. } => {}
             }
         }
     }
 
-    pub(super) fn look(&mut self, desk: usize) {
+    pub(super) fn look(&mut self, endpoint: usize) {
         let wait = match self.calm {
             true => 1000,
             false => 300 + self.dice.below(2500),
         };
-        self.after(wait, Event::Look(desk));
+        self.after(wait, Event::Look(endpoint));
         for robot in 0..ROBOTS {
-            let is_there = self.robots[robot].agent.is_some() && !self.cut[desk][robot];
-            let Some(known) = &mut self.desks[desk] else {
+            let is_there = self.robots[robot].agent.is_some() && !self.cut[endpoint][robot];
+            let Some(known) = &mut self.endpoints[endpoint] else {
                 return;
             };
             let was_there = std::mem::replace(&mut known.seen[robot], is_there);
@@ -138,21 +147,23 @@ impl World {
                 (true, false) => known.rules.handle_gone(&name, &id),
                 _ => Vec::new(),
             };
-            self.desk_effects(desk, effects);
+            self.endpoint_effects(endpoint, effects);
             if is_there {
-                self.ask_info(desk, robot);
+                self.ask_info(endpoint, robot);
             }
         }
     }
 
-    fn ask_info(&mut self, desk: usize, robot: usize) {
+    fn ask_info(&mut self, endpoint: usize, robot: usize) {
         let (Some(boot), Some(agent)) = (
-            self.desks[desk].as_ref().map(|desk| desk.boot),
+            self.endpoints[endpoint]
+                .as_ref()
+                .map(|endpoint| endpoint.boot),
             &self.robots[robot].agent,
         ) else {
             return;
         };
-        if self.cut[desk][robot] {
+        if self.cut[endpoint][robot] {
             return;
         }
         let info = RobotInfo {
@@ -171,7 +182,7 @@ impl World {
         };
         // Nobody waits for a later one.
         for time in self.arrivals().into_iter().filter(|time| *time < 2000) {
-            self.after(time, Event::Info(desk, boot, info.clone()));
+            self.after(time, Event::Info(endpoint, boot, info.clone()));
         }
     }
 
@@ -468,16 +479,16 @@ impl World {
         }
     }
 
-    pub(super) fn start_desk(&mut self, desk: usize) {
-        if self.desks[desk].is_none() {
+    pub(super) fn start_endpoint(&mut self, endpoint: usize) {
+        if self.endpoints[endpoint].is_none() {
             let boot = self.boot();
-            self.desks[desk] = Some(Desk {
+            self.endpoints[endpoint] = Some(EndpointCopy {
                 rules: Endpoint::new(boot),
                 boot,
                 started: self.now,
                 seen: [false; ROBOTS],
             });
-            self.note(|| format!("> endpoint {desk} starts as {boot}"));
+            self.note(|| format!("> endpoint {endpoint} starts as {boot}"));
         }
     }
 
@@ -510,12 +521,12 @@ impl World {
         self.kill_agent(robot);
     }
 
-    pub(super) fn kill_desk(&mut self, desk: usize) {
-        self.note(|| format!("> endpoint {desk} is killed"));
+    pub(super) fn kill_endpoint(&mut self, endpoint: usize) {
+        self.note(|| format!("> endpoint {endpoint} is killed"));
         self.figures.restarts += 1;
-        self.desks[desk] = None;
+        self.endpoints[endpoint] = None;
         let wait = self.dice.below(3000);
-        self.after(wait, Event::StartEndpoint(desk));
+        self.after(wait, Event::StartEndpoint(endpoint));
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ztl_core::link::Offer;
 use ztl_core::{Instant, State};
-use ztl_mcu::describe::{About, Describe, Goal};
+use ztl_mcu::describe::{ComponentDescription, Describe, GoalRule};
 use ztl_mcu::{Component, Reading, Refused, Report, Run, description};
 
 use crate::plan::MotorPlan;
@@ -114,9 +114,9 @@ fn read(goal: &str) -> Option<(usize, u64)> {
 }
 
 impl Describe for Motor {
-    const DESCRIPTION: &'static str = description!(About {
+    const DESCRIPTION: &'static str = description!(ComponentDescription {
         about: Some("moves for some time, and takes its time to stop"),
-        ..About::new(Goal::Any)
+        ..ComponentDescription::new(GoalRule::Any)
     });
 }
 

@@ -20,7 +20,7 @@ use super::expected::{put_range, put_takes};
 use super::number;
 use super::power::Power;
 use crate::component::{Component, Refused, Report, Run};
-use crate::describe::{About, Describe, Goal as Rule};
+use crate::describe::{ComponentDescription, Describe, GoalRule};
 use crate::description;
 use crate::parameters::Tunable;
 
@@ -156,17 +156,17 @@ impl<M: StepDrive> Tunable for Stepper<M> {}
 impl<M: StepDrive> Describe for Stepper<M> {
     // No rule covers both numbers and `home`.
     const DESCRIPTION: &'static str = if M::HOME {
-        description!(About {
+        description!(ComponentDescription {
             about: Some("moves to a position; home finds its zero"),
             result: Some("the position"),
             examples: &["home"],
-            ..About::new(Rule::Any)
+            ..ComponentDescription::new(GoalRule::Any)
         })
     } else {
-        description!(About {
+        description!(ComponentDescription {
             about: Some("moves to a position"),
             result: Some("the position"),
-            ..About::new(Rule::NUMBER)
+            ..ComponentDescription::new(GoalRule::NUMBER)
         })
     };
 }

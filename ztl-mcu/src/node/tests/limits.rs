@@ -86,15 +86,15 @@ fn a_description_that_does_not_fit_is_rejected_with_the_reason() {
         let offer = motors[0].offer();
         let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), motors.clone());
         assert_eq!(Node::<[Motor<'_>; 1], 2, 128>::fits(&offer), fits);
-        let mut desk = desk(&mut node);
-        desk.hello(5, 1);
-        let heard = desk.command(1, Body::Describe { index: 0 });
+        let mut gateway = gateway(&mut node);
+        gateway.hello(5, 1);
+        let heard = gateway.command(1, Body::Describe { index: 0 });
         let expected = match fits {
             true => format!("1 Component 0 {name}"),
             false => "1 Refused its description is longer than a frame".into(),
         };
         assert_eq!(heard, [expected]);
-        assert_said(desk.command(2, Body::Ping), &["2 Pong 0"]);
+        assert_said(gateway.command(2, Body::Ping), &["2 Pong 0"]);
     }
 }
 
@@ -102,16 +102,16 @@ fn a_description_that_does_not_fit_is_rejected_with_the_reason() {
 fn a_moving_component_is_polled_at_its_requested_time() {
     let polls = Cell::new(0);
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [Chatty::new(&polls)]);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.start(1, 9, 0, "5");
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.start(1, 9, 0, "5");
     let mut sent = 0;
     // A main loop that never sleeps.
     for micros in 0..850_000 {
-        let now = desk.now + Duration::from_micros(micros);
-        desk.node.handle_timeout(now);
+        let now = gateway.now + Duration::from_micros(micros);
+        gateway.node.handle_timeout(now);
         let mut buffer = [0xA5; 128];
-        let count = desk.node.poll_transmit(now, &mut buffer);
+        let count = gateway.node.poll_transmit(now, &mut buffer);
         sent += buffer[..count].iter().filter(|byte| **byte == 0).count();
     }
     assert_eq!(polls.get(), 85);

@@ -118,7 +118,7 @@ fn set(index: u8, value: Value<'_>) -> Body<'_> {
 
 const SAVE: Body<'static> = Body::Parameter(ParameterMessage::Command(ParameterCommand::Save));
 
-impl<C: Components> Desk<'_, C, 2> {
+impl<C: Components> TestGateway<'_, C, 2> {
     /// What an answer says of a parameter: component, name, value, and what a restart makes of it.
     fn ask(&mut self, seq: u8, body: Body<'_>) -> String {
         let heard = self.command(seq, body);
@@ -146,16 +146,16 @@ impl<C: Components> Desk<'_, C, 2> {
 fn the_gateway_learns_of_parameters_after_the_descriptions() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
     let announced = Body::Description {
         index: 2,
         component: 255,
         bytes: &[5],
     };
-    let heard = desk.command(1, Body::Describe { index: 2 });
+    let heard = gateway.command(1, Body::Describe { index: 2 });
     assert_said(heard, &[&format!("{announced:?}")]);
-    let heard = desk.command(2, Body::Describe { index: 3 });
+    let heard = gateway.command(2, Body::Describe { index: 3 });
     assert_said(heard, &["2 Refused no such component"]);
 }
 
@@ -163,8 +163,8 @@ fn the_gateway_learns_of_parameters_after_the_descriptions() {
 fn parameters_are_read_set_and_saved() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut first = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut first);
-    desk.hello(5, 1);
+    let mut gateway = gateway(&mut first);
+    gateway.hello(5, 1);
     for (seq, told) in (1..).zip([
         "0 speed F32(50.0) Saved",
         "0 reversed Bool(false) Saved",
@@ -173,37 +173,37 @@ fn parameters_are_read_set_and_saved() {
         "255 label Text(\"desk\") Saved",
         "6 Refused no such parameter",
     ]) {
-        assert_eq!(desk.ask(seq, read(seq - 1)), told);
+        assert_eq!(gateway.ask(seq, read(seq - 1)), told);
     }
     let fast = set(2, Value::F32(80.5));
-    assert_eq!(desk.ask(7, fast), "1 speed F32(80.5) Changed");
+    assert_eq!(gateway.ask(7, fast), "1 speed F32(80.5) Changed");
     let label = set(4, Value::Text("Grüße"));
-    assert_eq!(desk.ask(8, label), "255 label Text(\"Grüße\") Changed");
-    assert_eq!(desk.ask(9, SAVE), "Parameter(Saved)");
-    assert_eq!(desk.ask(10, read(2)), "1 speed F32(80.5) Saved");
+    assert_eq!(gateway.ask(8, label), "255 label Text(\"Grüße\") Changed");
+    assert_eq!(gateway.ask(9, SAVE), "Parameter(Saved)");
+    assert_eq!(gateway.ask(10, read(2)), "1 speed F32(80.5) Saved");
     assert_eq!(kept.values.borrow().len(), 2, "only what differs");
     // After a restart.
     let mut second = node(tuned(&trace, &kept));
-    let mut desk = super::desk(&mut second);
-    desk.hello(6, 1);
-    assert_eq!(desk.ask(1, read(0)), "0 speed F32(50.0) Saved");
-    assert_eq!(desk.ask(2, read(2)), "1 speed F32(80.5) Saved");
-    assert_eq!(desk.ask(3, read(4)), "255 label Text(\"Grüße\") Saved");
+    let mut gateway = super::gateway(&mut second);
+    gateway.hello(6, 1);
+    assert_eq!(gateway.ask(1, read(0)), "0 speed F32(50.0) Saved");
+    assert_eq!(gateway.ask(2, read(2)), "1 speed F32(80.5) Saved");
+    assert_eq!(gateway.ask(3, read(4)), "255 label Text(\"Grüße\") Saved");
     // A default that replaces a saved value is saved, too.
-    desk.ask(4, set(2, Value::F32(50.0)));
-    assert_eq!(desk.ask(5, SAVE), "Parameter(Saved)");
+    gateway.ask(4, set(2, Value::F32(50.0)));
+    assert_eq!(gateway.ask(5, SAVE), "Parameter(Saved)");
     let mut third = node(tuned(&trace, &kept));
-    let mut desk = super::desk(&mut third);
-    desk.hello(7, 1);
-    assert_eq!(desk.ask(1, read(2)), "1 speed F32(50.0) Saved");
+    let mut gateway = super::gateway(&mut third);
+    gateway.hello(7, 1);
+    assert_eq!(gateway.ask(1, read(2)), "1 speed F32(50.0) Saved");
 }
 
 #[test]
 fn a_value_of_another_kind_or_range_changes_nothing() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
     for (seq, index, value, why) in [
         (1, 0, Value::F32(100.5), "the value is out of its range"),
         (2, 0, Value::F32(f32::NAN), "the value is out of its range"),
@@ -217,11 +217,11 @@ fn a_value_of_another_kind_or_range_changes_nothing() {
         (5, 5, Value::Bool(true), "no such parameter"),
     ] {
         assert_eq!(
-            desk.ask(seq, set(index, value)),
+            gateway.ask(seq, set(index, value)),
             format!("{seq} Refused {why}")
         );
     }
-    assert_eq!(desk.ask(6, read(0)), "0 speed F32(50.0) Saved");
+    assert_eq!(gateway.ask(6, read(0)), "0 speed F32(50.0) Saved");
     assert_eq!(*trace.borrow(), [""; 0]);
 }
 
@@ -229,22 +229,22 @@ fn a_value_of_another_kind_or_range_changes_nothing() {
 fn a_repeated_set_is_answered_but_not_executed_again() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
     let fast = || set(0, Value::F32(80.0));
     for _ in 0..3 {
-        assert_eq!(desk.ask(1, fast()), "0 speed F32(80.0) Changed");
+        assert_eq!(gateway.ask(1, fast()), "0 speed F32(80.0) Changed");
     }
     assert_eq!(*trace.borrow(), ["set F32(80.0)"]);
     // Neither in another session nor out of sequence, nor without a session.
-    assert_said(desk.send(key(4), 2, fast()), &[]);
-    assert_said(desk.send(NO_SESSION, 2, fast()), &[]);
-    assert_said(desk.command(3, fast()), &[]);
-    assert_said(desk.command(NO_SEQ, fast()), &[]);
+    assert_said(gateway.send(key(4), 2, fast()), &[]);
+    assert_said(gateway.send(NO_SESSION, 2, fast()), &[]);
+    assert_said(gateway.command(3, fast()), &[]);
+    assert_said(gateway.command(NO_SEQ, fast()), &[]);
     assert_eq!(trace.borrow().len(), 1);
     // A refusal is repeated with its reason.
     for _ in 0..2 {
-        let reply = desk.ask(2, set(0, Value::F32(0.0)));
+        let reply = gateway.ask(2, set(0, Value::F32(0.0)));
         assert_eq!(reply, "2 Refused the value is out of its range");
     }
 }
@@ -253,25 +253,25 @@ fn a_repeated_set_is_answered_but_not_executed_again() {
 fn nothing_is_set_under_a_task_of_the_component_and_nothing_saved_under_any() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.start(1, 1, 1, "1000");
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.start(1, 1, 1, "1000");
     let busy = "Refused a task runs that it would change";
     let fast = || set(2, Value::F32(80.0));
-    assert_eq!(desk.ask(2, fast()), format!("2 {busy}"));
+    assert_eq!(gateway.ask(2, fast()), format!("2 {busy}"));
     // The firmware's own parameters may concern every task.
     let label = set(4, Value::Text("x"));
-    assert_eq!(desk.ask(3, label), format!("3 {busy}"));
+    assert_eq!(gateway.ask(3, label), format!("3 {busy}"));
     // The other component has no task, and reading is always possible.
     let other = set(0, Value::F32(80.0));
-    assert_eq!(desk.ask(4, other), "0 speed F32(80.0) Changed");
-    assert_eq!(desk.ask(5, read(2)), "1 speed F32(50.0) Saved");
+    assert_eq!(gateway.ask(4, other), "0 speed F32(80.0) Changed");
+    assert_eq!(gateway.ask(5, read(2)), "1 speed F32(50.0) Saved");
     let saving = "Refused a task runs, and saving may interrupt it";
-    assert_eq!(desk.ask(6, SAVE), format!("6 {saving}"));
-    desk.command(7, Body::Abort { task: LinkId(1) });
-    desk.pass(1);
-    assert_eq!(desk.ask(8, fast()), "1 speed F32(80.0) Changed");
-    assert_eq!(desk.ask(9, SAVE), "Parameter(Saved)");
+    assert_eq!(gateway.ask(6, SAVE), format!("6 {saving}"));
+    gateway.command(7, Body::Abort { task: LinkId(1) });
+    gateway.pass(1);
+    assert_eq!(gateway.ask(8, fast()), "1 speed F32(80.0) Changed");
+    assert_eq!(gateway.ask(9, SAVE), "Parameter(Saved)");
 }
 
 #[test]
@@ -280,28 +280,28 @@ fn nothing_is_set_on_the_way_to_the_safe_state() {
     let mut components = tuned(&trace, &kept);
     components.components.0.0.slow = 500;
     let mut node = node(components);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.command(1, Body::Ping);
-    desk.pass(1000);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
+    gateway.pass(1000);
     let fast = |index| set(index, Value::F32(80.0));
     let busy = "Refused a task runs that it would change";
-    assert_eq!(desk.ask(2, fast(0)), format!("2 {busy}"));
+    assert_eq!(gateway.ask(2, fast(0)), format!("2 {busy}"));
     // The other one carries on.
-    assert_eq!(desk.ask(3, fast(2)), "1 speed F32(80.0) Changed");
-    desk.pass(500);
-    assert_eq!(desk.ask(4, fast(0)), "0 speed F32(80.0) Changed");
+    assert_eq!(gateway.ask(3, fast(2)), "1 speed F32(80.0) Changed");
+    gateway.pass(500);
+    assert_eq!(gateway.ask(4, fast(0)), "0 speed F32(80.0) Changed");
 }
 
 #[test]
 fn a_saved_value_that_does_not_fit_any_more_is_replaced_by_the_default_and_told() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut first = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut first);
-    desk.hello(5, 1);
-    desk.ask(1, set(0, Value::F32(80.0)));
-    desk.ask(2, set(1, Value::Bool(true)));
-    desk.ask(3, SAVE);
+    let mut gateway = gateway(&mut first);
+    gateway.hello(5, 1);
+    gateway.ask(1, set(0, Value::F32(80.0)));
+    gateway.ask(2, set(1, Value::Bool(true)));
+    gateway.ask(3, SAVE);
     // The next firmware takes less, and has another order.
     for saved in kept.values.borrow_mut().values_mut() {
         if saved[0] == 3 {
@@ -309,53 +309,56 @@ fn a_saved_value_that_does_not_fit_any_more_is_replaced_by_the_default_and_told(
         }
     }
     let mut second = node(tuned(&trace, &kept));
-    let mut desk = super::desk(&mut second);
-    desk.hello(6, 1);
-    assert_eq!(desk.ask(1, read(0)), "0 speed F32(50.0) Replaced");
-    assert_eq!(desk.ask(2, read(1)), "0 reversed Bool(true) Saved");
+    let mut gateway = super::gateway(&mut second);
+    gateway.hello(6, 1);
+    assert_eq!(gateway.ask(1, read(0)), "0 speed F32(50.0) Replaced");
+    assert_eq!(gateway.ask(2, read(1)), "0 reversed Bool(true) Saved");
     assert_eq!(
-        desk.ask(3, set(0, Value::F32(60.0))),
+        gateway.ask(3, set(0, Value::F32(60.0))),
         "0 speed F32(60.0) Changed"
     );
-    desk.ask(4, SAVE);
-    assert_eq!(desk.ask(5, read(0)), "0 speed F32(60.0) Saved");
+    gateway.ask(4, SAVE);
+    assert_eq!(gateway.ask(5, read(0)), "0 speed F32(60.0) Saved");
 }
 
 #[test]
 fn a_storage_that_fails_is_told_and_the_values_stay() {
     let (trace, kept) = (Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.ask(1, set(0, Value::F32(80.0)));
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.ask(1, set(0, Value::F32(80.0)));
     kept.fails.set(true);
-    assert_eq!(desk.ask(2, SAVE), "2 Refused the storage is full or broken");
-    assert_eq!(desk.ask(3, read(0)), "0 speed F32(80.0) Changed");
+    assert_eq!(
+        gateway.ask(2, SAVE),
+        "2 Refused the storage is full or broken"
+    );
+    assert_eq!(gateway.ask(3, read(0)), "0 speed F32(80.0) Changed");
     kept.fails.set(false);
-    assert_eq!(desk.ask(4, SAVE), "Parameter(Saved)");
+    assert_eq!(gateway.ask(4, SAVE), "Parameter(Saved)");
 }
 
 #[test]
 fn without_a_storage_values_last_until_the_next_restart() {
     let trace = Trace::default();
     let mut node = node(Tuned::new(pair(&trace)));
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
     assert_eq!(
-        desk.ask(1, set(0, Value::F32(80.0))),
+        gateway.ask(1, set(0, Value::F32(80.0))),
         "0 speed F32(80.0) Never"
     );
-    let reply = desk.ask(2, SAVE);
+    let reply = gateway.ask(2, SAVE);
     assert_eq!(reply, "2 Refused this firmware saves no parameters");
 }
 
 #[test]
 fn a_node_without_parameters_ignores_what_is_said_of_them() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        assert_said(desk.command(1, read(0)), &[]);
-        assert_said(desk.command(1, Body::Ping), &["1 Pong 0"]);
-        let counters = desk.node.counters();
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
+        assert_said(gateway.command(1, read(0)), &[]);
+        assert_said(gateway.command(1, Body::Ping), &["1 Pong 0"]);
+        let counters = gateway.node.counters();
         assert_eq!((counters.errors, counters.out_of_sequence), (1, 0));
     });
 }
@@ -365,7 +368,7 @@ fn an_older_gateway_notices_nothing_of_parameters() {
     let (trace, other, kept) = (Trace::default(), Trace::default(), Kept::default());
     let mut node = node(tuned(&trace, &kept));
     let mut plain = super::parameters::node(pair(&other));
-    let heard = play_older_gateway(desk(&mut node));
+    let heard = play_older_gateway(gateway(&mut node));
     assert!(heard.len() > 10, "{heard:?}");
-    assert_eq!(heard, play_older_gateway(desk(&mut plain)));
+    assert_eq!(heard, play_older_gateway(gateway(&mut plain)));
 }

@@ -118,9 +118,9 @@ fn next<const N: usize>(
 #[test]
 fn topics_are_numbered_across_components() {
     let mut node = node([sensor("a b"), sensor(""), sensor("c  d")]);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.command(1, Body::Ping);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
     for (place, topic, heard) in [
         (0, 0, Some(0)),
         (0, 1, Some(1)),
@@ -129,13 +129,17 @@ fn topics_are_numbered_across_components() {
         (2, 0, Some(2)),
         (2, 1, Some(3)),
     ] {
-        let sensor = &mut desk.node.components_mut()[place];
+        let sensor = &mut gateway.node.components_mut()[place];
         sensor.topic = topic;
         sensor.readings.push(&[7]).unwrap();
         let expected = heard.map(|topic| format!("Publish {{ topic: {topic}, bytes: [7] }}"));
         // It is asked again after 3 ms.
-        assert_eq!(desk.pass(3).first(), expected.as_ref(), "{place} {topic}");
-        desk.node.components_mut()[place].readings = Queued::new();
+        assert_eq!(
+            gateway.pass(3).first(),
+            expected.as_ref(),
+            "{place} {topic}"
+        );
+        gateway.node.components_mut()[place].readings = Queued::new();
     }
 }
 
@@ -146,10 +150,10 @@ fn readings_are_sent_last_and_only_to_a_listener() {
     let mut node = node([sensor("a")]);
     let at = Instant::from_millis;
     node.components_mut()[0].readings.push(&[7; 10]).unwrap();
-    let mut desk = desk(&mut node);
-    desk.now = at(0);
-    desk.hello(5, 1);
-    assert_eq!(next(desk.node, at(1), &log), None, "no command yet");
+    let mut gateway = gateway(&mut node);
+    gateway.now = at(0);
+    gateway.hello(5, 1);
+    assert_eq!(next(gateway.node, at(1), &log), None, "no command yet");
     let mut buffer = [0xA5; 64];
     let ping = Frame {
         addr: ADDR_ONLY_NODE,
@@ -157,8 +161,8 @@ fn readings_are_sent_last_and_only_to_a_listener() {
         body: Body::Ping,
     };
     let len = encode(key(5), &ping, &mut buffer).unwrap();
-    desk.node.handle_bytes(at(2), &buffer[..len]);
-    let mut next = |time| next(desk.node, at(time), &log);
+    gateway.node.handle_bytes(at(2), &buffer[..len]);
+    let mut next = |time| next(gateway.node, at(time), &log);
     assert_eq!(next(2).unwrap().0, "Pong");
     assert_eq!(next(2).unwrap().0, "Publish 0 10");
     let (text, len) = next(2).unwrap();
@@ -169,9 +173,12 @@ fn readings_are_sent_last_and_only_to_a_listener() {
     assert_eq!(next(2), None);
     // The link is lost.
     log.text.borrow_mut().extend([1; 20]);
-    desk.node.components_mut()[0].readings.push(&[7]).unwrap();
-    desk.node.handle_timeout(at(1002));
-    assert_eq!(self::next(desk.node, at(1002), &log), None);
+    gateway.node.components_mut()[0]
+        .readings
+        .push(&[7])
+        .unwrap();
+    gateway.node.handle_timeout(at(1002));
+    assert_eq!(self::next(gateway.node, at(1002), &log), None);
 }
 
 #[test]
@@ -179,22 +186,22 @@ fn droppable_frames_wait_while_a_command_arrives() {
     let log = Pages::default();
     log.text.borrow_mut().extend([1; 100]);
     let mut node = node([sensor("a")]);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.command(1, Body::Ping);
-    let later = desk.now + Duration::from_millis(3);
-    desk.node.components_mut()[0]
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
+    let later = gateway.now + Duration::from_millis(3);
+    gateway.node.components_mut()[0]
         .readings
         .push(&[7; 5])
         .unwrap();
     // The first bytes of a frame.
-    desk.node.handle_bytes(later, &[3, 1]);
-    assert_eq!(next(desk.node, later, &log), None);
+    gateway.node.handle_bytes(later, &[3, 1]);
+    assert_eq!(next(gateway.node, later, &log), None);
     // An incomplete frame that does not continue is not a command.
     let over = later + Duration::from_millis(20);
-    assert_eq!(desk.node.poll_timeout(later), over);
-    assert_eq!(next(desk.node, over, &log).unwrap().0, "Publish 0 5");
-    assert_eq!(next(desk.node, over, &log).unwrap().0, "Log 0 100");
+    assert_eq!(gateway.node.poll_timeout(later), over);
+    assert_eq!(next(gateway.node, over, &log).unwrap().0, "Publish 0 5");
+    assert_eq!(next(gateway.node, over, &log).unwrap().0, "Log 0 100");
 }
 
 #[test]
@@ -208,11 +215,11 @@ fn each_component_keeps_its_own_minimum_reading_interval() {
         ..Identity::new("desk", "1", 77)
     };
     let mut node = SensorNode::new(identity, sensors);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    let mut sent = desk.command(1, Body::Ping).len() - 1;
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    let mut sent = gateway.command(1, Body::Ping).len() - 1;
     for _ in 0..999 {
-        sent += desk.pass(1).len();
+        sent += gateway.pass(1).len();
     }
     assert_eq!(sent, 2 * 50);
 }
@@ -235,55 +242,55 @@ fn a_progress_frame_never_exceeds_the_limit_for_droppable_frames() {
 #[test]
 fn an_oversized_reading_does_not_block_other_readings() {
     let mut node = node([sensor("a"), sensor("b")]);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.command(1, Body::Ping);
-    let later = desk.now + Duration::from_millis(3);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
+    let later = gateway.now + Duration::from_millis(3);
     let longest = SensorNode::<2>::LONGEST_READING;
-    let sensors = desk.node.components_mut();
+    let sensors = gateway.node.components_mut();
     sensors[0].readings.push(&[7; 200][..=longest]).unwrap();
     sensors[0].readings.push(&[7]).unwrap();
     sensors[1].readings.push(&[7; 200][..longest]).unwrap();
     let log = Pages::default();
-    let mut next = || next(desk.node, later, &log);
+    let mut next = || next(gateway.node, later, &log);
     assert_eq!(next(), Some(("Publish 0 1".into(), 12)));
     assert_eq!(next(), Some((format!("Publish 1 {longest}"), 127)));
     assert_eq!(next(), None);
-    assert_eq!(desk.node.components()[0].readings.lost(), 1);
+    assert_eq!(gateway.node.components()[0].readings.lost(), 1);
 }
 
 #[test]
 fn components_take_turns() {
     let mut node = node([sensor("a"), sensor("b"), sensor("c")]);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.command(1, Body::Ping);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
     let log = Pages::default();
-    desk.node.components_mut()[0].always = Some(4);
-    desk.node.components_mut()[2].always = Some(5);
+    gateway.node.components_mut()[0].always = Some(4);
+    gateway.node.components_mut()[2].always = Some(5);
     // They were asked when the session began.
-    desk.now = desk.now + Duration::from_millis(3);
-    let mut sent = || next(desk.node, desk.now, &log).unwrap().0;
+    gateway.now = gateway.now + Duration::from_millis(3);
+    let mut sent = || next(gateway.node, gateway.now, &log).unwrap().0;
     let turns = [sent(), sent(), sent(), sent()];
     let (a, c) = ("Publish 0 4", "Publish 2 5");
     assert_eq!(turns, [a, c, a, c]);
     // There may be more at once, and later when it is asked again.
-    assert_eq!(desk.node.poll_timeout(desk.now), desk.now);
-    desk.node.components_mut()[0] = sensor("a");
-    desk.node.components_mut()[2] = sensor("c");
-    while next(desk.node, desk.now, &log).is_some() {}
-    let again = desk.now + Duration::from_millis(3);
-    assert_eq!(desk.node.poll_timeout(desk.now), again);
+    assert_eq!(gateway.node.poll_timeout(gateway.now), gateway.now);
+    gateway.node.components_mut()[0] = sensor("a");
+    gateway.node.components_mut()[2] = sensor("c");
+    while next(gateway.node, gateway.now, &log).is_some() {}
+    let again = gateway.now + Duration::from_millis(3);
+    assert_eq!(gateway.node.poll_timeout(gateway.now), again);
 }
 
 /// The share of a line of `baud` that readings of 100 bytes get beside a gateway's pings, while the
 /// main loop turns every 200 µs and the port takes 64 bytes at a time.
 fn share(baud: u64) -> f64 {
     let mut node = node([sensor("a")]);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.command(1, Body::Ping);
-    desk.node.components_mut()[0].always = Some(100);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
+    gateway.node.components_mut()[0].always = Some(100);
     let seconds = 2;
     let (mut port, mut buffer) = (std::collections::VecDeque::new(), [0xA5; 64]);
     let mut decoder = Decoder::<160>::new();
@@ -304,11 +311,11 @@ fn share(baud: u64) -> f64 {
         // One byte of a command each turn: slower than either line.
         if !ping.is_empty() {
             let byte = ping.remove(0);
-            desk.node.handle_bytes(now, &[byte]);
+            gateway.node.handle_bytes(now, &[byte]);
         }
-        desk.node.handle_timeout(now);
+        gateway.node.handle_timeout(now);
         let room = 64 - port.len();
-        let count = desk.node.poll_transmit(now, &mut buffer[..room]);
+        let count = gateway.node.poll_transmit(now, &mut buffer[..room]);
         port.extend(&buffer[..count]);
         let end = (turn + 1) * 200 * baud / 10_000_000;
         while carried < end {

@@ -47,18 +47,20 @@ fn refusal(has: impl Fn(usize) -> bool) -> String {
     components[0].slow = 5000;
     components[1].busy = if waits { Busy::Queue(1) } else { Busy::Refuse };
     let mut node = TestNode::<2>::new(Identity::new("desk", "1", 77), components);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    desk.start(1, 7, 1, "60000");
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.start(1, 7, 1, "60000");
     let mut seq = 1;
     if has(QUEUE) || has(FULL) {
         seq += 1;
-        desk.start(seq, 8, if has(QUEUE) { 1 } else { 2 }, "60000");
+        gateway.start(seq, 8, if has(QUEUE) { 1 } else { 2 }, "60000");
     }
     if has(UNSAFE) {
-        desk.node.handle_timeout(desk.now + Duration::from_secs(1));
+        gateway
+            .node
+            .handle_timeout(gateway.now + Duration::from_secs(1));
     }
-    desk.node.state.runner.stopped = has(STOPPED);
+    gateway.node.state.runner.stopped = has(STOPPED);
     let number = if has(GOAL) { "x" } else { "5" };
     let goal = format!("{number:>0$}", if has(LONG) { 49 } else { 1 });
     let start = Body::Start {
@@ -71,7 +73,7 @@ fn refusal(has: impl Fn(usize) -> bool) -> String {
         goal: &goal,
         before_ms: if has(LATE) { 0 } else { u64::MAX },
     };
-    desk.command(seq + 1, start).remove(0)
+    gateway.command(seq + 1, start).remove(0)
 }
 
 #[test]

@@ -61,84 +61,84 @@ impl Component for Loop {
 
 type Loops = [Loop; 2];
 
-fn with_loops(play: impl FnOnce(&mut Desk<'_, Loops, 2>)) {
+fn with_loops(play: impl FnOnce(&mut TestGateway<'_, Loops, 2>)) {
     let [fast, slow] = [10, 35].map(|every| Loop {
         every,
         ..Loop::default()
     });
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [fast, slow]);
-    play(&mut desk(&mut node));
+    play(&mut gateway(&mut node));
 }
 
-/// The polls of a component since the last call, in ms since `desk.now` was 10 s.
-fn polls(desk: &mut Desk<'_, Loops, 2>, index: usize) -> Grown<u64> {
-    let polls = core::mem::take(&mut desk.node.components_mut()[index].polls);
+/// The polls of a component since the last call, in ms since `gateway.now` was 10 s.
+fn polls(gateway: &mut TestGateway<'_, Loops, 2>, index: usize) -> Grown<u64> {
+    let polls = core::mem::take(&mut gateway.node.components_mut()[index].polls);
     polls.iter().map(|at| at - 10_000).collect()
 }
 
 /// Turns of a main loop that sleeps as long as the node allows.
-fn sleep_for(desk: &mut Desk<'_, Loops, 2>, millis: u64) {
-    let end = desk.now + Duration::from_millis(millis);
-    while desk.now < end {
-        desk.node.handle_timeout(desk.now);
-        said(desk.node, desk.now, desk.session);
-        let next = desk.node.poll_timeout(desk.now);
-        assert!(next > desk.now, "sleeps");
-        desk.now = next.min(end);
+fn sleep_for(gateway: &mut TestGateway<'_, Loops, 2>, millis: u64) {
+    let end = gateway.now + Duration::from_millis(millis);
+    while gateway.now < end {
+        gateway.node.handle_timeout(gateway.now);
+        said(gateway.node, gateway.now, gateway.session);
+        let next = gateway.node.poll_timeout(gateway.now);
+        assert!(next > gateway.now, "sleeps");
+        gateway.now = next.min(end);
     }
 }
 
 #[test]
 fn each_component_is_polled_at_its_own_interval_with_and_without_a_task() {
-    with_loops(|desk| {
-        sleep_for(desk, 40);
-        assert_eq!(polls(desk, 0), [0, 10, 20, 30]);
-        assert_eq!(polls(desk, 1), [0, 35]);
-        desk.hello(5, 1);
-        desk.start(1, 9, 0, "on");
-        sleep_for(desk, 40);
+    with_loops(|gateway| {
+        sleep_for(gateway, 40);
+        assert_eq!(polls(gateway, 0), [0, 10, 20, 30]);
+        assert_eq!(polls(gateway, 1), [0, 35]);
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "on");
+        sleep_for(gateway, 40);
         // Once more at once, because its task has begun.
-        assert_eq!(polls(desk, 0), [40, 50, 60, 70]);
-        assert_eq!(polls(desk, 1), [70]);
+        assert_eq!(polls(gateway, 0), [40, 50, 60, 70]);
+        assert_eq!(polls(gateway, 1), [70]);
         assert_said(
-            desk.command(2, Body::Abort { task: LinkId(9) }),
+            gateway.command(2, Body::Abort { task: LinkId(9) }),
             &["2 Aborting 9"],
         );
-        assert!(desk.pass(0).contains(&"Ended 9 ABORTED ".to_string()));
+        assert!(gateway.pass(0).contains(&"Ended 9 ABORTED ".to_string()));
         // Asked for at any time.
-        desk.node.components_mut()[1].every = 0;
-        sleep_for(desk, 30);
-        assert_eq!(polls(desk, 0), [80, 90, 100]);
-        assert_eq!(polls(desk, 1), []);
+        gateway.node.components_mut()[1].every = 0;
+        sleep_for(gateway, 30);
+        assert_eq!(polls(gateway, 0), [80, 90, 100]);
+        assert_eq!(polls(gateway, 1), []);
     });
 }
 
 #[test]
 fn ticks_go_on_until_the_component_is_safe_and_after() {
-    with_loops(|desk| {
-        desk.hello(5, 1);
-        desk.command(1, Body::Ping);
-        sleep_for(desk, 1000);
-        polls(desk, 0);
+    with_loops(|gateway| {
+        gateway.hello(5, 1);
+        gateway.command(1, Body::Ping);
+        sleep_for(gateway, 1000);
+        polls(gateway, 0);
         // The link is lost now.
-        sleep_for(desk, 20);
-        assert!(polls(desk, 0).len() >= 2);
+        sleep_for(gateway, 20);
+        assert!(polls(gateway, 0).len() >= 2);
         let busy = "busy going to its safe state";
-        assert_eq!(desk.start(2, 9, 0, "on")[0], format!("2 Refused {busy}"));
-        sleep_for(desk, 30);
-        assert!(polls(desk, 0).len() >= 3);
-        assert_eq!(desk.start(3, 9, 0, "on")[0], "3 Started 9");
+        assert_eq!(gateway.start(2, 9, 0, "on")[0], format!("2 Refused {busy}"));
+        sleep_for(gateway, 30);
+        assert!(polls(gateway, 0).len() >= 3);
+        assert_eq!(gateway.start(3, 9, 0, "on")[0], "3 Started 9");
     });
 }
 
 #[test]
 fn a_tick_that_says_running_refuses_no_task() {
-    with_loops(|desk| {
-        desk.node.components_mut()[0].always_runs = true;
-        desk.hello(5, 1);
-        sleep_for(desk, 40);
-        assert_eq!(polls(desk, 0).len(), 4);
-        assert_eq!(desk.start(1, 9, 0, "on")[0], "1 Started 9");
+    with_loops(|gateway| {
+        gateway.node.components_mut()[0].always_runs = true;
+        gateway.hello(5, 1);
+        sleep_for(gateway, 40);
+        assert_eq!(polls(gateway, 0).len(), 4);
+        assert_eq!(gateway.start(1, 9, 0, "on")[0], "1 Started 9");
     });
 }
 

@@ -90,17 +90,17 @@ fn updated<'t>(trace: &'t Trace, memory: &'t RefCell<Memory>) -> Updated<'t> {
 
 fn with_updates(
     memory: Memory,
-    play: impl FnOnce(&mut Desk<'_, Updated<'_>, 2>, &RefCell<Memory>, &Trace),
+    play: impl FnOnce(&mut TestGateway<'_, Updated<'_>, 2>, &RefCell<Memory>, &Trace),
 ) {
     let (trace, memory) = (Trace::default(), RefCell::new(memory));
     let components = updated(&trace, &memory);
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), components);
-    let mut desk = desk(&mut node);
-    desk.hello(5, 1);
-    play(&mut desk, &memory, &trace);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    play(&mut gateway, &memory, &trace);
 }
 
-impl<C: Components, const TASKS: usize> Desk<'_, C, TASKS> {
+impl<C: Components, const TASKS: usize> TestGateway<'_, C, TASKS> {
     fn update(&mut self, seq: u8, command: UpdateCommand<'_>) -> Grown<String> {
         let command = UpdateMessage::Command(command);
         self.command(seq, Body::Update(command))
@@ -132,10 +132,10 @@ const fn write(offset: u32, bytes: &[u8]) -> UpdateCommand<'_> {
 const RECEIVING: &str = "Receiving { offset: ";
 
 /// Begins when all components are safe.
-fn begun(desk: &mut Desk<'_, Updated<'_>, 2>, manifest: &[u8]) {
-    assert_eq!(desk.phase(1, begin(manifest)), "Stopping");
-    desk.pass(300);
-    assert_eq!(desk.phase(2, begin(manifest)), "Receiving { offset: 0 }");
+fn begun(gateway: &mut TestGateway<'_, Updated<'_>, 2>, manifest: &[u8]) {
+    assert_eq!(gateway.phase(1, begin(manifest)), "Stopping");
+    gateway.pass(300);
+    assert_eq!(gateway.phase(2, begin(manifest)), "Receiving { offset: 0 }");
 }
 
 #[test]
@@ -144,34 +144,34 @@ fn an_image_is_received_verified_and_run() {
         verifies: 2,
         ..Memory::default()
     };
-    with_updates(memory, |desk, memory, trace| {
-        let firmware = desk.update(1, UpdateCommand::Read);
+    with_updates(memory, |gateway, memory, trace| {
+        let firmware = gateway.update(1, UpdateCommand::Read);
         assert!(firmware[0].contains("version: \"1.0.0\", confirmed: true"));
-        assert_eq!(desk.phase(2, begin(&[1, 40])), "Stopping");
+        assert_eq!(gateway.phase(2, begin(&[1, 40])), "Stopping");
         assert_eq!(trace.borrow().as_slice(), ["a safe", "h safe", "c safe"]);
-        assert_eq!(desk.phase(3, begin(&[1, 40])), "Stopping");
-        desk.pass(300);
-        assert_eq!(desk.phase(4, begin(&[1, 40])), "Receiving { offset: 0 }");
+        assert_eq!(gateway.phase(3, begin(&[1, 40])), "Stopping");
+        gateway.pass(300);
+        assert_eq!(gateway.phase(4, begin(&[1, 40])), "Receiving { offset: 0 }");
         assert_eq!(
-            desk.phase(5, write(0, &[1; 32])),
+            gateway.phase(5, write(0, &[1; 32])),
             "Receiving { offset: 32 }"
         );
         // A repeated command, and an earlier piece in another session, change nothing.
         assert_eq!(
-            desk.phase(5, write(0, &[1; 32])),
+            gateway.phase(5, write(0, &[1; 32])),
             "Receiving { offset: 32 }"
         );
-        desk.hello(6, 1);
+        gateway.hello(6, 1);
         assert_eq!(
-            desk.phase(1, write(0, &[9; 32])),
-            "Receiving { offset: 32 }"
-        );
-        assert_eq!(
-            desk.phase(2, UpdateCommand::Finish),
+            gateway.phase(1, write(0, &[9; 32])),
             "Receiving { offset: 32 }"
         );
         assert_eq!(
-            desk.phase(3, write(32, &[2; 8])),
+            gateway.phase(2, UpdateCommand::Finish),
+            "Receiving { offset: 32 }"
+        );
+        assert_eq!(
+            gateway.phase(3, write(32, &[2; 8])),
             "Receiving { offset: 40 }"
         );
         assert_eq!(
@@ -179,29 +179,29 @@ fn an_image_is_received_verified_and_run() {
             [[1; 32].as_slice(), &[2; 8]].concat()
         );
         assert_eq!(
-            desk.phase(4, UpdateCommand::Restart),
+            gateway.phase(4, UpdateCommand::Restart),
             "Receiving { offset: 40 }"
         );
-        assert_eq!(desk.phase(5, UpdateCommand::Finish), "Verifying");
+        assert_eq!(gateway.phase(5, UpdateCommand::Finish), "Verifying");
         for _ in 0..2 {
-            desk.pass(0);
-            assert_eq!(desk.phase(6, UpdateCommand::Ask), "Verifying");
+            gateway.pass(0);
+            assert_eq!(gateway.phase(6, UpdateCommand::Ask), "Verifying");
         }
-        desk.pass(0);
-        assert_eq!(desk.phase(7, UpdateCommand::Ask), "Ready");
-        assert_eq!(desk.phase(8, UpdateCommand::Restart), "Restarting");
-        desk.pass(99);
+        gateway.pass(0);
+        assert_eq!(gateway.phase(7, UpdateCommand::Ask), "Ready");
+        assert_eq!(gateway.phase(8, UpdateCommand::Restart), "Restarting");
+        gateway.pass(99);
         assert_eq!(memory.borrow().restarts, 0, "the answer is being sent");
-        desk.pass(1);
+        gateway.pass(1);
         assert_eq!(memory.borrow().restarts, 1);
     });
 }
 
 #[test]
 fn while_it_receives_pings_and_aborts_are_served_and_starts_are_refused() {
-    with_updates(Memory::default(), |desk, _, _| {
-        desk.start(1, 1, 2, "1000");
-        let busy = desk.update(2, begin(&[1, 40]));
+    with_updates(Memory::default(), |gateway, _, _| {
+        gateway.start(1, 1, 2, "1000");
+        let busy = gateway.update(2, begin(&[1, 40]));
         assert_eq!(
             busy[0],
             "2 Refused a task runs, and the update would end it"
@@ -211,23 +211,24 @@ fn while_it_receives_pings_and_aborts_are_served_and_starts_are_refused() {
             downgrade: false,
             manifest: &[1, 40],
         };
-        assert_eq!(desk.phase(3, at_once), "Stopping");
+        assert_eq!(gateway.phase(3, at_once), "Stopping");
         assert!(
-            desk.pass(300)
+            gateway
+                .pass(300)
                 .contains(&"Ended 1 ABORTED a firmware update is in progress".to_string())
         );
-        assert!(desk.phase(4, at_once).starts_with(RECEIVING));
-        assert_eq!(desk.command(5, Body::Ping)[0], "5 Pong 1");
+        assert!(gateway.phase(4, at_once).starts_with(RECEIVING));
+        assert_eq!(gateway.command(5, Body::Ping)[0], "5 Pong 1");
         assert_eq!(
-            desk.command(6, Body::Abort { task: LinkId(1) })[0],
+            gateway.command(6, Body::Abort { task: LinkId(1) })[0],
             "6 Aborting 1"
         );
         assert_eq!(
-            desk.start(7, 2, 0, "5")[0],
+            gateway.start(7, 2, 0, "5")[0],
             "7 Refused a firmware update is in progress"
         );
-        assert_eq!(desk.phase(8, UpdateCommand::Cancel), "Idle");
-        assert_eq!(desk.start(9, 2, 0, "5")[0], "9 Started 2");
+        assert_eq!(gateway.phase(8, UpdateCommand::Cancel), "Idle");
+        assert_eq!(gateway.start(9, 2, 0, "5")[0], "9 Started 2");
     });
 }
 
@@ -237,91 +238,94 @@ fn pings_and_aborts_are_served_between_the_parts_of_a_verification_and_cancel_en
         verifies: 200,
         ..Memory::default()
     };
-    with_updates(memory, |desk, memory, _| {
-        begun(desk, &[1, 32]);
-        assert!(desk.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
-        assert_eq!(desk.phase(4, UpdateCommand::Finish), "Verifying");
+    with_updates(memory, |gateway, memory, _| {
+        begun(gateway, &[1, 32]);
+        assert!(gateway.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+        assert_eq!(gateway.phase(4, UpdateCommand::Finish), "Verifying");
         for part in 0..30 {
             let seq = 5 + 3 * part;
-            desk.pass(0);
+            gateway.pass(0);
             assert_eq!(memory.borrow().verifies, 199 - part);
-            let pong = desk.command(seq, Body::Ping);
+            let pong = gateway.command(seq, Body::Ping);
             assert_eq!(pong[0], format!("{seq} Pong 0"));
-            let aborting = desk.command(seq + 1, Body::Abort { task: LinkId(1) });
+            let aborting = gateway.command(seq + 1, Body::Abort { task: LinkId(1) });
             assert!(
                 aborting[0].starts_with(&format!("{} ", seq + 1)),
                 "{aborting:?}"
             );
-            assert_eq!(desk.phase(seq + 2, UpdateCommand::Ask), "Verifying");
+            assert_eq!(gateway.phase(seq + 2, UpdateCommand::Ask), "Verifying");
         }
-        assert_eq!(desk.phase(95, UpdateCommand::Cancel), "Idle");
+        assert_eq!(gateway.phase(95, UpdateCommand::Cancel), "Idle");
         let left = memory.borrow().verifies;
-        desk.pass(0);
+        gateway.pass(0);
         assert_eq!(memory.borrow().verifies, left);
-        assert_eq!(desk.start(96, 2, 0, "5")[0], "96 Started 2");
+        assert_eq!(gateway.start(96, 2, 0, "5")[0], "96 Started 2");
     });
 }
 
 #[test]
 fn an_update_that_does_not_go_on_is_over_and_goes_on_where_it_ended() {
-    with_updates(Memory::default(), |desk, _, _| {
-        begun(desk, &[1, 64]);
-        assert!(desk.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+    with_updates(Memory::default(), |gateway, _, _| {
+        begun(gateway, &[1, 64]);
+        assert!(gateway.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
         for seq in 4..14 {
-            desk.pass(499);
-            desk.command(seq, Body::Ping);
+            gateway.pass(499);
+            gateway.command(seq, Body::Ping);
         }
-        assert!(desk.start(14, 1, 0, "5")[0].contains("update"));
-        desk.pass(10);
-        assert_eq!(desk.start(15, 1, 0, "5")[0], "15 Started 1");
-        assert_eq!(desk.phase(16, write(32, &[1; 32])), "Idle");
-        desk.pass(10);
-        assert_eq!(desk.phase(17, begin(&[1, 64])), "Stopping");
-        desk.pass(300);
-        assert_eq!(desk.phase(18, begin(&[1, 64])), "Receiving { offset: 32 }");
+        assert!(gateway.start(14, 1, 0, "5")[0].contains("update"));
+        gateway.pass(10);
+        assert_eq!(gateway.start(15, 1, 0, "5")[0], "15 Started 1");
+        assert_eq!(gateway.phase(16, write(32, &[1; 32])), "Idle");
+        gateway.pass(10);
+        assert_eq!(gateway.phase(17, begin(&[1, 64])), "Stopping");
+        gateway.pass(300);
+        assert_eq!(
+            gateway.phase(18, begin(&[1, 64])),
+            "Receiving { offset: 32 }"
+        );
     });
 }
 
 #[test]
 fn what_does_not_fit_is_refused() {
-    with_updates(Memory::default(), |desk, memory, _| {
-        begun(desk, &[1, 40]);
+    with_updates(Memory::default(), |gateway, memory, _| {
+        begun(gateway, &[1, 40]);
         let misplaced = "Refused the piece does not fit the image";
         for (seq, bytes) in [(3, &[0; 8][..]), (4, &[0; 64]), (5, &[0; 33])] {
             assert_eq!(
-                desk.update(seq, write(0, bytes))[0],
+                gateway.update(seq, write(0, bytes))[0],
                 format!("{seq} {misplaced}")
             );
         }
         assert!(memory.borrow().received.is_empty());
-        assert_eq!(desk.phase(6, begin(&[1])), "Failed(Manifest)");
-        assert_eq!(desk.phase(7, begin(&[0, 40])), "Stopping");
-        desk.pass(300);
-        assert_eq!(desk.phase(8, begin(&[0, 40])), "Failed(Older)");
-        assert_eq!(desk.start(9, 1, 0, "5")[0], "9 Started 1");
+        assert_eq!(gateway.phase(6, begin(&[1])), "Failed(Manifest)");
+        assert_eq!(gateway.phase(7, begin(&[0, 40])), "Stopping");
+        gateway.pass(300);
+        assert_eq!(gateway.phase(8, begin(&[0, 40])), "Failed(Older)");
+        assert_eq!(gateway.start(9, 1, 0, "5")[0], "9 Started 1");
     });
 }
 
 #[test]
 fn a_flash_or_a_signature_that_fails_ends_the_update() {
     for fails in [UpdateError::Storage, UpdateError::Signature] {
-        with_updates(Memory::default(), |desk, memory, _| {
-            begun(desk, &[1, 40]);
-            assert!(desk.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+        with_updates(Memory::default(), |gateway, memory, _| {
+            begun(gateway, &[1, 40]);
+            assert!(gateway.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
             let last = if fails == UpdateError::Storage {
                 memory.borrow_mut().fails = Some(fails);
-                assert_eq!(desk.phase(4, write(32, &[1; 8])), "Failed(Storage)");
+                assert_eq!(gateway.phase(4, write(32, &[1; 8])), "Failed(Storage)");
                 5
             } else {
-                assert!(desk.phase(4, write(32, &[1; 8])).starts_with(RECEIVING));
+                assert!(gateway.phase(4, write(32, &[1; 8])).starts_with(RECEIVING));
                 memory.borrow_mut().fails = Some(fails);
-                assert_eq!(desk.phase(5, UpdateCommand::Finish), "Verifying");
-                desk.pass(0);
-                assert_eq!(desk.phase(6, UpdateCommand::Ask), "Failed(Signature)");
+                assert_eq!(gateway.phase(5, UpdateCommand::Finish), "Verifying");
+                gateway.pass(0);
+                assert_eq!(gateway.phase(6, UpdateCommand::Ask), "Failed(Signature)");
                 7
             };
             assert_eq!(
-                desk.phase(last, UpdateCommand::Restart),
+                gateway.phase(last, UpdateCommand::Restart),
                 format!("Failed({fails:?})")
             );
         });
@@ -334,30 +338,30 @@ fn firmware_on_trial_restarts_unless_it_is_confirmed() {
         on_trial: true,
         ..Memory::default()
     };
-    with_updates(on_trial(), |desk, memory, trace| {
-        desk.pass(0);
-        assert_eq!(desk.phase(1, begin(&[1, 40])), "Failed(OnTrial)");
-        assert_eq!(desk.phase(2, UpdateCommand::Confirm), "Failed(OnTrial)");
+    with_updates(on_trial(), |gateway, memory, trace| {
+        gateway.pass(0);
+        assert_eq!(gateway.phase(1, begin(&[1, 40])), "Failed(OnTrial)");
+        assert_eq!(gateway.phase(2, UpdateCommand::Confirm), "Failed(OnTrial)");
         assert!(!memory.borrow().on_trial);
-        desk.pass(60_000);
+        gateway.pass(60_000);
         assert_eq!(memory.borrow().restarts, 0);
         assert!(trace.borrow().iter().all(|line| line != "c safe"));
     });
-    with_updates(on_trial(), |desk, memory, trace| {
-        desk.pass(0);
-        desk.pass(59_999);
-        assert_eq!(desk.start(1, 1, 2, "5000")[0], "1 Started 1");
-        desk.pass(1);
+    with_updates(on_trial(), |gateway, memory, trace| {
+        gateway.pass(0);
+        gateway.pass(59_999);
+        assert_eq!(gateway.start(1, 1, 2, "5000")[0], "1 Started 1");
+        gateway.pass(1);
         assert_eq!(trace.borrow().last().unwrap(), "c safe");
         assert_eq!(memory.borrow().restarts, 0, "a component moves");
-        assert!(desk.start(2, 2, 2, "5000")[0].contains("Refused"));
-        desk.pass(300);
+        assert!(gateway.start(2, 2, 2, "5000")[0].contains("Refused"));
+        gateway.pass(300);
         assert_eq!(memory.borrow().restarts, 1);
     });
-    with_updates(on_trial(), |desk, memory, _| {
-        desk.pass(0);
-        assert_eq!(desk.phase(1, UpdateCommand::Restart), "Restarting");
-        desk.pass(300);
+    with_updates(on_trial(), |gateway, memory, _| {
+        gateway.pass(0);
+        assert_eq!(gateway.phase(1, UpdateCommand::Restart), "Restarting");
+        gateway.pass(300);
         assert_eq!(memory.borrow().restarts, 1);
     });
 }
@@ -366,32 +370,32 @@ fn firmware_on_trial_restarts_unless_it_is_confirmed() {
 fn an_older_gateway_notices_nothing_of_updates() {
     let (trace, memory) = (Trace::default(), RefCell::default());
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), updated(&trace, &memory));
-    let heard = play_older_gateway(desk(&mut node));
+    let heard = play_older_gateway(gateway(&mut node));
     let components = updated(&trace, &memory).components;
     let mut plain = TestNode::<2>::new(Identity::new("desk", "1", 77), components);
-    assert_eq!(heard, play_older_gateway(desk(&mut plain)));
+    assert_eq!(heard, play_older_gateway(gateway(&mut plain)));
 }
 
 #[test]
 fn updates_are_announced_beside_the_parameters() {
-    with_updates(Memory::default(), |desk, _, _| {
-        let said = desk.command(1, Body::Describe { index: 3 });
+    with_updates(Memory::default(), |gateway, _, _| {
+        let said = gateway.command(1, Body::Describe { index: 3 });
         let announced = Body::Description {
             index: 3,
             component: 255,
             bytes: &[0, 1],
         };
         assert_eq!(said[0], format!("{announced:?}"));
-        assert!(desk.command(2, Body::Describe { index: 4 })[0].contains("Refused"));
+        assert!(gateway.command(2, Body::Describe { index: 4 })[0].contains("Refused"));
     });
 }
 
 #[test]
 fn a_node_without_updates_drops_the_commands() {
-    with_node(|desk, _| {
-        desk.hello(5, 1);
-        assert!(desk.update(1, UpdateCommand::Read).is_empty());
-        assert!(desk.update(1, begin(&[1, 40])).is_empty());
-        assert_eq!(desk.command(1, Body::Ping)[0], "1 Pong 0");
+    with_node(|gateway, _| {
+        gateway.hello(5, 1);
+        assert!(gateway.update(1, UpdateCommand::Read).is_empty());
+        assert!(gateway.update(1, begin(&[1, 40])).is_empty());
+        assert_eq!(gateway.command(1, Body::Ping)[0], "1 Pong 0");
     });
 }

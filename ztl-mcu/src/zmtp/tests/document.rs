@@ -2,7 +2,7 @@
 
 use std::vec::Vec;
 
-use super::{BOTH, Client, End, NOW, Pieces, desk};
+use super::{BOTH, Client, End, NOW, Pieces, server};
 use crate::zmtp::Peer;
 
 const DOCUMENT: &str = include_str!("../../../../docs/zmtp.md");
@@ -33,10 +33,10 @@ fn bytes(line: &str) -> Vec<u8> {
 
 /// Plays a block; returns how many bytes were compared.
 fn play(block: &str, pieces: Pieces) -> usize {
-    let mut desk = desk();
-    desk.open(NOW, Peer(0));
+    let mut server = server();
+    server.open(NOW, Peer(0));
     let mut client = Client {
-        desk: &mut desk,
+        server: &mut server,
         peer: Peer(0),
     };
     let (mut heard, mut expected, mut compared) = (client.drain(), Vec::new(), 0);
@@ -51,7 +51,7 @@ fn play(block: &str, pieces: Pieces) -> usize {
             }
             _ => {
                 assert_eq!(line, "closed");
-                assert!(!client.desk.is_open(Peer(0)), "{block}");
+                assert!(!client.server.is_open(Peer(0)), "{block}");
             }
         }
     }

@@ -9,7 +9,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 use ztl_zmtp::GREETING;
 
-use super::{Desk, NOW, desk, frame, greeting, init, ready, request, text};
+use super::{NOW, TestServer, frame, greeting, init, ready, request, server, text};
 use crate::Instant;
 use crate::zmtp::{Line, Rep, Socket};
 
@@ -54,7 +54,7 @@ impl Write for Port {
 struct Rig {
     now: Instant,
     line: Line,
-    desk: Desk,
+    server: TestServer,
     port: Port,
 }
 
@@ -63,7 +63,7 @@ impl Rig {
         Self {
             now: NOW,
             line: Line::new(),
-            desk: desk(),
+            server: server(),
             port: Port::default(),
         }
     }
@@ -75,7 +75,7 @@ impl Rig {
             let mut rx = Port::default();
             core::mem::swap(&mut rx.received, &mut self.port.received);
             self.line
-                .turn(&mut self.desk, &mut rx, &mut self.port, self.now)
+                .turn(&mut self.server, &mut rx, &mut self.port, self.now)
                 .expect("the port never fails");
             core::mem::swap(&mut rx.received, &mut self.port.received);
         }
@@ -145,7 +145,7 @@ fn a_request_that_ends_like_a_signature_is_answered_after_a_pause_or_the_next_by
     rig.now = NOW + Duration::from_millis(99);
     assert!(rig.send(b"").is_empty());
     let due = rig.line.turn(
-        &mut rig.desk,
+        &mut rig.server,
         &mut Port::default(),
         &mut Port::default(),
         rig.now,

@@ -46,7 +46,7 @@ const SLIDE: StepperConfig = StepperConfig {
 static MOTOR: Mutex<RefCell<StepMotor<NoPin, NoPin>>> =
     Mutex::new(RefCell::new(StepMotor::new(NoPin, NoPin, &SLIDE)));
 
-type Desk = Node<'static, [DigitalOutput<Lamp>; 1], 4, 256>;
+type LampNode = Node<'static, [DigitalOutput<Lamp>; 1], 4, 256>;
 
 #[entry]
 fn main() -> ! {
@@ -59,7 +59,7 @@ fn main() -> ! {
     say(&mut uart, 1, "a byte received: the interrupt");
 
     let lamp = DigitalOutput::new("lamp", Lamp, DigitalOutputConfig::DEFAULT);
-    let mut node = Desk::new(Identity::new("desk", "1", BOOT), [lamp]);
+    let mut node = LampNode::new(Identity::new("desk", "1", BOOT), [lamp]);
     let hello = Body::Hello(Hello {
         version: VERSION,
         session: SESSION,
@@ -161,14 +161,14 @@ fn verify(uart: &mut Uart) {
 }
 
 /// Encodes a frame and measures how the node handles it. Returns its length.
-fn feed(node: &mut Desk, session: u32, seq: u8, body: Body<'_>) -> usize {
+fn feed(node: &mut LampNode, session: u32, seq: u8, body: Body<'_>) -> usize {
     framed(session, seq, body, |bytes| {
         counted(|| node.handle_bytes(NOW, bytes));
     })
 }
 
 /// The same, with what the node says to it.
-fn feed_and_send(node: &mut Desk, session: u32, seq: u8, body: Body<'_>) {
+fn feed_and_send(node: &mut LampNode, session: u32, seq: u8, body: Body<'_>) {
     framed(session, seq, body, |bytes| {
         counted(|| {
             node.handle_bytes(NOW, bytes);
@@ -190,7 +190,7 @@ fn framed(session: u32, seq: u8, body: Body<'_>, act: impl FnOnce(&[u8])) -> usi
 }
 
 /// Encodes and takes the output of the node.
-fn send(node: &mut Desk, now: Instant) {
+fn send(node: &mut LampNode, now: Instant) {
     loop {
         let count = black_box(node.transmit_buf(now, &())).len();
         if count == 0 {
