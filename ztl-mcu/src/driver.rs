@@ -280,8 +280,6 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
     }
 
     /// As [`State::stop`].
-    // Not inlined in firmware, for its three callers.
-    #[cfg_attr(target_os = "none", inline(never))]
     fn stop(&self, next: Stage, end: Run) {
         self.ask(|state| state.stop(next, end));
     }
