@@ -157,6 +157,16 @@ pub unsafe extern "C" fn ztl_client_trigger(
     code
 }
 
+fn status(line: &mut Line, id: RemoteId) -> Result<Status, NotEnded> {
+    let status = line.remote()?.status(id);
+    Ok(status.map_err(Failure::from)?)
+}
+
+fn abort(line: &mut Line, id: RemoteId) -> Result<Status, NotEnded> {
+    let status = line.remote()?.abort(id);
+    Ok(status.map_err(Failure::from)?)
+}
+
 /// Asks for a task's state; ztl_client_text returns its text. With any error the state is ZTL_UNKNOWN: a missing answer
 /// never counts as an end, and a task that the server does not know is ZTL_E_UNKNOWN_TASK. `state` may be NULL.
 #[unsafe(no_mangle)]
@@ -166,12 +176,7 @@ pub unsafe extern "C" fn ztl_client_status(
     state: *mut c_int,
 ) -> c_int {
     // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
-    unsafe {
-        Client::ask(client, state, |line| {
-            let status = line.remote()?.status(id(task)?);
-            Ok(status.map_err(Failure::from)?)
-        })
-    }
+    unsafe { Client::ask(client, state, |line| status(line, id(task)?)) }
 }
 
 /// As ztl_client_status, with the task's id in decimal digits. The text is copied and must not be NULL.
@@ -182,12 +187,7 @@ pub unsafe extern "C" fn ztl_client_status_by_id(
     state: *mut c_int,
 ) -> c_int {
     // SAFETY: NULL, or a client that is not freed, a text and a number, as their caller promises.
-    unsafe {
-        Client::ask(client, state, |line| {
-            let status = line.remote()?.status(by_id(id)?);
-            Ok(status.map_err(Failure::from)?)
-        })
-    }
+    unsafe { Client::ask(client, state, |line| status(line, by_id(id)?)) }
 }
 
 /// Asks to stop a task, and writes its state: ZTL_ABORTED, a final state that it had already reached, or ZTL_ACCEPTED
@@ -199,12 +199,7 @@ pub unsafe extern "C" fn ztl_client_abort(
     state: *mut c_int,
 ) -> c_int {
     // SAFETY: NULL, or a client that is not freed, and a number, as their caller promises.
-    unsafe {
-        Client::ask(client, state, |line| {
-            let status = line.remote()?.abort(id(task)?);
-            Ok(status.map_err(Failure::from)?)
-        })
-    }
+    unsafe { Client::ask(client, state, |line| abort(line, id(task)?)) }
 }
 
 /// As ztl_client_abort, with the task's id in decimal digits. The text is copied and must not be NULL.
@@ -215,12 +210,7 @@ pub unsafe extern "C" fn ztl_client_abort_by_id(
     state: *mut c_int,
 ) -> c_int {
     // SAFETY: NULL, or a client that is not freed, a text and a number, as their caller promises.
-    unsafe {
-        Client::ask(client, state, |line| {
-            let status = line.remote()?.abort(by_id(id)?);
-            Ok(status.map_err(Failure::from)?)
-        })
-    }
+    unsafe { Client::ask(client, state, |line| abort(line, by_id(id)?)) }
 }
 
 /// Waits for a task's end, at most for this time in milliseconds; a negative limit means forever. ZTL_OK: it has ended
