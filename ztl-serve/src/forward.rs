@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ztl_core::State;
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_core::dispatcher::{NOTHING_KNOWN, UNKNOWN_OUTCOME};
 use ztl_std::keys::KeyFiles;
 use ztl_std::server::KEEP;
 use ztl_std::{RemoteTask, RequestError, Status, TriggerError, scope};
@@ -148,7 +148,7 @@ impl Forward {
                         format!("{UNKNOWN_OUTCOME}{error}")
                     }
                 };
-                if text != reported && text != "None" {
+                if text != reported && text != NOTHING_KNOWN {
                     reported.clone_from(&text);
                     task.effect(Effect::Progress(text));
                 }

@@ -37,6 +37,15 @@ fn file(text: &str) -> Result<PathBuf, String> {
     }
 }
 
+/// Whether a gateway has a journal.
+enum JournalChoice {
+    At(PathBuf),
+    /// `--no-journal`.
+    NotWanted,
+    /// The system chooses the port, so that the next start would not find the journal.
+    AnyPort,
+}
+
 impl JournalOptions {
     /// Uses the configuration file where no option is given.
     pub(crate) fn or(mut self, place: Option<JournalPlace>) -> Self {
@@ -50,49 +59,53 @@ impl JournalOptions {
         self
     }
 
-    /// The path of the journal, or why there is none.
-    fn path(&self, port: u16, scope: &str) -> Result<Result<PathBuf, &'static str>, String> {
+    /// What these options mean for a gateway with this port and scope.
+    fn choice(&self, port: u16, scope: &str) -> Result<JournalChoice, String> {
         if self.no_journal {
-            return Ok(Err("Without a journal"));
+            return Ok(JournalChoice::NotWanted);
         }
-        Ok(Ok(match &self.journal {
+        let path = match &self.journal {
             Some(path) if path.is_dir() || ends_as_directory(path) => path.join(name(port, scope)),
             Some(path) => path.clone(),
             // Another port after a restart has another journal.
-            None if port == 0 => {
-                return Ok(Err(
-                    "Without a journal, as the port is another at each start (--journal FILE keeps one)",
-                ));
-            }
+            None if port == 0 => return Ok(JournalChoice::AnyPort),
             None => directory()
-                .ok_or("no place for the journal: neither STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set; give --journal FILE, or --no-journal")?
+                .ok_or("no directory for the journal: neither STATE_DIRECTORY nor XDG_STATE_HOME nor HOME is set; give --journal FILE, or --no-journal")?
                 .join(name(port, scope)),
-        }))
+        };
+        Ok(JournalChoice::At(path))
     }
 
     /// Creates a gateway with this journal, and prints its path.
     pub(crate) fn gateway(&self, port: u16, scope: &str) -> Result<Gateway, Box<dyn Error>> {
-        let path = match self.path(port, scope)? {
-            Ok(path) => path,
-            Err(why) => {
-                line(without(why));
-                return Ok(Gateway::new());
+        let why = match self.choice(port, scope)? {
+            JournalChoice::At(path) => return self.open(&path),
+            JournalChoice::NotWanted => "",
+            JournalChoice::AnyPort => {
+                ", as the port is another at each start (--journal FILE keeps one)"
             }
         };
-        let journal = Journal::open(&path, self.journal_sync).map_err(elsewhere)?;
+        line(format_args!(
+            "Without a journal{why}: after a restart, task ids and results are unknown, and running tasks are aborted."
+        ));
+        Ok(Gateway::new())
+    }
+
+    fn open(&self, path: &Path) -> Result<Gateway, Box<dyn Error>> {
+        let journal = Journal::open(path, self.journal_sync).map_err(elsewhere)?;
         line(format_args!("Journal: {}", path.display()));
         Ok(Gateway::with_journal(journal))
     }
 
     /// Checks the path of the journal. A journal in use by another gateway is only a note.
     pub(crate) fn check(&self, port: u16, scope: &str, findings: &mut CheckFindings) {
-        match self.path(port, scope) {
-            Ok(Ok(path)) => match Journal::check(&path) {
+        match self.choice(port, scope) {
+            Ok(JournalChoice::At(path)) => match Journal::check(&path) {
                 Ok(()) => {}
                 Err(error @ JournalError::InUse { .. }) => findings.notes.push(error.to_string()),
                 Err(error) => findings.wrong.push(elsewhere(error)),
             },
-            Ok(Err(_)) => {}
+            Ok(JournalChoice::NotWanted | JournalChoice::AnyPort) => {}
             Err(error) => findings.wrong.push(error),
         }
     }
@@ -100,12 +113,6 @@ impl JournalOptions {
 
 fn elsewhere(error: JournalError) -> String {
     format!("{error} (--journal FILE, or --no-journal)")
-}
-
-fn without(why: &str) -> String {
-    format!(
-        "{why}: after a restart, task ids and results are unknown, and running tasks are aborted."
-    )
 }
 
 /// Whether a path ends as that of a directory, which may not exist yet.

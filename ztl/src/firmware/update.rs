@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Args;
+use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_core::manifest::Manifest;
 use ztl_std::gateway::{
     LONGEST_IMAGE, LONGEST_PART, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
@@ -177,7 +178,7 @@ impl Progress {
     /// Shows the progress: on a terminal as a bar in one line, elsewhere as a line for each tenth.
     fn show(&mut self, device: &str, text: &str) {
         // A server answers so until there is progress.
-        if text == self.text || text == "None" {
+        if text == self.text || text == NOTHING_KNOWN {
             return;
         }
         text.clone_into(&mut self.text);
