@@ -3,6 +3,8 @@
 mod bare;
 mod beside;
 mod capi;
+#[cfg(test)]
+mod circles;
 mod cross;
 mod cycles;
 mod deb;
