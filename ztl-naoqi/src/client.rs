@@ -31,7 +31,7 @@ pub struct Client {
 }
 
 struct Shared {
-    commands: Sender<Command>,
+    commands: Sender<ClientCommand>,
     waker: Arc<Waker>,
     /// Handles begin again after 4 billion.
     last: AtomicU32,
@@ -48,7 +48,7 @@ pub struct SubscriptionHandle(u32);
 type Done<T> = Box<dyn FnOnce(Result<T, CallError>) + Send>;
 type Each = Box<dyn FnMut(Event) + Send>;
 
-enum Command {
+enum ClientCommand {
     Call(CallHandle, Call, Duration, Done<Value>),
     Describe(String, Duration, Done<Arc<MetaObject>>),
     Services(Sender<Vec<String>>),
@@ -67,7 +67,7 @@ impl fmt::Debug for Client {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        let _ = self.commands.send(Command::Stop);
+        let _ = self.commands.send(ClientCommand::Stop);
         let _ = self.waker.wake();
     }
 }
@@ -116,7 +116,7 @@ impl Client {
         done: impl FnOnce(Result<Value, CallError>) + Send + 'static,
     ) -> CallHandle {
         let handle = CallHandle(self.new_handle());
-        self.send(Command::Call(handle, call, wait, Box::new(done)));
+        self.send(ClientCommand::Call(handle, call, wait, Box::new(done)));
         handle
     }
 
@@ -147,20 +147,24 @@ impl Client {
         wait: Duration,
         done: impl FnOnce(Result<Arc<MetaObject>, CallError>) + Send + 'static,
     ) {
-        self.send(Command::Describe(service.to_owned(), wait, Box::new(done)));
+        self.send(ClientCommand::Describe(
+            service.to_owned(),
+            wait,
+            Box::new(done),
+        ));
     }
 
     /// The services that the directory lists now. Do not call this from a callback.
     #[must_use]
     pub fn services(&self) -> Vec<String> {
         let (sender, services) = channel();
-        self.send(Command::Services(sender));
+        self.send(ClientCommand::Services(sender));
         services.recv().unwrap_or_default()
     }
 
     /// Asks to cancel a call. `told` gets whether the service was asked.
     pub fn cancel(&self, call: CallHandle, told: impl FnOnce(Cancel) + Send + 'static) {
-        self.send(Command::Cancel(call, Box::new(told)));
+        self.send(ClientCommand::Cancel(call, Box::new(told)));
     }
 
     /// Subscribes to a signal until [`unsubscribe`](Self::unsubscribe). `each` gets [`Event::Signal`],
@@ -171,13 +175,13 @@ impl Client {
         each: impl FnMut(Event) + Send + 'static,
     ) -> SubscriptionHandle {
         let handle = SubscriptionHandle(self.new_handle());
-        self.send(Command::Subscribe(handle, signal, Box::new(each)));
+        self.send(ClientCommand::Subscribe(handle, signal, Box::new(each)));
         handle
     }
 
     /// Ends a subscription.
     pub fn unsubscribe(&self, subscription: SubscriptionHandle) {
-        self.send(Command::Unsubscribe(subscription));
+        self.send(ClientCommand::Unsubscribe(subscription));
     }
 
     fn new_handle(&self) -> u32 {
@@ -185,7 +189,7 @@ impl Client {
     }
 
     /// A thread that has ended drops the command, and with it what waits for its answer.
-    fn send(&self, command: Command) {
+    fn send(&self, command: ClientCommand) {
         let _ = self.shared.commands.send(command);
         let _ = self.shared.waker.wake();
     }
@@ -199,9 +203,9 @@ struct Worker {
     session: Session,
     sockets: Sockets,
     poll: Poll,
-    inbox: Receiver<Command>,
+    inbox: Receiver<ClientCommand>,
     /// For threads that look up names.
-    own: (Sender<Command>, Arc<Waker>),
+    own: (Sender<ClientCommand>, Arc<Waker>),
     on_event: Each,
     calls: Table<CallId, (CallHandle, Done<Value>)>,
     descriptions: Table<CallId, Done<Arc<MetaObject>>>,
@@ -242,33 +246,34 @@ impl Worker {
         while let Ok(command) = self.inbox.try_recv() {
             let now = Instant::now();
             match command {
-                Command::Call(handle, call, wait, done) => match self.session.call(call, wait, now)
-                {
-                    Ok(call) => {
-                        self.calls.insert(call, (handle, done));
+                ClientCommand::Call(handle, call, wait, done) => {
+                    match self.session.call(call, wait, now) {
+                        Ok(call) => {
+                            self.calls.insert(call, (handle, done));
+                        }
+                        Err(error) => done(Err(error)),
                     }
-                    Err(error) => done(Err(error)),
-                },
-                Command::Describe(service, wait, done) => {
+                }
+                ClientCommand::Describe(service, wait, done) => {
                     match self.session.describe(&service, wait, now) {
                         Ok(call) => drop(self.descriptions.insert(call, done)),
                         Err(error) => done(Err(error)),
                     }
                 }
-                Command::Services(sender) => {
+                ClientCommand::Services(sender) => {
                     let services = self.session.services().map(str::to_owned).collect();
                     let _ = sender.send(services);
                 }
-                Command::Cancel(handle, told) => {
+                ClientCommand::Cancel(handle, told) => {
                     let mut calls = self.calls.iter();
                     let call = calls.find(|(_, (other, _))| *other == handle);
                     told(call.map_or(Cancel::Ended, |(call, _)| self.session.cancel(*call)));
                 }
-                Command::Subscribe(handle, signal, each) => {
+                ClientCommand::Subscribe(handle, signal, each) => {
                     let id = self.session.subscribe(signal);
                     self.subscriptions.insert(id, (handle, each));
                 }
-                Command::Unsubscribe(handle) => {
+                ClientCommand::Unsubscribe(handle) => {
                     let subscriptions = self.subscriptions.iter();
                     let found = subscriptions
                         .filter(|(_, (other, _))| *other == handle)
@@ -279,11 +284,11 @@ impl Worker {
                         self.subscriptions.remove(&id);
                     }
                 }
-                Command::Found(found) => {
+                ClientCommand::Found(found) => {
                     self.sockets
                         .found(found, &self.poll, &mut self.session, now);
                 }
-                Command::Stop => return false,
+                ClientCommand::Stop => return false,
             }
         }
         true

@@ -3,8 +3,8 @@
 use super::number;
 use crate::component::Report;
 
-/// Writes `NAME takes `.
-pub(super) fn put_takes(why: &mut Report<'_>, name: &str) {
+/// Begins the reason of a refusal with `NAME takes `; what the component takes follows.
+pub(super) fn begin_expected(why: &mut Report<'_>, name: &str) {
     why.text(name);
     why.text(" takes ");
 }

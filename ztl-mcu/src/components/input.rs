@@ -6,7 +6,7 @@ use embedded_hal::digital::InputPin;
 use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 
-use super::expected::put_takes;
+use super::expected::begin_expected;
 use crate::component::{Component, Reading, Refused, Report, Run};
 use crate::describe::{ComponentDescription, Describe, GoalRule};
 use crate::description;
@@ -121,7 +121,7 @@ impl<P: InputPin> Component for DigitalInput<P> {
         if matches!(goal.trim_ascii(), "pressed" | "released") {
             return Ok(());
         }
-        put_takes(why, self.name);
+        begin_expected(why, self.name);
         why.text("pressed or released");
         Err(Refused)
     }

@@ -7,7 +7,7 @@ use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Loss, Offer};
 use ztl_core::sink::div_10;
 
-use super::expected::put_takes;
+use super::expected::begin_expected;
 use super::number;
 use crate::component::{Component, Refused, Report, Run};
 use crate::describe::{ComponentDescription, Describe, GoalRule};
@@ -18,7 +18,7 @@ use crate::parameters::Tunable;
 const LONGEST_MS: u32 = 3_600_000;
 
 /// The valid goals.
-const TAKEN: &str = "on, off, or pulse 1 to 3600000 ms";
+const EXPECTED: &str = "on, off, or pulse 1 to 3600000 ms";
 
 /// What [`make_safe`](Component::make_safe) does to an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -176,8 +176,8 @@ impl<P: OutputPin> Component for DigitalOutput<P> {
         if parse(goal).is_some() {
             return Ok(());
         }
-        put_takes(why, self.name);
-        why.text(TAKEN);
+        begin_expected(why, self.name);
+        why.text(EXPECTED);
         Err(Refused)
     }
 

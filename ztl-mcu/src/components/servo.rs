@@ -4,7 +4,7 @@ use embedded_hal::pwm::SetDutyCycle;
 use ztl_core::Instant;
 use ztl_core::link::{Busy, GoalShape, Offer};
 
-use super::expected::{put_range, put_takes};
+use super::expected::{begin_expected, put_range};
 use super::number;
 use super::power::Power;
 use super::profile::{Limits, Profile, after_ticks, ticks_between};
@@ -222,7 +222,7 @@ impl<P: SetDutyCycle> Component for Servo<P> {
             return Ok(());
         }
         let (least, most) = self.config.range;
-        put_takes(why, self.name);
+        begin_expected(why, self.name);
         put_range(why, least.into(), most.into(), "degrees");
         Err(Refused)
     }

@@ -14,7 +14,7 @@ use crate::endpoint::Endpoint;
 use crate::session::{LinkId, Session};
 use crate::table::Table;
 
-use super::Command;
+use super::ClientCommand;
 
 /// How much is read from one socket before the others get their turn, in bytes.
 const TURN: usize = 256 << 10;
@@ -29,7 +29,7 @@ pub(super) struct Found {
 pub(super) fn look_up(
     link: LinkId,
     endpoint: &Endpoint,
-    worker: &(Sender<Command>, Arc<Waker>),
+    worker: &(Sender<ClientCommand>, Arc<Waker>),
 ) -> Option<Found> {
     let Endpoint { host, port } = endpoint.clone();
     if let Ok(address) = host.parse() {
@@ -45,7 +45,7 @@ pub(super) fn look_up(
             addresses.sort_by_key(SocketAddr::is_ipv6);
             addresses.into()
         });
-        let _ = commands.send(Command::Found(Found { link, addresses }));
+        let _ = commands.send(ClientCommand::Found(Found { link, addresses }));
         let _ = waker.wake();
     };
     let thread = std::thread::Builder::new().name("ztl-lookup".to_owned());

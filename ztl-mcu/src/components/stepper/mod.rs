@@ -16,7 +16,7 @@ pub use scale::Scale;
 use ztl_core::Instant;
 use ztl_core::link::{GoalShape, Offer};
 
-use super::expected::{put_range, put_takes};
+use super::expected::{begin_expected, put_range};
 use super::number;
 use super::power::Power;
 use crate::component::{Component, Refused, Report, Run};
@@ -192,7 +192,7 @@ impl<M: StepDrive> Component for Stepper<M> {
             return Ok(());
         }
         let (least, most) = self.config.range;
-        put_takes(why, self.name);
+        begin_expected(why, self.name);
         put_range(why, least, most, self.config.scale.unit());
         if M::HOME {
             why.text(", or home");
