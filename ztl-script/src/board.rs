@@ -12,7 +12,7 @@ use crate::event::{
 
 /// The state of a run.
 #[derive(Debug, Default)]
-pub struct Board {
+pub struct RunBoard {
     /// The script file, as given.
     pub script: String,
     /// What the script plans.
@@ -163,7 +163,7 @@ impl TaskRun {
     }
 }
 
-impl Board {
+impl RunBoard {
     /// Applies an event, in time linear in the running tasks and the steps of one scene.
     pub fn handle(&mut self, StampedEvent { at, event, .. }: &StampedEvent) {
         let at = *at;

@@ -33,7 +33,7 @@ pub use live_check::{ConnectShared, ServerCheck, check_servers};
 pub use model::{Cue, Defaults, Handler, OnFailure, OperatorGone, Scene, Step, Task};
 pub use player::PlayOptions;
 pub use read::read_value;
-pub use runner::{Connect, Runner, RunnerHandle, Seen};
+pub use runner::{Connect, Runner, RunnerHandle, SeenStops};
 pub use script::Script;
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ pub struct Runner {
     inbox: Receiver<Input>,
     handle: RunnerHandle,
     /// The [`RunnerHandle::stop_all`]s that the player has carried out.
-    obeyed: Seen,
+    obeyed: SeenStops,
     /// When the player carried out the last of them.
     stopped_at: Option<Instant>,
     connect: Connect,
@@ -47,7 +47,7 @@ pub struct RunnerHandle {
 
 /// What a person who decided had seen: how often everything was to be stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Seen(u32);
+pub struct SeenStops(u32);
 
 #[derive(Debug)]
 enum Input {
@@ -74,8 +74,8 @@ impl RunnerHandle {
 
     /// What somebody who decides now has seen ([`Runner::has_obeyed`]).
     #[must_use]
-    pub fn seen(&self) -> Seen {
-        Seen(self.stops.load(Ordering::SeqCst))
+    pub fn seen(&self) -> SeenStops {
+        SeenStops(self.stops.load(Ordering::SeqCst))
     }
 
     /// Makes [`Runner::next`] return at once.
@@ -97,7 +97,7 @@ impl Runner {
                 inputs: sender,
                 stops: Arc::default(),
             },
-            obeyed: Seen(0),
+            obeyed: SeenStops(0),
             stopped_at: None,
             connect,
             idle: BTreeMap::new(),
@@ -156,7 +156,7 @@ impl Runner {
     /// Whether everything that was stopped is being stopped, and was when a person decided who had `seen` this. If not,
     /// the decision came before a [`RunnerHandle::stop_all`], and must not start anything.
     #[must_use]
-    pub fn has_obeyed(&self, seen: Seen) -> bool {
+    pub fn has_obeyed(&self, seen: SeenStops) -> bool {
         seen == self.obeyed && self.handle.seen() == self.obeyed
     }
 
@@ -250,7 +250,7 @@ impl std::fmt::Debug for Runner {
 #[derive(Debug)]
 struct Worker {
     remote: String,
-    requests: Sender<(Request, Seen, Worker)>,
+    requests: Sender<(Request, SeenStops, Worker)>,
 }
 
 impl Worker {
@@ -259,7 +259,7 @@ impl Worker {
         mut connection: Box<dyn Connection>,
         runner: RunnerHandle,
     ) -> Result<Self, String> {
-        let (requests, inbox) = mpsc::channel::<(Request, Seen, Self)>();
+        let (requests, inbox) = mpsc::channel::<(Request, SeenStops, Self)>();
         std::thread::Builder::new()
             .name(format!("ztl-{remote}"))
             .spawn(move || {

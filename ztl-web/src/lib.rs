@@ -43,7 +43,7 @@ use std::sync::Arc;
 pub use own_page::OwnPage;
 pub use robots::{Connect, Robot};
 pub use show::{Record, Show, ShowRecord};
-pub use streams::{Connect as ConnectPublisher, Publisher};
+pub use streams::{ConnectPublisher, Publisher};
 pub use tls::Tls;
 pub use tokens::Tokens;
 

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use serde_json::json;
 use ztl_script::event::{DecidedBy, RunCommand, RunEvent, RunStarted, StampedEvent, TaskNumber};
-use ztl_script::{Connect, OperatorGone, PlayOptions, Runner, Script, Seen as SeenStops};
+use ztl_script::{Connect, OperatorGone, PlayOptions, Runner, Script, SeenStops};
 
 use crate::aborts::AbortRequest;
 use crate::board::Board;

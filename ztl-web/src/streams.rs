@@ -19,14 +19,14 @@ use crate::picture;
 use crate::rosbridge;
 
 /// Connects to a publisher, and subscribes to its scope.
-pub type Connect = Arc<dyn Fn() -> Result<Subscriber, String> + Send + Sync>;
+pub type ConnectPublisher = Arc<dyn Fn() -> Result<Subscriber, String> + Send + Sync>;
 
 /// A publisher, as the configuration names it.
 pub struct Publisher {
     /// Its name.
     pub name: String,
     /// Subscribes to it.
-    pub connect: Connect,
+    pub connect: ConnectPublisher,
 }
 
 /// What the names of the topics begin with.
@@ -73,7 +73,7 @@ pub(crate) struct Streams {
 
 struct Channel {
     name: String,
-    connect: Connect,
+    connect: ConnectPublisher,
     /// How many clients look.
     looking: AtomicUsize,
     heard: Mutex<BTreeMap<String, Stream>>,

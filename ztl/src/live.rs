@@ -25,7 +25,7 @@ use self::text::Capabilities;
 use crate::key_press::KeyPress;
 use crate::terminal::{self, drawn_line};
 use crate::terminal_mode::{self, Mode};
-use ztl_script::board::Board;
+use ztl_script::board::RunBoard;
 
 /// The live view. It has the terminal until it is dropped.
 #[derive(Debug)]
@@ -43,7 +43,7 @@ impl LiveView {
     pub(crate) fn open(wake: impl Fn() + Send + 'static, attended: bool) -> io::Result<Self> {
         terminal_mode::take(Mode::Screen)?;
         let shared = Arc::new(Mutex::new(Shared {
-            board: Board::default(),
+            board: RunBoard::default(),
             received: Instant::now(),
             changed: true,
             over: false,

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use tokio::sync::oneshot;
 use ztl_script::event::RunCommand;
-use ztl_script::{RunnerHandle, Seen as SeenStops};
+use ztl_script::{RunnerHandle, SeenStops};
 
 use crate::clock::now_ms;
 use crate::goal::LATEST_MS;

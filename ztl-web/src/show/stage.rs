@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use ztl_script::board::{Board as Run, Progress, TaskRun};
+use ztl_script::board::{Progress, RunBoard, TaskRun};
 use ztl_script::event::{
     Question, RunCommand, RunEvent, ServerState, StampedEvent, StepOutline, TaskNumber, WaitReason,
 };
@@ -20,7 +20,7 @@ const NOTES: usize = 20;
 const TASKS: usize = 100;
 
 pub(super) struct Stage {
-    run: Run,
+    run: RunBoard,
     /// The ids and servers of tasks that run.
     ids: BTreeMap<TaskNumber, (String, Option<RemoteId>)>,
     /// The newest last, each with the console's time.
@@ -33,7 +33,7 @@ pub(super) struct Stage {
 impl Stage {
     pub(super) fn new(is_recorded: bool) -> Self {
         Self {
-            run: Run::default(),
+            run: RunBoard::default(),
             ids: BTreeMap::new(),
             notes: VecDeque::new(),
             is_recorded,

@@ -9,7 +9,7 @@ use super::keys;
 use super::message::{self, message};
 use super::rows::{Seen, body, page, scene_line, scene_list, task_line, task_sign, window};
 use super::text::{Line, Paragraph, Style, clip, clock};
-use ztl_script::board::{Board, SceneRun, ServerView, TaskRun};
+use ztl_script::board::{RunBoard, SceneRun, ServerView, TaskRun};
 
 /// Lines of a long message that take precedence over keys.
 const MESSAGE_LEAST: usize = 2;
@@ -45,7 +45,7 @@ impl View {
 /// Draws exactly `height` lines, none wider than `width`. Returns the visible part of the body too. `now` is the
 /// time since the start of the run.
 pub(super) fn draw(
-    board: &Board,
+    board: &RunBoard,
     view: &View,
     now: Duration,
     (width, height): (usize, usize),
@@ -111,7 +111,7 @@ fn all_keys() -> Vec<Paragraph> {
 }
 
 /// The page of cues.
-fn cue_page(board: &Board) -> Vec<Paragraph> {
+fn cue_page(board: &RunBoard) -> Vec<Paragraph> {
     let cue = |cue: &StepOutline| {
         let key = match cue.key {
             None => "no key".to_owned(),
@@ -129,7 +129,7 @@ fn cue_page(board: &Board) -> Vec<Paragraph> {
 }
 
 /// The page of failures.
-fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
+fn details(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
     let mut said = message::details(board, now);
     if said.is_empty() {
         said.push((Style::Good, "Nothing went wrong.".to_owned()));
@@ -138,7 +138,7 @@ fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
 }
 
 /// The lines that remain on the terminal after the run: scenes, tasks that did not complete, and the outcome.
-pub(super) fn summary(board: &Board, width: usize) -> Vec<Line> {
+pub(super) fn summary(board: &RunBoard, width: usize) -> Vec<Line> {
     let scenes = board.outline.scenes.iter().enumerate();
     let mut lines: Vec<Line> = scenes
         .map(|(nth, scene)| scene_line(board, nth, scene, board.at, width))
@@ -156,7 +156,7 @@ fn rule(width: usize) -> Line {
     Line::new(width).and(Style::Soft, &"─".repeat(width))
 }
 
-fn title(board: &Board, now: Duration, width: usize) -> Line {
+fn title(board: &RunBoard, now: Duration, width: usize) -> Line {
     let mut words = format!(" {} ", board.script);
     if let Some(scene) = board.scene {
         let of = board.outline.scenes.len();
@@ -174,7 +174,7 @@ fn title(board: &Board, now: Duration, width: usize) -> Line {
 }
 
 /// The cues with their keys, and what became of them, wrapped.
-fn cues(board: &Board, width: usize) -> Vec<Line> {
+fn cues(board: &RunBoard, width: usize) -> Vec<Line> {
     if !board.has_cues() {
         return Vec::new();
     }
@@ -206,7 +206,7 @@ fn cues(board: &Board, width: usize) -> Vec<Line> {
 }
 
 /// The servers, wrapped.
-fn servers(board: &Board, now: Duration, width: usize) -> Vec<Line> {
+fn servers(board: &RunBoard, now: Duration, width: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut line = Line::new(width).and(Style::Soft, " servers");
     for (name, server) in &board.servers {
@@ -242,7 +242,7 @@ fn server_words(server: &ServerView, now: Duration) -> (Style, String) {
     }
 }
 
-fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Line> {
+fn background(board: &RunBoard, now: Duration, width: usize, most: usize) -> Vec<Line> {
     let tasks: Vec<&TaskRun> = board.in_background().collect();
     if tasks.is_empty() {
         return Vec::new();
@@ -272,7 +272,7 @@ fn background(board: &Board, now: Duration, width: usize, most: usize) -> Vec<Li
 }
 
 /// The keys, on at most `most` lines. The first lines and the last one, which has the keys that stop, remain.
-fn key_lines(board: &Board, view: &View, width: usize, most: usize) -> Vec<Line> {
+fn key_lines(board: &RunBoard, view: &View, width: usize, most: usize) -> Vec<Line> {
     let mut keys = match view {
         View {
             pane: Pane::Choose(_),

@@ -2,7 +2,7 @@
 
 use ztl_script::event::{Question, RunCommand, StepOutline};
 
-use ztl_script::board::Board;
+use ztl_script::board::RunBoard;
 
 /// Whether a key stops tasks.
 pub(super) fn stops(key: &str) -> bool {
@@ -76,7 +76,7 @@ const fn may_leave(question: Option<Question>) -> bool {
 }
 
 /// The keys that work now, for the last lines of the screen.
-pub(super) fn help(board: &Board) -> Vec<(&'static str, String)> {
+pub(super) fn help(board: &RunBoard) -> Vec<(&'static str, String)> {
     let choices = board.choices();
     let question = board.question;
     let mut keys = Vec::new();

@@ -6,7 +6,7 @@ use ztl_script::event::{Question, RunCommand, RunOutcome, ServerState, TaskState
 
 use super::choose::Chooser;
 use super::text::{self, Line, Paragraph, Style, clock};
-use ztl_script::board::{Board, Stopping, TaskRun};
+use ztl_script::board::{RunBoard, Stopping, TaskRun};
 
 /// Most lines of one paragraph.
 const LONGEST: usize = 40;
@@ -29,7 +29,7 @@ pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> 
 }
 
 /// The message while the chooser is open.
-pub(super) fn choosing(board: &Board, chooser: &Chooser) -> Vec<Paragraph> {
+pub(super) fn choosing(board: &RunBoard, chooser: &Chooser) -> Vec<Paragraph> {
     let scenes = &board.outline.scenes;
     let words = match chooser.cursor.and_then(|at| Some((at, scenes.get(at)?))) {
         Some((at, scene)) => format!("Jump to: {}  ▶ {} {}", chooser.typed, at + 1, scene.name),
@@ -42,7 +42,7 @@ pub(super) fn choosing(board: &Board, chooser: &Chooser) -> Vec<Paragraph> {
     vec![(Style::Strong, words)]
 }
 
-pub(super) fn message(board: &Board, now: Duration) -> Vec<Paragraph> {
+pub(super) fn message(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
     let mut said = Vec::new();
     if let Some((outcome, running, text)) = &board.ended {
         said.extend(over(*outcome, running.len()));
@@ -99,7 +99,7 @@ pub(super) fn message(board: &Board, now: Duration) -> Vec<Paragraph> {
 }
 
 /// The page of failures in full.
-pub(super) fn details(board: &Board, now: Duration) -> Vec<Paragraph> {
+pub(super) fn details(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
     let mut said: Vec<Paragraph> = missing(board, now).collect();
     let wrong = |task: &&TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
     said.extend(board.tasks.values().filter(wrong).map(reason));
@@ -123,13 +123,13 @@ fn reason(task: &TaskRun) -> Paragraph {
 }
 
 /// Failed tasks of the last take.
-fn failures(board: &Board) -> impl Iterator<Item = &TaskRun> {
+fn failures(board: &RunBoard) -> impl Iterator<Item = &TaskRun> {
     let wrong = |task: &&TaskRun| task.current && task.state.is_failure();
     board.tasks.values().filter(wrong)
 }
 
 /// Servers of the script that do not answer.
-fn missing(board: &Board, now: Duration) -> impl Iterator<Item = Paragraph> {
+fn missing(board: &RunBoard, now: Duration) -> impl Iterator<Item = Paragraph> {
     let words = move |name: &str, since, state: &ServerState| match state {
         ServerState::Absent { text } => {
             let text = match text.as_str() {
@@ -151,7 +151,7 @@ fn missing(board: &Board, now: Duration) -> impl Iterator<Item = Paragraph> {
 }
 
 /// The results of stopping, unconfirmed ones first.
-fn confirmations(board: &Board, stopping: &Stopping) -> Vec<Paragraph> {
+fn confirmations(board: &RunBoard, stopping: &Stopping) -> Vec<Paragraph> {
     let head = match stopping.over {
         true => stopped(stopping),
         false => being_stopped(stopping),
@@ -275,7 +275,7 @@ fn over(outcome: RunOutcome, running: usize) -> Vec<Paragraph> {
     said
 }
 
-fn why_words(board: &Board, why: &WaitReason, now: Duration) -> String {
+fn why_words(board: &RunBoard, why: &WaitReason, now: Duration) -> String {
     match why {
         WaitReason::ServerSilent { remote } => {
             let server = board.servers.iter().find(|(name, _)| name == remote);

@@ -7,7 +7,7 @@ use ztl_script::event::{Question, SceneOutline, StepOutline, TaskOutline, TaskSt
 
 use super::choose::Chooser;
 use super::text::{self, Line, Paragraph, Style, clip, clock};
-use ztl_script::board::{Board, Progress, StepRun, TaskRun};
+use ztl_script::board::{Progress, RunBoard, StepRun, TaskRun};
 
 /// A row of the body.
 enum Row<'a> {
@@ -36,7 +36,7 @@ pub(super) struct Seen {
 
 /// Renders the rows from `top` on, or those around the focus.
 pub(super) fn window(
-    board: &Board,
+    board: &RunBoard,
     body: &Body<'_>,
     top: Option<usize>,
     now: Duration,
@@ -62,7 +62,7 @@ pub(super) fn window(
     (lines.collect(), Seen { from, height })
 }
 
-fn line(board: &Board, row: &Row<'_>, focus: bool, now: Duration, width: usize) -> Line {
+fn line(board: &RunBoard, row: &Row<'_>, focus: bool, now: Duration, width: usize) -> Line {
     match *row {
         Row::Scene(nth, scene) => scene_line(board, nth, scene, now, width),
         Row::Choice(nth, scene) => {
@@ -85,7 +85,7 @@ fn line(board: &Board, row: &Row<'_>, focus: bool, now: Duration, width: usize) 
 }
 
 /// The scenes of the chooser.
-pub(super) fn scene_list<'b>(board: &'b Board, chooser: &Chooser) -> Body<'b> {
+pub(super) fn scene_list<'b>(board: &'b RunBoard, chooser: &Chooser) -> Body<'b> {
     let scenes = &board.outline.scenes;
     let chosen = chooser.rows(scenes);
     let row = |nth: &usize| Some(Row::Choice(*nth, scenes.get(*nth)?));
@@ -109,7 +109,7 @@ pub(super) fn page<'b>(said: &[Paragraph], width: usize) -> Body<'b> {
 }
 
 /// Scenes, steps and tasks; with `all` also the tasks in the background.
-pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
+pub(super) fn body(board: &RunBoard, all: bool) -> Body<'_> {
     let mut rows = Vec::new();
     let mut focus = 0;
     for (nth, scene) in board.outline.scenes.iter().enumerate() {
@@ -164,7 +164,7 @@ pub(super) fn body(board: &Board, all: bool) -> Body<'_> {
 }
 
 /// The tasks of the current take, by step.
-fn by_step(board: &Board, scene: usize) -> BTreeMap<usize, Vec<&TaskRun>> {
+fn by_step(board: &RunBoard, scene: usize) -> BTreeMap<usize, Vec<&TaskRun>> {
     let mut steps: BTreeMap<usize, Vec<&TaskRun>> = BTreeMap::new();
     for task in board.tasks.values().filter(|task| task.current) {
         if let Some((of, step, _)) = task.place
@@ -188,7 +188,7 @@ fn sign(progress: Progress) -> (Style, &'static str) {
 }
 
 pub(super) fn scene_line(
-    board: &Board,
+    board: &RunBoard,
     nth: usize,
     scene: &SceneOutline,
     now: Duration,

@@ -15,7 +15,7 @@ use super::rows::Seen;
 use super::text::{Capabilities, Line};
 use crate::key_press::{KeyPress, LastPress};
 use crate::{signals, terminal, terminal_mode};
-use ztl_script::board::Board;
+use ztl_script::board::RunBoard;
 
 /// Longest time from an event to its display.
 const PAUSE: Duration = Duration::from_millis(40);
@@ -35,7 +35,7 @@ const UNHEARD: Duration = Duration::from_millis(500);
 /// What the run and the thread share.
 #[derive(Debug)]
 pub(super) struct Shared {
-    pub(super) board: Board,
+    pub(super) board: RunBoard,
     /// When the last event was received.
     pub(super) received: Instant,
     pub(super) changed: bool,

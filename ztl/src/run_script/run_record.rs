@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ztl_script::event::StampedEvent;
-use ztl_script::record::Recorder as Lines;
+use ztl_script::record::Recorder;
 use ztl_std::Remotes;
 
 #[cfg(feature = "record")]
@@ -17,7 +17,7 @@ type Sounds<'a> = ();
 
 /// Writes the events of a run.
 pub(crate) enum RunRecord {
-    Lines(Lines),
+    Lines(Recorder),
     #[cfg(feature = "record")]
     Recording(InRecording),
 }
@@ -31,7 +31,7 @@ impl RunRecord {
         wake: impl Fn() + Send + Sync + 'static,
     ) -> Result<Self, Box<dyn std::error::Error>> {
         if !crate::report::is_called_recording(path) {
-            return Ok(Self::Lines(Lines::create(path)?));
+            return Ok(Self::Lines(Recorder::create(path)?));
         }
         #[cfg(feature = "record")]
         return InRecording::create(path, (remotes, sounds), wake).map(Self::Recording);

@@ -28,8 +28,8 @@ fn evening() -> Vec<StampedEvent> {
 }
 
 /// The state after the first event for which `until` is true, and its time.
-fn board(mut until: impl FnMut(&RunEvent) -> bool) -> (Board, Duration) {
-    let mut board = Board::default();
+fn board(mut until: impl FnMut(&RunEvent) -> bool) -> (RunBoard, Duration) {
+    let mut board = RunBoard::default();
     for event in evening() {
         board.handle(&event);
         if until(&event.event) {
@@ -40,7 +40,7 @@ fn board(mut until: impl FnMut(&RunEvent) -> bool) -> (Board, Duration) {
 }
 
 /// The screen as text; each line without the blanks at its end.
-fn screen(board: &Board, now: Duration, size: (usize, usize)) -> String {
+fn screen(board: &RunBoard, now: Duration, size: (usize, usize)) -> String {
     let (lines, _) = draw(board, &View::default(), now, size);
     assert_eq!(lines.len(), size.1);
     let text = lines.iter().map(|line| {
@@ -141,7 +141,7 @@ fn a_silent_server_is_shown_with_the_tasks_waiting_for_it() {
 }
 
 /// The line of keys, with blanks as they come.
-fn key_line(board: &Board) -> String {
+fn key_line(board: &RunBoard) -> String {
     let keys = keys::help(board);
     let keys: Vec<String> = keys
         .iter()
@@ -211,7 +211,7 @@ fn a_small_screen_keeps_the_pending_decision() {
 
 #[test]
 fn a_terminal_of_any_size_is_filled_exactly() {
-    let mut board = Board::default();
+    let mut board = RunBoard::default();
     for event in evening() {
         board.handle(&event);
         for size in [
@@ -395,7 +395,7 @@ fn a_reason_comes_first_and_in_full_on_its_own_page() {
 
 #[test]
 fn every_available_key_is_explained() {
-    let mut board = Board::default();
+    let mut board = RunBoard::default();
     for event in evening() {
         board.handle(&event);
         for (key, _) in keys::help(&board) {
@@ -405,7 +405,7 @@ fn every_available_key_is_explained() {
 }
 
 /// The board with this event more.
-fn and(board: &mut Board, at: Duration, event: RunEvent) {
+fn and(board: &mut RunBoard, at: Duration, event: RunEvent) {
     board.handle(&StampedEvent {
         at,
         event,

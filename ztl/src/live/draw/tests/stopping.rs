@@ -63,7 +63,7 @@ fn nothing_is_confirmed_while_servers_are_still_asked() {
         remote: remote.to_owned(),
         gaps: gaps.iter().map(ToString::to_string).collect(),
     };
-    let shows = |board: &Board, head: &str| {
+    let shows = |board: &RunBoard, head: &str| {
         let screen = screen(board, at, (80, 24));
         assert!(
             screen.contains(&format!("\n {head}\n")),
