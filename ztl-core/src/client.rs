@@ -341,7 +341,7 @@ impl Client {
         }
         // The server does not know; an answer about the INIT has another id.
         if let Answer::Rejected { id, text } = answer
-            && (id == Integer::ZERO || text.starts_with("No controller for scope"))
+            && (id == Integer::ZERO || is_no_scope(State::Rejected, text))
         {
             return Heard::OutcomeUnknown;
         }

@@ -45,7 +45,7 @@ use crate::envelope::Envelope;
 use crate::lifecycle::{Event, Request, State};
 use crate::memory::{Awaited, Memory, Waiter};
 use crate::message::Message;
-pub use crate::reply::{NOTHING_KNOWN, UNKNOWN_OUTCOME};
+pub use crate::reply::{NEVER_SEEN, NOTHING_KNOWN, UNKNOWN_OUTCOME};
 use crate::reply::{RESERVED_SCOPE, Reply, ReplyId, ReplyText};
 use crate::tasks::{TaskOf, TaskRules, Tasks};
 use crate::text::valid_start;

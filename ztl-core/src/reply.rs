@@ -7,7 +7,7 @@ use crate::sink::{Sink, put_decimal};
 use crate::text::split_at_mark;
 
 /// Prefix of the reply to `outcome` for an INIT that never arrived; the boot id follows.
-pub(crate) const NEVER_SEEN: &str = "never seen since boot ";
+pub const NEVER_SEEN: &str = "never seen since boot ";
 
 /// The scope reserved for the protocol itself.
 pub(crate) const RESERVED_SCOPE: &str = "$ztl";

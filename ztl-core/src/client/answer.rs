@@ -159,7 +159,7 @@ fn is_unknown_task(text: &str) -> bool {
 /// Whether an answer that does not tell the task's state means that the server does not serve the scope.
 #[must_use]
 pub fn is_no_scope(state: State, text: &str) -> bool {
-    state == State::Rejected && text.starts_with("No controller for scope: ")
+    state == State::Rejected && text.starts_with("No controller for scope")
 }
 
 /// Whether the answer to an ABORT means that the handler cannot stop the task, which continues.

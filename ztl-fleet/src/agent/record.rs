@@ -1,8 +1,10 @@
 //! What an agent remembers of a client's last INIT.
 
+use ztl_core::client::is_no_scope;
+use ztl_core::dispatcher::NEVER_SEEN;
 use ztl_core::envelope::ClientId;
 use ztl_core::integer::Integer;
-use ztl_core::{Instant, Message};
+use ztl_core::{Instant, Message, State};
 
 use super::{AgentEffect, Entry, HOLD, MOST_WAITERS, UNWRITTEN};
 use crate::wire::{InitId, Verdict};
@@ -151,11 +153,11 @@ impl Record {
             return Stage::Unknown;
         };
         let id = message.number().ok();
-        if message.scope != "$ztl" || message.payload.starts_with("No controller for scope") {
+        if message.scope != "$ztl" || is_no_scope(State::Rejected, message.payload) {
             return Stage::Unknown;
         }
         if id == Some(Integer::ZERO) {
-            let boot = message.payload.strip_prefix("never seen since boot ");
+            let boot = message.payload.strip_prefix(NEVER_SEEN);
             let boot = boot.and_then(|boot| boot.parse().ok());
             // Another boot is another server, which cannot know.
             return match boot.is_some() && boot == self.server {
