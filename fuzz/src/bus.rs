@@ -84,6 +84,7 @@ fn step(bus: &mut Bus, now: Instant) -> (Vec<u8>, bool) {
     while bus.poll_frame().is_some() {}
     let mut ended = false;
     while let Some(event) = bus.poll_event() {
+        ended |= event == BusEvent::Noise;
         if let BusEvent::Found(found) = event {
             assert!(found.iter().all(|node| node.name.len() <= 600));
             assert!(

@@ -1,5 +1,7 @@
 //! A shared line behind the gateway: simulated nodes that speak one at a time, on a pty.
 
+use std::io::Write as _;
+
 use ztl_std::{RemoteTask, State, TaskId};
 use ztl_tests::lab::{
     ABORTED, COMPLETED, LIMIT, PATIENCE, Process, Scratch, Server, connect, start, until, ztl,
@@ -154,6 +156,36 @@ fn a_board_that_answers_at_the_address_of_another_one_gets_none_of_its_tasks() {
 }
 
 #[test]
+fn a_board_that_comes_to_the_address_of_a_moving_one_ends_no_task_and_an_abort_stops_it() {
+    let mut line = Line::of(&["left=sim:gripper@3", "right=sim:gripper@3"]);
+    line.process.write_line("right off");
+    // The task takes 20 s: a search with collisions must be quicker.
+    let path = line.scratch.path("line");
+    let gateway = Server::gateway(&[&format!("arm=rs485:{}?wait=30", path.display())]);
+    let mut remote = connect(&gateway.endpoint());
+    gateway.wait_ready("arm.left");
+    let port = gateway.port.to_string();
+    let set = ["param", "set", "arm.left", "speed", "0.1", "-p", &port];
+    let slow = Process::run(ztl().args(set));
+    assert_eq!(slow.code, Some(0), "{slow:?}");
+    let task = start(&mut remote, "arm.left", "finger", "100");
+    line.process.write_line("right on");
+    gateway.process.wait_for("have the same address 3");
+    let told = remote.status(task).expect("an answer");
+    assert_eq!(told.state, State::Accepted, "{told:?}");
+    let refused = remote.trigger("arm.left", "finger", "10");
+    let why = refused.expect_err("two boards").to_string();
+    assert!(why.contains("have the same address 3"), "{why}");
+    assert_eq!(line.count(" left.finger begins '10'"), 0);
+    remote.abort(task).expect("it is asked to stop");
+    until("it stops", PATIENCE, || {
+        (line.count(" left.finger aborted ") == 1).then_some(())
+    });
+    line.process.write_line("right off");
+    assert_eq!(ended(&mut remote, task), State::Aborted);
+}
+
+#[test]
 fn two_nodes_with_one_address_are_named_and_do_not_disturb_the_third() {
     let line = Line::of(&[
         "left=sim:gripper@3",
@@ -188,6 +220,53 @@ fn a_line_that_is_not_there_is_named_and_served_when_it_comes() {
     let on = format!("pty:{}", path.display());
     let _line = Process::start(ztl().args(["device", "--bus", "sim:head", "--on", &on]));
     gateway.wait_ready("arm.head");
+}
+
+#[test]
+fn a_line_without_nodes_is_not_ready_and_noise_is_told_from_silence() {
+    let mut line = Line::of(&["left=sim:gripper@1"]);
+    line.process.write_line("left off");
+    let (gateway, _) = line.gateway();
+    gateway.process.wait_for("no node answers");
+    let port = gateway.port.to_string();
+    let row = || {
+        let shown = Process::run(ztl().args(["devices", "-p", &port])).stdout;
+        let row = shown.lines().find(|row| row.contains(" arm at rs485:"));
+        row.map(str::to_owned)
+    };
+    let shown = row().expect("the line");
+    assert!(shown.contains("not ready: no node answers"), "{shown}");
+    line.process.write_line("left on");
+    gateway.wait_ready("arm.left");
+    until("the line is ready", PATIENCE, || {
+        (!row()?.contains("not ready")).then_some(())
+    });
+    // Noise: a line whose other end sends bytes at random.
+    let noise = Noise::new();
+    let gateway = Server::gateway(&[&format!("arm=rs485:tcp:127.0.0.1:{}", noise.port)]);
+    gateway.process.wait_for("what is received is noise");
+}
+
+/// Sends bytes that are no frame, until it is dropped.
+struct Noise {
+    port: u16,
+}
+
+impl Noise {
+    fn new() -> Self {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("its address").port();
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let Ok(mut stream) = stream else { return };
+                // Until the gateway closes it.
+                while stream.write_all(&[0x55, 0xaa, 0x13, 0]).is_ok() {
+                    std::thread::sleep(std::time::Duration::from_millis(5));
+                }
+            }
+        });
+        Self { port }
+    }
 }
 
 /// The walk of `docs/bus.md`.

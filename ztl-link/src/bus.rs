@@ -42,6 +42,8 @@ pub enum BusEvent {
     Garbled(u8),
     /// A search has ended: all nodes that answered, by their ids. Two may have one address.
     Found(Vec<Found>),
+    /// A search has ended that no node has answered, but there was noise on the line.
+    Noise,
 }
 
 /// Who was asked, and until when the answer may come.
@@ -222,8 +224,8 @@ impl Bus {
         if let Some(search) = &self.search
             && search.has_ended()
         {
-            let found = self.search.take().map(Search::into_found);
-            self.events.extend(found.map(BusEvent::Found));
+            let event = self.search.take().map(Search::into_event);
+            self.events.extend(event);
         }
     }
 

@@ -24,6 +24,9 @@ pub enum LinkEvent {
     Lost,
     /// The device was reset and has lost its tasks.
     Reset,
+    /// On a shared line: a board with another boot has answered at this address while tasks of the device may run. It was reset,
+    /// or two boards have the address. See [`Session::handle_search`](crate::Session::handle_search).
+    OtherBoard,
     /// The device refuses this gateway, or is unusable for this reason.
     DeviceUnusable(String),
     /// The firmware has started a task itself: see [`Session::begun`](crate::Session::begun). This event repeats until the

@@ -5,6 +5,7 @@
 
 pub mod bus;
 mod device;
+mod doubt;
 mod event;
 mod journal;
 mod outcome;

@@ -87,8 +87,9 @@ impl<J: SessionJournal> Session<J> {
             .filter(|(_, task)| now >= self.must_have_acted(task))
             .map(|(id, _)| *id)
             .collect();
+        let why = self.why_unreachable();
         for id in over {
-            self.end(now, id, State::Failed, "device is not answering");
+            self.end(now, id, State::Failed, why);
         }
     }
 

@@ -11,8 +11,9 @@ use ztl_core::link::{
 use ztl_core::{Instant, State, TaskId};
 
 use crate::device::{ComponentInfo, DeviceInfo};
+use crate::doubt::of_other;
 use crate::event::LinkEvent;
-use crate::journal::{Sent, SessionJournal};
+use crate::journal::SessionJournal;
 use crate::send::frame_bytes;
 use crate::state::{CommandKind, Phase, Session};
 use crate::task::{Stage, Task};
@@ -98,6 +99,9 @@ impl<J: SessionJournal> Session<J> {
             }
             // A late announcement of the current boot changes nothing.
             Phase::Describing | Phase::Up if known != Some(boot) => {
+                if self.doubts_announcement(now, boot) {
+                    return;
+                }
                 self.lose();
                 self.greet(now);
             }
@@ -122,6 +126,9 @@ impl<J: SessionJournal> Session<J> {
                 LINK_TIMEOUTS.end()
             );
             self.events.push_back(LinkEvent::DeviceUnusable(reason));
+            return;
+        }
+        if self.doubts_welcome(now, welcome) {
             return;
         }
         self.session = session_key(self.session, welcome.boot);
@@ -171,14 +178,17 @@ impl<J: SessionJournal> Session<J> {
         self.ask_about_own_soon(now);
         self.in_flight = None;
         self.phase = Phase::Describing;
+        self.leave_astray();
         // The first command restarts the link timer of the device.
         self.describe_next(now);
     }
 
     /// Fails the tasks of an earlier boot.
     pub(crate) fn on_reset(&mut self, now: Instant, welcome: &Welcome<'_>) {
-        let other = |sent: Sent| sent.boot != welcome.boot || welcome.replaces == 0;
-        let gone = |task: &Task| task.stage.sent().is_some_and(other);
+        let gone = |task: &Task| {
+            let sent = task.stage.sent();
+            sent.is_some_and(|sent| of_other(sent, welcome)) && !self.stays(task, welcome)
+        };
         let held: Vec<TaskId> = self
             .tasks
             .iter()
@@ -200,7 +210,7 @@ impl<J: SessionJournal> Session<J> {
             .tasks
             .iter()
             // The device lists no own ones [14.2].
-            .filter(|(_, task)| task.may_run() && !task.is_own())
+            .filter(|(_, task)| task.may_run() && !task.is_own() && !self.stays(task, welcome))
             .map(|(id, task)| (*id, task.stage, task.restored))
             .collect();
         for (id, stage, restored) in ours {
@@ -263,6 +273,7 @@ impl<J: SessionJournal> Session<J> {
             return;
         };
         self.heard = now;
+        self.on_board_answered(now);
         if !in_flight.repeated {
             let measured = now.since(in_flight.sent);
             self.round_trips.add(measured);

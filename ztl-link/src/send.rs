@@ -109,7 +109,7 @@ impl<J: SessionJournal> Session<J> {
     /// The next task to abort. An abort is pending until it is answered, so a new session sends it again.
     pub(crate) fn next_abort(&mut self) -> Option<LinkId> {
         let mut tasks = self.tasks.values();
-        let wanted = tasks.find(|task| task.abort && task.may_run());
+        let wanted = tasks.find(|task| task.abort && task.may_run() && !self.is_astray(task));
         match wanted.and_then(|task| task.stage.sent()) {
             Some(sent) => Some(sent.link),
             None => self.strangers.pop_front(),

@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use crate::device::DeviceInfo;
+use crate::doubt::Doubt;
 use crate::event::LinkEvent;
 use crate::journal::SessionJournal;
 use crate::own::Own;
@@ -46,6 +47,7 @@ impl<J: SessionJournal> Session<J> {
             out: Vec::new(),
             in_flight: None,
             strangers: VecDeque::new(),
+            doubt: Doubt::default(),
             tasks: BTreeMap::new(),
             events: VecDeque::new(),
             device: None,
@@ -79,7 +81,7 @@ impl<J: SessionJournal> Session<J> {
     /// What the session needs of a [`Bus`](crate::bus::Bus) now.
     #[must_use]
     pub fn bus_needs(&self) -> BusNeeds {
-        let mut tasks = self.tasks.values();
+        let mut tasks = self.tasks.values().filter(|task| !self.is_astray(task));
         BusNeeds {
             busy: self.tasks.values().any(Task::may_run),
             urgent: !self.strangers.is_empty()
@@ -203,7 +205,7 @@ impl<J: SessionJournal> Session<J> {
                 Some(task.deadline)
             } else if task.may_run() && !self.answers() && !task.carries_on() {
                 Some(self.must_have_acted(task))
-            } else if task.waits_for_word() && self.answers() {
+            } else if task.waits_for_word() && self.answers() && !self.is_astray(task) {
                 Some(task.ask_at)
             } else {
                 None

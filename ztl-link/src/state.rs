@@ -7,6 +7,7 @@ use ztl_core::link::{Decoder, LinkId};
 use ztl_core::{Instant, TaskId};
 
 use crate::device::DeviceInfo;
+use crate::doubt::Doubt;
 use crate::event::LinkEvent;
 use crate::own::Own;
 use crate::parameters::ParameterRequest;
@@ -101,6 +102,7 @@ pub struct Session<J = ()> {
     pub(crate) strangers: VecDeque<LinkId>,
     pub(crate) tasks: BTreeMap<TaskId, Task>,
     pub(crate) own: Own,
+    pub(crate) doubt: Doubt,
     pub(crate) events: VecDeque<LinkEvent>,
     pub(crate) device: Option<DeviceInfo>,
     /// The next part of the descriptions to ask for; `None` if the device has no more.

@@ -26,6 +26,7 @@ const SESSION: &str = "ztl-link/src/session.rs";
 const SEND: &str = "ztl-link/src/send.rs";
 const RECEIVE: &str = "ztl-link/src/receive.rs";
 const OUTCOME: &str = "ztl-link/src/outcome.rs";
+const DOUBT: &str = "ztl-link/src/doubt.rs";
 const OWN: &str = "ztl-link/src/own.rs";
 const OWN_NODE: &str = "ztl-mcu/src/node/own.rs";
 const BUS: &str = "ztl-link/src/bus.rs";
@@ -484,6 +485,12 @@ pub const MUTANTS: &[Mutant] = &[
             "self.not_before = if ON { Instant::NEVER } else { now + pause.min(BACK_OFF_MOST) };",
         )],
         caught_in: ("bus-abort", 1),
+        complaint: "promise",
+    },
+    Mutant {
+        name: "the gateway takes another board on a shared line for its device after a reset",
+        edits: &[(DOUBT, "        !alone", "        !alone && !ON")],
+        caught_in: ("bus-second", 2),
         complaint: "promise",
     },
     Mutant {

@@ -6,6 +6,8 @@ use std::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
 
+use super::BusEvent;
+
 /// A question waits at most this long for a moment at which it delays no node with a task too much.
 const WAIT: Duration = Duration::from_secs(2);
 /// A question without an answer is repeated this often.
@@ -14,6 +16,9 @@ const REPEATS: u8 = 2;
 const QUESTIONS: u32 = 10_000;
 /// And when it has found so many nodes, of which a line has at most 32: one of them answers for others, or it is noise.
 const MOST: usize = 64;
+
+/// More ids than this that only collisions have shown are noise.
+const UNNAMED: usize = 8;
 
 /// A node that a search has found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,6 +42,8 @@ pub(super) struct Search {
     prefixes: Vec<(u8, u64)>,
     /// How often the last question had no answer.
     silences: u8,
+    /// How many answers were damaged.
+    collisions: u32,
     questions: u32,
     /// A node that answered, and the address that it will have.
     answered: Option<Found>,
@@ -55,6 +62,7 @@ impl Search {
             waiting: false,
             prefixes: vec![(0, 0)],
             silences: 0,
+            collisions: 0,
             questions: 0,
             answered: None,
             taken,
@@ -85,8 +93,14 @@ impl Search {
         all || self.questions >= QUESTIONS || self.found.len() >= MOST
     }
 
-    pub(super) fn into_found(self) -> Vec<Found> {
-        self.found
+    pub(super) fn into_event(self) -> BusEvent {
+        // Nodes that answer at once are found in the end, at least those with an id of their own.
+        let named = self.found.iter().any(|node| !node.name.is_empty());
+        let unnamed = !(1..=UNNAMED).contains(&self.found.len());
+        match self.collisions > 0 && !named && unnamed {
+            true => BusEvent::Noise,
+            false => BusEvent::Found(self.found),
+        }
     }
 
     /// The frame to send next.
@@ -150,6 +164,7 @@ impl Search {
     /// Several nodes have answered, or there was noise.
     pub(super) fn on_collision(&mut self) {
         self.silences = 0;
+        self.collisions += 1;
         if self.answered.is_some() {
             return;
         }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 use std::time::Duration;
 
-use ztl_core::link::{Decoder, Turn};
+use ztl_core::link::{Decoder, Loss, Turn};
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::bus::{Bus, BusEvent, TURNAROUND};
 use ztl_link::{LinkEvent, Session};
@@ -24,6 +24,8 @@ pub(crate) enum Trouble {
     Floods,
     /// Has lost its power.
     Silent,
+    /// Its wires are broken.
+    Cut,
     /// Resets every 100 ms.
     Resets,
     /// Sends bytes without being asked, a fifth of the time.
@@ -36,6 +38,7 @@ pub(crate) struct World {
     moving: Option<String>,
     stopped_early: Vec<String>,
     floods: bool,
+    pub(crate) carries_on: bool,
 }
 
 /// A goal is `NUMBER MILLISECONDS`.
@@ -48,7 +51,11 @@ struct Motor {
 
 impl Component for Motor {
     fn offer(&self) -> Offer<'_> {
-        Offer::new("motor").with_topics("place")
+        let offer = Offer::new("motor").with_topics("place");
+        match self.world.borrow().carries_on {
+            true => offer.with_loss(Loss::CarryOn),
+            false => offer,
+        }
     }
 
     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
@@ -104,7 +111,7 @@ pub(crate) struct Member {
     id: u64,
     address: u8,
     node: Node<'static, OnBus<[Motor; 1]>, 4, 128>,
-    world: Rc<RefCell<World>>,
+    pub(crate) world: Rc<RefCell<World>>,
     sending: VecDeque<u8>,
     /// Between two turns of its main loop, in slots.
     pace: u64,
@@ -128,6 +135,7 @@ pub(crate) struct Lab {
     sessions: BTreeMap<u8, Session>,
     up: BTreeMap<u8, bool>,
     outcomes: BTreeMap<u32, State>,
+    pub(crate) other_boards: usize,
     pub(crate) bus_events: Vec<BusEvent>,
 }
 
@@ -157,6 +165,7 @@ impl Lab {
             sessions: BTreeMap::new(),
             up: BTreeMap::new(),
             outcomes: BTreeMap::new(),
+            other_boards: 0,
             bus_events: Vec::new(),
         }
     }
@@ -197,6 +206,22 @@ impl Lab {
 
     pub(crate) fn now(&self) -> Instant {
         Instant::from_micros(self.slot * SLOT / 1000)
+    }
+
+    /// A node is switched off and on again.
+    pub(crate) fn reset(&mut self, node: usize, resets: u32) {
+        let member = &mut self.nodes[node];
+        member.world.borrow_mut().moving = None;
+        member.node = fresh_node(member.id, member.address, resets, &member.world);
+        member.sending.clear();
+    }
+
+    /// A search has found the board of this address alone there, or not.
+    pub(crate) fn found(&mut self, address: u8, alone: bool) {
+        self.sessions
+            .get_mut(&address)
+            .unwrap()
+            .handle_search(alone);
     }
 
     pub(crate) fn corrupt_one_in(&mut self, bytes: u64) {
@@ -303,7 +328,9 @@ impl Lab {
         let mut speakers = usize::from(from_master.is_some());
         let mut spoke = vec![false; self.nodes.len()];
         for (node, spoke) in self.nodes.iter_mut().zip(&mut spoke) {
-            if let Some(byte) = node.sending.pop_front() {
+            if let Some(byte) = node.sending.pop_front()
+                && node.trouble != Some(Trouble::Cut)
+            {
                 *spoke = true;
                 speakers += 1;
                 heard = Some(heard.unwrap_or_default() ^ byte);
@@ -316,7 +343,8 @@ impl Lab {
             heard = heard.map(|byte| byte ^ 1 << self.dice.below(8));
         }
         for (node, spoke) in self.nodes.iter_mut().zip(spoke) {
-            if !spoke && node.trouble != Some(Trouble::Silent) {
+            let hears = !matches!(node.trouble, Some(Trouble::Silent | Trouble::Cut));
+            if !spoke && hears {
                 node.node.handle_bytes(now, heard.as_slice());
             }
             advance(node, now, self.slot, &mut self.dice);
@@ -347,6 +375,7 @@ impl Lab {
                         let before = self.outcomes.insert(id.get(), state);
                         assert_eq!(before, None, "two outcomes");
                     }
+                    LinkEvent::OtherBoard => self.other_boards += 1,
                     LinkEvent::TaskRejected(id, _) => {
                         let before = self.outcomes.insert(id.get(), State::Rejected);
                         assert_eq!(before, None, "two outcomes");

@@ -119,6 +119,101 @@ fn a_node_that_floods_is_silent_or_resets_does_not_stop_the_others() {
     }
 }
 
+/// A board is switched on at the address of one that moves.
+fn second_board(carries_on: bool) -> Lab {
+    let mut lab = Lab::new(2, 5);
+    for node in &lab.nodes {
+        node.world.borrow_mut().carries_on = carries_on;
+    }
+    all_busy(&mut lab, 2);
+    lab.run(SECOND);
+    lab.add_node(1);
+    lab.nodes[2].world.borrow_mut().carries_on = carries_on;
+    lab
+}
+
+#[test]
+fn a_second_board_at_the_address_of_a_moving_one_ends_no_task_and_an_abort_stops_it() {
+    let mut lab = second_board(false);
+    lab.run(10 * SECOND);
+    assert_eq!(lab.outcome(1), None);
+    assert!(lab.nodes[0].moves());
+    // The answers to polls collide.
+    assert!(lab.bus_events.contains(&BusEvent::Garbled(1)));
+    lab.abort(1, 1);
+    lab.until(SECOND, "it stops", |lab| !lab.nodes[0].moves());
+    // Its outcome arrives when the other board is gone.
+    lab.nodes[2].trouble = Some(Trouble::Silent);
+    lab.until(5 * SECOND, "the outcome", |lab| {
+        lab.outcome(1) == Some(State::Aborted)
+    });
+}
+
+#[test]
+fn a_board_that_answers_for_an_unreachable_one_ends_its_tasks_only_when_they_must_have_ended() {
+    let mut lab = second_board(false);
+    // The wires of the one that moves are broken; the other one has the line for itself.
+    lab.nodes[0].trouble = Some(Trouble::Cut);
+    lab.until(5 * SECOND, "the other one serves", |lab| {
+        assert!(lab.outcome(1).is_none() || !lab.nodes[0].moves());
+        lab.outcome(1) == Some(State::Failed) && lab.is_up(1)
+    });
+    // Two searches that find another board prove nothing about the first one.
+    let mut lab = second_board(true);
+    lab.nodes[0].trouble = Some(Trouble::Cut);
+    lab.until(5 * SECOND, "the other one serves", |lab| {
+        lab.other_boards > 0 && lab.is_up(1)
+    });
+    lab.abort(1, 1);
+    for _ in 0..4 {
+        lab.found(1, false);
+        lab.run(SECOND);
+    }
+    assert_eq!(lab.outcome(1), None);
+    assert!(lab.nodes[0].moves());
+    // The other one takes tasks of its own, and no Abort of another board's.
+    lab.start(1, 77, "2 100");
+    lab.until(5 * SECOND, "it ends", |lab| {
+        lab.outcome(77) == Some(State::Completed)
+    });
+    // The first one is reached again: only then is it stopped.
+    lab.nodes[0].trouble = None;
+    lab.nodes[2].trouble = Some(Trouble::Silent);
+    lab.until(10 * SECOND, "it is stopped", |lab| {
+        lab.outcome(1) == Some(State::Aborted)
+    });
+    assert!(!lab.nodes[0].moves());
+}
+
+#[test]
+fn a_reset_on_a_shared_line_is_told_when_it_is_certain() {
+    let mut lab = Lab::new(2, 6);
+    all_busy(&mut lab, 2);
+    lab.reset(0, 1);
+    lab.until(3 * SECOND, "it has failed", |lab| {
+        lab.outcome(1) == Some(State::Failed)
+    });
+    lab.until(SECOND, "it serves", |lab| lab.is_up(1));
+    let mut lab = Lab::new(2, 6);
+    lab.nodes[0].world.borrow_mut().carries_on = true;
+    all_busy(&mut lab, 2);
+    lab.reset(0, 1);
+    lab.run(4 * SECOND);
+    assert!(lab.is_up(1));
+    // The first of two searches may have begun before the reset.
+    lab.found(1, true);
+    lab.run(SECOND);
+    assert_eq!(lab.outcome(1), None);
+    lab.found(1, false);
+    lab.found(1, true);
+    lab.run(SECOND);
+    assert_eq!(lab.outcome(1), None);
+    lab.found(1, true);
+    lab.until(SECOND, "it has failed", |lab| {
+        lab.outcome(1) == Some(State::Failed)
+    });
+}
+
 #[test]
 fn on_a_bad_line_every_task_is_begun_once_and_its_outcome_is_true() {
     for seed in 0..8 {

@@ -84,13 +84,21 @@ impl Master {
     pub(super) fn poll_found(&mut self) -> Option<Vec<(u64, u8)>> {
         match self {
             Self::Real(bus) => loop {
-                if let BusEvent::Found(found) = bus.poll_event()? {
-                    return Some(found.iter().map(|it| (it.id, it.address)).collect());
+                match bus.poll_event()? {
+                    BusEvent::Found(found) => {
+                        return Some(found.iter().map(|it| (it.id, it.address)).collect());
+                    }
+                    BusEvent::Noise => return Some(Vec::new()),
+                    _ => {}
                 }
             },
             Self::Copy(bus) => loop {
-                if let copy::bus::BusEvent::Found(found) = bus.poll_event()? {
-                    return Some(found.iter().map(|it| (it.id, it.address)).collect());
+                match bus.poll_event()? {
+                    copy::bus::BusEvent::Found(found) => {
+                        return Some(found.iter().map(|it| (it.id, it.address)).collect());
+                    }
+                    copy::bus::BusEvent::Noise => return Some(Vec::new()),
+                    _ => {}
                 }
             },
         }

@@ -207,6 +207,10 @@ impl SharedLine {
             if let Some((known, at)) = found.iter().find(wrong) {
                 return Err(format!("a search finds {known:x} at {at}"));
             }
+            for (number, session) in gateway.sessions.iter_mut().enumerate() {
+                let at = address(number);
+                session.handle_search(found.iter().filter(|(_, its)| *its == at).count() == 1);
+            }
             self.found = found;
         }
         for (number, session) in gateway.sessions.iter_mut().enumerate() {

@@ -54,6 +54,8 @@ pub struct BusModel {
     nodes: [LinkModel; 2],
     kept: [Kept; 2],
     cut: [bool; 2],
+    /// Whether the second node has the address of the first one.
+    readdressed: bool,
     question: Option<Frames>,
     held: Option<Frames>,
     acts: usize,
@@ -81,6 +83,7 @@ impl BusModel {
             nodes,
             kept: Default::default(),
             cut: [false; 2],
+            readdressed: false,
             question: None,
             held: None,
             acts: 0,
@@ -117,6 +120,7 @@ impl BusModel {
     fn is_disturbed(&self) -> bool {
         let acts = self.acts < self.scenario.acts.len();
         let lasting = self.bus.is_none() || self.held.is_some() || self.cut.contains(&true);
+        let lasting = lasting || self.readdressed;
         acts || self.times > 0 || lasting
     }
 
@@ -146,6 +150,7 @@ impl BusModel {
             node.now = now;
             node.settle()?;
         }
+        self.search()?;
         if let Some(bus) = &mut self.bus {
             bus.handle_timeout(now);
         }
@@ -169,9 +174,41 @@ impl BusModel {
         Ok(())
     }
 
+    /// Searches are quick here, and find what there is.
+    fn search(&mut self) -> Result<(), String> {
+        for (number, node) in self.nodes.iter_mut().enumerate() {
+            let session = node.gateways[0].session.as_ref();
+            if session.is_some_and(|session| session.has_astray()) {
+                let alone = !self.readdressed && !self.cut[number];
+                node.with_session(0, |session| {
+                    session.handle_search(alone);
+                    session.handle_search(alone);
+                })?;
+            }
+        }
+        Ok(())
+    }
+
     fn parcel(&self, node: usize, bytes: &[u8]) -> Parcel {
-        let node = &self.nodes[node];
-        Parcel::new(bytes, node.opened * 2 + 1, node.boot)
+        let both = self.nodes.iter();
+        let opened = match self.readdressed {
+            true => both.map(|it| it.opened).max().unwrap_or_default(),
+            false => self.nodes[node].opened,
+        };
+        Parcel::new(bytes, opened * 2 + 1, self.nodes[node].boots())
+    }
+
+    /// The second node is switched off and on, with this address.
+    fn readdress(&mut self, to: u8) -> Result<(), String> {
+        let node = &mut self.nodes[1];
+        let own = node.address.replace(to);
+        node.up.queue.clear();
+        node.disturb(Fault::Reset)?;
+        node.address = own;
+        let boots = [self.nodes[0].boots(), self.nodes[1].boots()];
+        (self.nodes[0].other_boot, self.nodes[1].other_boot) = (boots[1], boots[0]);
+        self.readdressed = own != Some(to);
+        Ok(())
     }
 
     /// Gives the bus what the sessions transmit.
@@ -223,6 +260,10 @@ impl BusModel {
 
     /// All nodes hear a frame, except the one that sends it.
     fn heard_by_nodes(&mut self, parcel: &Parcel, sender: Option<usize>) -> Result<(), String> {
+        if self.readdressed {
+            // It also answers in the sessions of the other one.
+            self.nodes[1].opened = self.nodes[1].opened.max(self.nodes[0].opened);
+        }
         for (number, node) in self.nodes.iter_mut().enumerate() {
             if Some(number) != sender && !self.cut[number] {
                 node.deliver(Way::Down, parcel)?;
@@ -311,6 +352,7 @@ impl BusModel {
             BusFault::HoldAnswer => self.senders().next().is_some() && self.held.is_none(),
             BusFault::Cut(node) => !self.cut[node],
             BusFault::Reset(_) => true,
+            BusFault::Readdress => !self.readdressed,
             BusFault::Kill => self.bus.is_some(),
         }
     }
@@ -332,6 +374,7 @@ impl BusModel {
             }
             BusFault::Cut(node) => self.cut[node] = true,
             BusFault::Reset(node) => self.nodes[node].disturb(Fault::Reset)?,
+            BusFault::Readdress => self.readdress(address(0))?,
             BusFault::Kill => {
                 self.bus = None;
                 self.question = None;
@@ -369,6 +412,7 @@ impl System for BusModel {
         }
         match self.cut.iter().position(|cut| *cut) {
             Some(node) => BusAction::Mend(node as u8),
+            None if self.readdressed => BusAction::Mend(1),
             None => self.go_on(),
         }
     }
@@ -387,6 +431,9 @@ impl System for BusModel {
         }
         let cut = (0..self.cut.len()).filter(|node| self.cut[*node]);
         actions.extend(cut.map(|node| BusAction::Mend(node as u8)));
+        if self.readdressed && !self.cut[1] {
+            actions.push(BusAction::Mend(1));
+        }
         if self.held.is_some() {
             actions.push(BusAction::Release(0));
         }
@@ -425,7 +472,10 @@ impl System for BusModel {
                     self.deliver(&held)?;
                 }
             }
-            BusAction::Mend(node) => self.cut[usize::from(node)] = false,
+            BusAction::Mend(node) if self.cut[usize::from(node)] => {
+                self.cut[usize::from(node)] = false;
+            }
+            BusAction::Mend(_) => self.readdress(address(1))?,
             BusAction::Start => {
                 for node in &mut self.nodes {
                     node.start(0);
@@ -462,7 +512,7 @@ impl System for BusModel {
         all.add(&self.bus);
         let end = self.window() + LASTING;
         let age = self.is_disturbed().then(|| self.age().min(end));
-        all.add(&(self.cut, self.acts, self.times, age));
+        all.add(&(self.cut, self.readdressed, self.acts, self.times, age));
         all.finish()
     }
 

@@ -21,6 +21,8 @@ pub enum BusFault {
     Cut(usize),
     /// A node is reset.
     Reset(usize),
+    /// The second node is reset, and has the address of the first one for a while.
+    Readdress,
     /// The gateway is killed, and restarted at any later time.
     Kill,
 }
@@ -40,7 +42,7 @@ pub enum BusAction {
     Disturb(BusFault),
     /// A delayed question or answer arrives.
     Release(u8),
-    /// The wires of a node are mended.
+    /// The wires of a node are mended, or it gets its address back.
     Mend(u8),
     /// The gateway is restarted.
     Start,
@@ -122,6 +124,14 @@ pub const BUS_SCENARIOS: &[BusScenario] = &[
         about: "a task on each node; the gateway is killed at any time and restarted without a journal",
         acts: &[(0, ask(0, 1, ENDLESS))],
         faults: &[BusFault::Kill, BusFault::DropAnswer],
+        ..SHARED
+    },
+    BusScenario {
+        name: "bus-second",
+        about: "a second board comes to the address of one that moves, and goes again; the wires of the first one are broken",
+        before: &[(0, ask(0, 0, ENDLESS)), (0, ask(0, 1, ENDLESS))],
+        acts: &[(0, abort(0, 1))],
+        faults: &[BusFault::Readdress, BusFault::Cut(0), BusFault::DropAnswer],
         ..SHARED
     },
 ];

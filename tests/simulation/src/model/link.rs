@@ -53,6 +53,8 @@ pub struct LinkModel {
     /// The node's address on a shared line.
     pub(super) address: Option<u8>,
     pub(super) boot: u32,
+    /// The highest boot of another board that may have its address.
+    pub(super) other_boot: u32,
     /// When the node's clock was 0.
     pub(super) booted: Instant,
     pub(super) down: Lane,
@@ -124,6 +126,7 @@ impl LinkModel {
             node: SomeNode::new(scenario, 1, address),
             address,
             boot: 1,
+            other_boot: 0,
             booted: BEGIN,
             down: Lane::default(),
             up: Lane::default(),
@@ -264,6 +267,11 @@ impl LinkModel {
             .unwrap_or(node)
     }
 
+    /// The highest boot that a frame may be of.
+    pub(super) fn boots(&self) -> u32 {
+        self.boot.max(self.other_boot)
+    }
+
     fn drain_node(&mut self) -> Result<(), String> {
         let node_now = self.node_now();
         let mut buffer = [0xA5; 256];
@@ -276,7 +284,7 @@ impl LinkModel {
             bytes.extend_from_slice(&buffer[..count]);
         }
         let heard = self.plugged && self.gateways.iter().any(|g| g.session.is_some());
-        let sent = self.up.send(&bytes, self.opened * 2 + 1, self.boot);
+        let sent = self.up.send(&bytes, self.opened * 2 + 1, self.boots());
         if !heard {
             self.up.queue.clear();
         }
@@ -310,7 +318,7 @@ impl LinkModel {
             self.on_taken(task)?;
         }
         if self.plugged {
-            for parcel in self.down.send(&bytes, self.opened * 2 + 1, self.boot) {
+            for parcel in self.down.send(&bytes, self.opened * 2 + 1, self.boots()) {
                 self.note(|| format!("  gateway {gateway}: {parcel:?}"));
             }
         }

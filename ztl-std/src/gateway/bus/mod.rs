@@ -29,6 +29,19 @@ pub(super) struct Seat {
     /// The name of its firmware, as a search has found it.
     firmware: OnceLock<String>,
     needs: Mutex<BusNeeds>,
+    board: Mutex<Board>,
+}
+
+/// What searches have found at a node's address.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Board {
+    /// The id of the board that is served.
+    pub(super) id: u64,
+    /// How many searches have ended, and whether the last one found this board alone at the address.
+    pub(super) searches: u64,
+    pub(super) alone: bool,
+    /// Why the node takes no tasks, although it still has some.
+    pub(super) conflict: Option<String>,
 }
 
 impl Seat {
@@ -44,6 +57,21 @@ impl Seat {
     /// The name that its firmware must have. Another board at its address is not it.
     pub(super) fn firmware(&self) -> Option<&str> {
         self.firmware.get().map(String::as_str)
+    }
+
+    /// What searches have found.
+    pub(super) fn board(&self) -> Board {
+        self.locked_board().clone()
+    }
+
+    fn locked_board(&self) -> MutexGuard<'_, Board> {
+        self.board.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn on_search(&self, id: u64, alone: bool, conflict: Option<String>) {
+        let mut board = self.locked_board();
+        board.searches += 1;
+        (board.id, board.alone, board.conflict) = (id, alone, conflict);
     }
 
     fn needs(&self) -> BusNeeds {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ztl_core::link::ADDR_NONE;
+use ztl_core::link::{ADDR_MOST, ADDR_NONE};
 use ztl_link::bus::Found;
 
 use super::Seat;
@@ -32,6 +32,8 @@ pub(super) struct Changes {
     pub(super) new: Vec<usize>,
     /// Addresses whose nodes are not served there any more.
     pub(super) closed: Vec<u8>,
+    /// Addresses that several nodes have. A node that has tasks is still asked, so that they can be aborted.
+    pub(super) shared: Vec<u8>,
 }
 
 /// All nodes that were found.
@@ -101,8 +103,10 @@ impl Nodes {
                 continue;
             };
             let before = node.seat.address();
-            if before != address || problem.is_some() {
+            if before != address {
                 changes.closed.push(before);
+            } else if problem.is_some() {
+                changes.shared.push(before);
             }
             node.id = one.id;
             node.problem = problem;
@@ -121,6 +125,12 @@ impl Nodes {
                     changes.closed.push(address);
                 }
             }
+        }
+        for node in &self.all {
+            let address = node.seat.address();
+            let mut there = found.iter().filter(|one| one.address == address);
+            let alone = there.next().is_some_and(|one| one.id == node.id) && there.next().is_none();
+            node.seat.on_search(node.id, alone, node.problem.clone());
         }
         changes
     }
@@ -160,6 +170,12 @@ fn mistake(found: &[Found], one: &Found) -> Option<String> {
             "" => format!("several nodes have the id {id:016x}; give each its own"),
             name => format!("'{name}' (id {id:016x}) has no address and takes none"),
         });
+    }
+    if one.address > ADDR_MOST {
+        let address = one.address;
+        return Some(format!(
+            "'{name}' (id {id:016x}) has the address {address}; addresses go from 1 to {ADDR_MOST}"
+        ));
     }
     let sharing = sharing(found, one);
     (sharing.len() > 1).then(|| {
@@ -224,7 +240,7 @@ mod tests {
         nodes.update(&[found(1, 4, "finger")]);
         let both = [found(1, 4, "finger"), found(2, 4, "pan")];
         let changes = nodes.update(&both);
-        assert_eq!((changes.new, changes.closed), (vec![], vec![4]));
+        assert_eq!((changes.new, changes.shared), (vec![], vec![4]));
         let text = "'finger' (id 0000000000000001) and 'pan' (id 0000000000000002) have the same address 4; give each its own";
         assert_eq!(nodes.problem().map(String::as_str), Some(text));
         assert_eq!(nodes.all[0].problem.as_deref(), Some(text));
@@ -245,6 +261,24 @@ mod tests {
         assert!(nodes.all[0].problem.as_ref().unwrap().contains("'pan'"));
         // The next search closes nothing again.
         assert_eq!(nodes.update(&[found(7, 4, "pan")]), Changes::default());
+    }
+
+    #[test]
+    fn a_node_with_an_address_that_no_node_can_have_is_named_and_not_served() {
+        for address in [33, 254] {
+            let mut nodes = Nodes::default();
+            let changes = nodes.update(&[found(1, address, "finger"), found(2, 4, "pan")]);
+            assert_eq!(changes.new, [0], "{address}");
+            assert_eq!(names(&nodes), ["pan"]);
+            let text = format!(
+                "'finger' (id 0000000000000001) has the address {address}; addresses go from 1 to 32"
+            );
+            assert_eq!(nodes.problem(), Some(&text));
+        }
+        // Also one that was served before.
+        let mut nodes = Nodes::default();
+        nodes.update(&[found(1, 4, "finger")]);
+        assert_eq!(nodes.update(&[found(1, 40, "finger")]).closed, [4]);
     }
 
     #[test]

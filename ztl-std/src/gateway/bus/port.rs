@@ -71,6 +71,12 @@ impl Ports {
             .map(|(address, port)| (*address, &*port.seat))
     }
 
+    /// Whether the node at an address may hold tasks.
+    pub(super) fn is_busy(&self, address: u8) -> bool {
+        let port = self.open.get(&address);
+        port.is_some_and(|port| port.seat.needs().busy)
+    }
+
     pub(super) fn put(&self, address: u8, frame: Vec<u8>) {
         if let Some(port) = self.open.get(&address) {
             let _ = port.frames.try_send(frame);

@@ -31,6 +31,10 @@ const BATCH: usize = 64;
 /// How long a device waits for its port.
 const PORT: Duration = Duration::from_secs(1);
 
+/// What is wrong with a line without nodes.
+const NOTHING: &str = "no node answers";
+const NOISE: &str = "no node answers, and what is received is noise: check the wires, the resistors at both ends and the baud rate";
+
 enum LineState {
     Closed { retry: Instant },
     Opening,
@@ -268,21 +272,32 @@ impl Worker {
                 self.log.log(now(), Severity::Warn, text);
                 self.search = self.search.map(|at| at.min(now()));
             }
-            BusEvent::Found(found) => self.on_found(&found),
+            BusEvent::Found(found) => self.on_found(&found, NOTHING),
+            BusEvent::Noise => self.on_found(&[], NOISE),
         }
     }
 
-    fn on_found(&mut self, found: &[Found]) {
+    /// `nothing` says what there is instead of nodes.
+    fn on_found(&mut self, found: &[Found], nothing: &str) {
         let changes = self.nodes.update(found);
         for address in changes.closed {
             self.close_port(address);
+        }
+        for address in changes.shared {
+            if !self.ports.is_busy(address) {
+                self.close_port(address);
+            }
         }
         for index in changes.new {
             if let Some(node) = self.nodes.get(index) {
                 self.serve(node);
             }
         }
-        self.set_problem(self.nodes.problem().cloned());
+        let problem = match found.is_empty() {
+            true => Some(nothing.to_owned()),
+            false => self.nodes.problem().cloned(),
+        };
+        self.set_problem(problem);
         if !found.is_empty() {
             self.unanswered = 0;
         } else {

@@ -1,6 +1,7 @@
 //! A device: a thread with its session, its line and its tasks.
 
 mod backpressure;
+mod boards;
 mod input;
 mod line_reader;
 mod own;

@@ -15,6 +15,7 @@ use ztl_core::{Instant, State, TaskId};
 
 use ztl_link::{LinkEvent, Session};
 
+use super::boards::Boards;
 use super::input::{DeviceRequest, Input};
 use super::line_reader::{LineEvent, run_line};
 use super::own::{EventLog, NextId, OwnTasksCell, STARTS};
@@ -84,7 +85,8 @@ pub(super) struct Worker {
     /// Whether the device was ready and nothing has been wrong since. The new session that follows 255 commands changes
     /// nothing.
     ready: bool,
-    log: RateLimitedLog,
+    pub(super) log: RateLimitedLog,
+    pub(super) boards: Boards,
     pub(super) tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
     pub(super) own_tasks: OwnTasksCell,
     pub(super) next_id: NextId,
@@ -131,6 +133,7 @@ impl Worker {
             problem: None,
             ready: false,
             log: RateLimitedLog::new(name, now()),
+            boards: Boards::default(),
             tasks: HashMap::new(),
             own_tasks,
             next_id: NextId::default(),
@@ -183,6 +186,7 @@ impl Worker {
                 self.on_input(input);
             }
             self.session.handle_timeout(now());
+            self.check_board();
             self.on_update_timeout();
             self.transmit();
             while let Some(event) = self.session.poll_event() {
@@ -279,7 +283,7 @@ impl Worker {
     fn on_input(&mut self, input: Input) {
         match input {
             Input::Start(task, request) => {
-                if let Some(reason) = self.rejects_tasks() {
+                if let Some(reason) = self.rejects_requests() {
                     return task.rejected(reason);
                 }
                 let id = task.id();
@@ -305,14 +309,14 @@ impl Worker {
                 self.session.restore(now(), known);
             }
             Input::Reserved(id) => self.on_reserved(id),
-            Input::Parameters(task, goal) => match self.rejects_tasks() {
+            Input::Parameters(task, goal) => match self.rejects_requests() {
                 Some(reason) => task.rejected(reason),
                 None => {
                     let session = &mut self.session;
                     self.parameters.start(now(), session, task, goal);
                 }
             },
-            Input::Update(task, request) => match self.rejects_tasks() {
+            Input::Update(task, request) => match self.rejects_requests() {
                 Some(reason) => task.rejected(reason),
                 None => self.on_update_request(task, &request),
             },
@@ -360,7 +364,7 @@ impl Worker {
         }
     }
 
-    fn seat(&self) -> Option<&Seat> {
+    pub(super) fn seat(&self) -> Option<&Seat> {
         self.opener.as_ref()?.seat.as_deref()
     }
 
@@ -372,6 +376,12 @@ impl Worker {
             (None, true, Some(_)) => Some("the device's tasks from before have not stopped yet"),
             (None, false, _) => None,
         }
+    }
+
+    /// Why it rejects what clients ask for, if it does. Tasks that the firmware has started are still taken up.
+    fn rejects_requests(&self) -> Option<String> {
+        let reason = self.rejects_tasks().or(self.conflict());
+        reason.map(str::to_owned)
     }
 
     /// All tasks of a retired device have ended.
@@ -427,7 +437,7 @@ impl Worker {
         });
     }
 
-    fn set_problem(&mut self, problem: String) {
+    pub(super) fn set_problem(&mut self, problem: String) {
         self.ready = false;
         if self.problem.as_ref() != Some(&problem) {
             self.log.log(now(), Severity::Warn, format!(": {problem}"));
@@ -528,6 +538,7 @@ impl Worker {
                     Some(_) => self.set_problem(NOT_ANSWERING.to_owned()),
                 }
             }
+            LinkEvent::OtherBoard => self.on_other_board(),
             LinkEvent::Reset => self
                 .log
                 .log(now(), Severity::Warn, " was reset.".to_owned()),
@@ -559,16 +570,7 @@ impl Worker {
         info!(target: GATEWAY, device = name, task, "Device '{name}': task {task} {spec} {what}");
     }
 
-    /// Which other board answers at the address of this node on a shared line.
-    fn other_board(&self) -> Option<String> {
-        let seat = self.seat()?;
-        let (wanted, found) = (seat.firmware()?, &self.session.device()?.name);
-        let address = seat.address();
-        (wanted != found)
-            .then(|| format!("'{found}' answers at the address {address} of '{wanted}'"))
-    }
-
-    fn on_up(&mut self) {
+    pub(super) fn on_up(&mut self) {
         self.pause = RETRY.0;
         self.silences = 0;
         self.problem = None;
