@@ -181,6 +181,21 @@ fn what_does_not_fit_is_refused_with_a_code_of_its_own() {
     );
     let key = bench.path("lab.firmware_key");
     updates(&gateway, &["hand", &key], 2, "too short for a manifest");
+    let whole = std::fs::read(&older).expect("a file");
+    for (length, says) in [
+        (
+            whole.len() - 1,
+            "bytes of image, but 127 follow it; is the file complete?",
+        ),
+        (103, "too short for a manifest"),
+        (0, "too short for a manifest"),
+    ] {
+        let cut = bench.path("cut.update");
+        std::fs::write(&cut, &whole[..length]).expect("a file");
+        updates(&gateway, &["hand", &cut], 2, says);
+    }
+    let none = bench.path("none.update");
+    updates(&gateway, &["hand", &none], 2, "none.update: ");
     updates(
         &gateway,
         &["old", &older],
@@ -376,6 +391,97 @@ fn without_its_gateway_new_firmware_goes_back() {
     drop(gateway);
     let gateway = Server::gateway(&[&hand]);
     wait_for_version(&gateway, "hand", "1.0.0");
+}
+
+/// The options of a gateway that can be started again with its journal.
+fn again(bench: &Bench, hand: &str, port: u16) -> Server {
+    let mut command = ztl();
+    let port = port.to_string();
+    command.args(["gateway", "--device", hand, "-s", SCOPE, "-p", &port]);
+    let gateway = Server::start(command.args(["--journal", &bench.path("journal")]));
+    gateway.wait_ready("hand");
+    gateway
+}
+
+#[test]
+fn the_next_gateway_tests_and_confirms_what_runs_on_trial() {
+    let bench = Bench::new();
+    let (_device, hand) = bench.served("hand", &[]);
+    let port = reserve_port();
+    let shown = || Process::run(ztl().args(["ps", "-p", &port.to_string()])).stdout;
+    // The test takes 2 s. A trial that is shorter ends before the next gateway can confirm.
+    for (version, trial, code, says) in [
+        ("1.1.0", 60_000, 0, "runs 1.1.0, before 1.0.0"),
+        ("1.2.0", 1500, 6, "went back from 1.2.0 to 1.1.0"),
+    ] {
+        let mut gateway = again(&bench, &hand, port);
+        let image = bench.image(version, &format!("trial: {trial}\nself-test: 100\n"));
+        let running = Process::start(&mut update(&gateway, &["hand", &image]));
+        gateway.process.wait_for("tests the new firmware");
+        // It is the gateway that has started the test.
+        let shown = until("the test is shown", PATIENCE, || {
+            Some(shown()).filter(|shown| shown.contains("hand:finger:100"))
+        });
+        assert!(!shown.contains("by the device"), "{shown}");
+        gateway.process.kill();
+        drop(gateway);
+        let gateway = again(&bench, &hand, port);
+        let ended = running.end(PATIENCE);
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        let said = format!("{}{}", ended.stdout, ended.stderr);
+        assert!(said.contains(says), "{ended:?}");
+        // Its finger is at 100 now, or in its first place again.
+        let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+        complete(&mut remote, "hand", "finger", "0");
+    }
+    let journal = std::fs::read_to_string(bench.path("journal")).expect("a journal");
+    let tests =
+        |line: &&str| line.contains(r#""event":"start""#) && line.contains(r#""goal":"100""#);
+    assert_eq!(journal.lines().filter(tests).count(), 2, "{journal}");
+}
+
+#[test]
+fn a_node_of_a_shared_line_is_updated_while_another_one_moves() {
+    let bench = Bench::new();
+    let path = bench.path("line");
+    let key = bench.path("lab.firmware_key");
+    let mut command = ztl();
+    command.args([
+        "device",
+        "--bus",
+        "left=sim:gripper@1",
+        "right=sim:gripper@2",
+    ]);
+    command.args(["--on", &format!("pty:{path}"), "--firmware-key", &key]);
+    let line = Process::start(&mut command);
+    line.wait_for("Serve it with");
+    let gateway = Server::gateway(&[&format!("arm=rs485:{path}?wait=100")]);
+    gateway.wait_ready("arm.left");
+    gateway.wait_ready("arm.right");
+    let port = gateway.port.to_string();
+    let slow = Process::run(ztl().args(["param", "set", "arm.right", "speed", "0.1", "-p", &port]));
+    assert_eq!(slow.code, Some(0), "{slow:?}");
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    let task = remote.trigger("arm.right", "finger", "90").expect("a task");
+    let image = bench.image("1.1.0", "self-test: 20\n");
+    let words = ["arm.left", &image];
+    updates(&gateway, &words, 0, "arm.left: runs 1.1.0, before 1.0.0");
+    assert_eq!(version(&gateway, "arm.right").as_deref(), Some("1.0.0"));
+    // Its link was never lost: then it would have failed.
+    let end = remote.wait(task.id, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Completed, "{end:?}");
+}
+
+#[test]
+fn firmware_that_says_another_version_than_it_was_signed_for_is_recognised() {
+    let bench = Bench::new();
+    let (_device, hand) = bench.served("hand", &[]);
+    let gateway = Server::gateway(&[&hand]);
+    gateway.wait_ready("hand");
+    let other = bench.image("1.1.0", "version: 1.0.0\n");
+    let ended = updates(&gateway, &["hand", &other], 0, "runs 1.0.0, before 1.0.0");
+    let says = "the image was signed as 1.1.0, but says that it is 1.0.0";
+    assert!(ended.stderr.contains(says), "{ended:?}");
 }
 
 #[test]

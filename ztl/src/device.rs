@@ -44,7 +44,7 @@ pub(crate) struct Device {
 
     /// Take firmware updates into memory, for the board `simulated`, signed for this public key of `ztl firmware keygen`
     #[cfg(feature = "firmware")]
-    #[arg(long, value_name = "KEY", conflicts_with = "bus")]
+    #[arg(long, value_name = "KEY")]
     firmware_key: Option<PathBuf>,
 
     /// Version of the firmware that takes updates
@@ -121,12 +121,19 @@ impl Device {
         let record = record.transpose()?;
         let machine = machine(&self.devices, self.bus, self.baud, record)?;
         #[cfg(feature = "firmware")]
-        let machine = match (machine, &self.firmware_key) {
-            (Machine::Device(device), Some(key)) => {
+        let machine = match &self.firmware_key {
+            Some(key) => {
                 let verify = crate::firmware::read_key(key).map_err(Misuse::of)?;
-                Machine::Device(device.with_updates(self.firmware_version, verify))
+                match machine {
+                    Machine::Device(it) => {
+                        Machine::Device(it.with_updates(self.firmware_version, verify))
+                    }
+                    Machine::Bus(it) => {
+                        Machine::Bus(it.with_updates(self.firmware_version, verify))
+                    }
+                }
             }
-            (machine, _) => machine,
+            None => machine,
         };
         let (running, url) = match self.on {
             Attachment::Tcp(address) => {

@@ -2,18 +2,21 @@
 
 use std::fs::File;
 use std::io::{self, Write};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use ztl_core::Instant;
+use ztl_core::manifest::{Parsed, Version};
 use ztl_std::time::now;
 
 use super::Machine;
 use super::buttons::Buttons;
 use super::input::{Input, OnLine};
 use super::kind::Kind;
-use super::power::{self, Seat, Settings};
+use super::power::{self, Seat, Settings, Updates};
 use super::record::Record;
+use super::slots::Verify;
 use ztl_std::gateway::BAUD;
 
 /// A node of a simulated shared line.
@@ -33,6 +36,7 @@ pub struct Bus {
     nodes: Vec<BusNode>,
     baud: u32,
     record: Option<File>,
+    updates: Option<Updates>,
 }
 
 impl Bus {
@@ -43,7 +47,22 @@ impl Bus {
             nodes,
             baud: BAUD,
             record: None,
+            updates: None,
         }
+    }
+
+    /// Lets all nodes take firmware updates, like [`Device::with_updates`](super::Device::with_updates).
+    #[must_use]
+    pub fn with_updates(
+        mut self,
+        version: Version,
+        verify: impl Fn(&Parsed<'_>) -> bool + Send + Sync + 'static,
+    ) -> Self {
+        self.updates = Some(Updates {
+            version,
+            verify: Verify(Arc::new(verify)),
+        });
+        self
     }
 
     /// Sets the line rate in bits per second, ten per byte.
@@ -92,7 +111,7 @@ impl Bus {
                     id: unique(&node.name, id),
                     address: node.address,
                 }),
-                updates: None,
+                updates: self.updates.clone(),
             };
             std::thread::Builder::new()
                 .name(format!("ztl-sim-{}", node.name))

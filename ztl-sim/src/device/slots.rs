@@ -27,7 +27,8 @@ impl fmt::Debug for Verify {
 }
 
 /// Firmware in a slot. The image of a simulated device is a text; each of its lines may be `self-test: GOAL`, with which the
-/// firmware tests its component, or `trial: MILLISECONDS`, how long it waits for a confirmation.
+/// firmware tests its component, `trial: MILLISECONDS`, how long it waits for a confirmation, or `version: X.Y.Z`, the version
+/// that it says it has, instead of the one for which it was signed.
 #[derive(Debug, Clone)]
 struct Slot {
     version: Version,
@@ -41,6 +42,8 @@ impl Slot {
     fn new(version: Version, image: &[u8]) -> Self {
         let image = String::from_utf8_lossy(image);
         let value = |key| image.lines().find_map(|line| line.strip_prefix(key));
+        let own = value("version: ").and_then(|text| text.trim().parse().ok());
+        let version = own.unwrap_or(version);
         Self {
             version,
             name: version.to_string(),

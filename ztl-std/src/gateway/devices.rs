@@ -9,7 +9,7 @@ use ztl_core::TaskId;
 use super::bus::{LineStatus, SharedLine};
 use super::device::{Device, OwnTasksCell};
 use super::endpoint::Endpoint;
-use super::journal::Journal;
+use super::journal::{Journal, UnendedUpdate};
 use super::logs::RawLog;
 use super::opener::Opener;
 use super::readings::Observers;
@@ -38,6 +38,8 @@ pub(super) struct DeviceMap {
     pub(super) lines: BTreeMap<String, SharedLine>,
     /// Tasks of the journal without an end that were not resumed yet, with their device.
     pub(super) unended: HashMap<TaskId, (String, ztl_link::Restored)>,
+    /// The same for firmware updates.
+    pub(super) updates: HashMap<TaskId, UnendedUpdate>,
 }
 
 impl DeviceMap {
@@ -191,7 +193,9 @@ impl Devices {
         } = &*self.0;
         let journal = journal.as_ref().map(|journal| journal.of_device(name));
         let its = |(device, _): &&(String, ztl_link::Restored)| device == name;
-        let awaited = map.unended.values().filter(its).count();
+        let updates = map.updates.values();
+        let updates = updates.filter(|update| update.device == name).count();
+        let awaited = map.unended.values().filter(its).count() + updates;
         let (observers, own_tasks) = (observers.clone(), own_tasks.clone());
         Device::spawn(name, opener, *id, journal, awaited, observers, own_tasks)
     }

@@ -16,6 +16,7 @@ use super::opener::Opener;
 use super::reading_value::ReadingFormat;
 use super::readings::{Observers, Readings};
 use super::report;
+use super::updates::UPDATES;
 use crate::describe::Descriptions;
 use crate::log_targets::GATEWAY;
 use crate::random;
@@ -57,10 +58,12 @@ impl Gateway {
 
     fn of(id: u64, journal: Option<Journal>) -> Self {
         let unended = journal.iter().flat_map(Journal::unended);
+        let updates = journal.iter().flat_map(Journal::unended_updates);
         let devices = DeviceMap {
             unended: unended
                 .map(|(name, task)| (task.id, (name, task)))
                 .collect(),
+            updates: updates.map(|update| (update.id, update)).collect(),
             ..DeviceMap::default()
         };
         let shared = Shared {
@@ -126,6 +129,7 @@ impl Gateway {
     fn add_retired(&mut self) {
         let mut map = self.devices.lock();
         let names = map.unended.values().map(|(name, _)| name.clone());
+        let names = names.chain(map.updates.values().map(|update| update.device.clone()));
         let names: BTreeSet<String> = names.collect();
         for name in names {
             if map.device(&name).is_some() {
@@ -281,6 +285,15 @@ impl TaskHandler for Gateway {
                 by_device: task.sent.link.is_local(),
             }
         }));
+        tasks.extend(map.updates.values().map(|update| RestoredTask {
+            id: update.id,
+            payload: encoded(&update.device, UPDATES, &update.goal),
+            state: State::Accepted,
+            text:
+                "the gateway was restarted; the update goes on when the device answers".to_owned(),
+            ended: None,
+            by_device: false,
+        }));
         Restored {
             tasks,
             last_id: journal.last_id(),
@@ -293,6 +306,12 @@ impl TaskHandler for Gateway {
 
     fn resume(&mut self, task: TaskReporter) {
         let mut map = self.devices.lock();
+        if let Some(update) = map.updates.remove(&task.id()) {
+            return match map.device(&update.device) {
+                Some(device) => device.resume_update(task, update),
+                None => task.leave(),
+            };
+        }
         let Some((name, known)) = map.unended.remove(&task.id()) else {
             return task.leave();
         };

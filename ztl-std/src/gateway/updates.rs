@@ -24,16 +24,18 @@ pub const LONGEST_PART: usize = 48 << 10;
 pub enum UpdateGoal {
     /// What runs; the result is a [`RunningFirmware`] in JSON.
     Status,
-    /// A part of an image's file: where it begins, and its bytes in base64. The first one begins at 0; each further one where
-    /// the last one ended.
-    Part(usize, String),
+    /// A part of an image's file: a text that is the same for the same file only, where the part begins, and its bytes in
+    /// base64. The first one begins at 0; each further one where the last one ended.
+    Part(String, usize, String),
     /// Run the image whose parts were sent; the result is an [`Updated`] in JSON.
     Run(UpdateOptions),
 }
 
 /// How to update.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct UpdateOptions {
+    /// The text with which the parts of the file were sent.
+    pub file: String,
     /// The length of the image's file in bytes.
     pub length: usize,
     /// Whether to end the tasks that run.
@@ -45,13 +47,14 @@ pub struct UpdateOptions {
 impl UpdateGoal {
     /// A part of a file.
     #[must_use]
-    pub fn part(offset: usize, bytes: &[u8]) -> Self {
+    pub fn part(file: &str, offset: usize, bytes: &[u8]) -> Self {
         let mut base64 = Vec::new();
         let mut out = |bytes: &[u8]| base64.extend_from_slice(bytes);
         let mut encoder = Encoder::new(&mut out);
         encoder.put(bytes);
         encoder.finish();
-        Self::Part(offset, String::from_utf8_lossy(&base64).into_owned())
+        let base64 = String::from_utf8_lossy(&base64).into_owned();
+        Self::Part(file.to_owned(), offset, base64)
     }
 
     /// The goal's text.
@@ -71,7 +74,7 @@ impl UpdateGoal {
         let mut scratch = vec![0; text.len() * 2];
         goal::from_str_with(text, &mut scratch).map_err(|error| {
             format!(
-                "{UPDATES} takes status, {{'part': [OFFSET, BASE64]}} or {{'run': {{'length': BYTES, 'now': False, 'downgrade': False}}}}: {error}"
+                "{UPDATES} takes status, {{'part': [FILE, OFFSET, BASE64]}} or {{'run': {{'file': FILE, 'length': BYTES, 'now': False, 'downgrade': False}}}}: {error}"
             )
         })
     }
@@ -109,8 +112,25 @@ impl From<&FirmwareInfo> for RunningFirmware {
 pub struct Updated {
     /// The version before.
     pub before: String,
-    /// The version that runs now.
+    /// The version that runs now, as it says itself.
     pub after: String,
+    /// The version for which the image was signed, if it says another one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signed: Option<String>,
+}
+
+/// What the journal keeps of an update from the restart of its device on, so that another gateway can test and confirm the new
+/// firmware.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(in crate::gateway) struct Note {
+    /// The device's boot before the restart, and the version that it ran.
+    pub(in crate::gateway) boot: u32,
+    pub(in crate::gateway) before: String,
+    /// The version of the image.
+    pub(in crate::gateway) image: String,
+    /// The task that tests it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::gateway) test: Option<u32>,
 }
 
 /// Why an update has failed. The text of a failed task begins with this word and a colon.
@@ -184,18 +204,19 @@ mod tests {
     #[test]
     fn goals_are_read_as_they_are_written() {
         let run = UpdateOptions {
+            file: "a".to_owned(),
             length: 70_000,
             now: true,
             downgrade: false,
         };
         for goal in [
             UpdateGoal::Status,
-            UpdateGoal::part(48 << 10, &[0, 255, 7, 39]),
+            UpdateGoal::part("a", 48 << 10, &[0, 255, 7, 39]),
             UpdateGoal::Run(run),
         ] {
             assert_eq!(UpdateGoal::parse(&goal.to_text()), Ok(goal));
         }
-        let UpdateGoal::Part(_, base64) = UpdateGoal::part(0, b"ab'\\\"\n") else {
+        let UpdateGoal::Part(_, _, base64) = UpdateGoal::part("", 0, b"ab'\\\"\n") else {
             panic!("a part");
         };
         assert_eq!(bytes_of(&base64).as_deref(), Some(&b"ab'\\\"\n"[..]));

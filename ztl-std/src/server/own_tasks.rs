@@ -52,7 +52,17 @@ impl ReservedId {
     /// Shows the running task to clients. `payload` is the payload of the INIT that would have started it.
     #[must_use = "dropping the reporter ends the task"]
     pub fn begin(self, payload: String) -> TaskReporter {
-        let begun = Report::Begun(self.scope, payload);
+        self.show(payload, true)
+    }
+
+    /// The same for a task that the handler starts, not a device.
+    #[must_use = "dropping the reporter ends the task"]
+    pub fn begin_here(self, payload: String) -> TaskReporter {
+        self.show(payload, false)
+    }
+
+    fn show(self, payload: String, by_device: bool) -> TaskReporter {
+        let begun = Report::Begun(self.scope, payload, by_device);
         self.mailbox.post(self.id, begun);
         TaskReporter::new(self.id, self.mailbox, None)
     }

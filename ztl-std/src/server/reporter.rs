@@ -35,7 +35,7 @@ pub(super) enum Report {
     /// Reserve an id for a task of a handler itself.
     Reserve(Ready),
     /// A task of this scope's handler itself runs; its payload.
-    Begun(Scope, String),
+    Begun(Scope, String, bool),
 }
 
 /// Gets a reserved id.

@@ -156,7 +156,9 @@ impl Engine {
                     self.claims.insert((now + within, id), (claim, reason));
                 }
                 Report::Reserve(ready) => self.reserve(ready),
-                Report::Begun(scope, payload) => self.on_begun(id, scope, &payload),
+                Report::Begun(scope, payload, by_device) => {
+                    self.on_begun(id, scope, &payload, by_device);
+                }
                 report => report.handle(|event| self.on_event(now, id, event)),
             }
         }

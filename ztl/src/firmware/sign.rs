@@ -131,19 +131,12 @@ impl Show {
     pub(crate) fn run(self) -> Done {
         let file = read(&self.file)?;
         let path = self.file.display();
-        let parsed = Manifest::parse(&file).map_err(|error| format!("{path}: {error}"))?;
+        let parsed = parse(&self.file, &file)?;
         let Manifest {
             board,
             version,
             length,
         } = parsed.manifest;
-        if usize::try_from(length) != Ok(parsed.image.len()) {
-            let found = parsed.image.len();
-            return Err(format!(
-                "{path}: the manifest says {length} bytes of image, but {found} follow it"
-            )
-            .into());
-        }
         line(format_args!("board    {board}"));
         line(format_args!("version  {version}"));
         line(format_args!("image    {length} bytes"));
@@ -159,6 +152,19 @@ impl Show {
         }
         line("signed   with this key");
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// Parses a whole file of `ztl firmware sign`.
+pub(super) fn parse<'f>(path: &Path, file: &'f [u8]) -> Result<Parsed<'f>, String> {
+    let path = path.display();
+    let parsed = Manifest::parse(file).map_err(|error| format!("{path}: {error}"))?;
+    let (length, found) = (parsed.manifest.length, parsed.image.len());
+    match usize::try_from(length) == Ok(found) {
+        true => Ok(parsed),
+        false => Err(format!(
+            "{path}: the manifest says {length} bytes of image, but {found} follow it; is the file complete?"
+        )),
     }
 }
 

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Args;
+use ed25519_dalek::{Digest as _, Sha512};
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_core::manifest::Manifest;
 use ztl_std::gateway::{
@@ -13,7 +14,7 @@ use ztl_std::gateway::{
 };
 use ztl_std::{RemoteTask, RequestError, State, Status};
 
-use super::sign::read as read_file;
+use super::sign::{parse, read as read_file};
 use crate::client::{AFTER_ABORT, insist};
 use crate::exit::{Done, Misuse};
 use crate::param::At;
@@ -54,8 +55,7 @@ impl Update {
         signals::leave_at_the_second();
         let path = self.file.display();
         let file = read_file(&self.file).map_err(Misuse::of)?;
-        let parsed = Manifest::parse(&file);
-        let parsed = parsed.map_err(|error| Misuse(format!("{path}: {error}")))?;
+        let parsed = parse(&self.file, &file).map_err(Misuse)?;
         if file.len() > LONGEST_IMAGE {
             let most = LONGEST_IMAGE;
             return Err(Misuse(format!("{path}: longer than {most} bytes")).into());
@@ -84,17 +84,19 @@ impl Update {
             "{name}: runs {}{trial}; the image is {target}",
             flat(&before.version)
         ));
+        let image = identity(&file);
         for (number, bytes) in file.chunks(LONGEST_PART).enumerate() {
             if let Some(code) = signals::exit_code() {
                 return Ok(code);
             }
-            let part = UpdateGoal::part(number * LONGEST_PART, bytes);
+            let part = UpdateGoal::part(&image, number * LONGEST_PART, bytes);
             let taken = ask(&mut remote, &part)?;
             if taken.state != State::Completed {
                 return Err(format!("{device}: {}", flat(&taken.text)).into());
             }
         }
         let options = UpdateOptions {
+            file: image,
             length: file.len(),
             now: self.now,
             downgrade: self.downgrade,
@@ -143,13 +145,26 @@ impl Update {
     }
 }
 
+/// A text that only this file has.
+fn identity(file: &[u8]) -> String {
+    let digest = Sha512::digest(file);
+    let bytes = digest.iter().take(16);
+    bytes.map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// Tells how it ended.
 fn finish(device: &str, status: &Status) -> Done {
     let name = flat(device);
     if status.state == State::Completed {
-        let Updated { before, after } = read(&status.text)?;
-        let (before, after) = (flat(&before), flat(&after));
+        let updated: Updated = read(&status.text)?;
+        let (before, after) = (flat(&updated.before), flat(&updated.after));
         line(format_args!("{name}: runs {after}, before {before}"));
+        if let Some(signed) = &updated.signed {
+            let signed = flat(signed);
+            error_line(format_args!(
+                "ztl firmware: {name}: the image was signed as {signed}, but says that it is {after}; sign it with the version that it says"
+            ));
+        }
         return Ok(ExitCode::SUCCESS);
     }
     let (problem, text) = UpdateProblem::split(&status.text);

@@ -43,7 +43,7 @@ impl UpdateMessage<'_> {
                     UpdatePhase::Verifying => sink.byte(3),
                     UpdatePhase::Ready => sink.byte(4),
                     UpdatePhase::Restarting => sink.byte(5),
-                    UpdatePhase::Failed(error) => sink.byte(6).byte(error as u8),
+                    UpdatePhase::Failed(error) => sink.byte(6).byte(error.code()),
                 };
             }
         }
@@ -104,10 +104,7 @@ impl<'a> Reader<'a> {
                 3 => UpdatePhase::Verifying,
                 4 => UpdatePhase::Ready,
                 5 => UpdatePhase::Restarting,
-                6 => match UpdateError::from_code(self.u8()) {
-                    Some(error) => UpdatePhase::Failed(error),
-                    None => self.fail(BodyError::BadValue, UpdatePhase::Idle),
-                },
+                6 => UpdatePhase::Failed(UpdateError::from_code(self.u8())),
                 _ => self.fail(BodyError::BadValue, UpdatePhase::Idle),
             }),
             tag => UpdateMessage::Command(self.update_command(tag)),

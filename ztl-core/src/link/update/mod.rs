@@ -23,26 +23,28 @@ pub const TAKES_UPDATES: u8 = 1;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum UpdateError {
     /// The manifest is damaged, or of a format that the node does not know.
-    Manifest = 0,
+    Manifest,
     /// The image is for another board.
-    Board = 1,
+    Board,
     /// The image is older than the firmware that runs, and a downgrade was not allowed.
-    Older = 2,
+    Older,
     /// The image is longer than the room for it.
-    TooLong = 3,
+    TooLong,
     /// The signature does not fit the image and the node's key.
-    Signature = 4,
+    Signature,
     /// The flash could not be written or read.
-    Storage = 5,
+    Storage,
     /// The firmware that runs is on trial: it must be confirmed first.
-    OnTrial = 6,
+    OnTrial,
+    /// An error with this number that this end does not know.
+    Unknown(u8),
 }
 
 impl UpdateError {
     /// The error with this number on the link.
     #[must_use]
-    pub const fn from_code(code: u8) -> Option<Self> {
-        Some(match code {
+    pub const fn from_code(code: u8) -> Self {
+        match code {
             0 => Self::Manifest,
             1 => Self::Board,
             2 => Self::Older,
@@ -50,14 +52,35 @@ impl UpdateError {
             4 => Self::Signature,
             5 => Self::Storage,
             6 => Self::OnTrial,
-            _ => return None,
-        })
+            _ => Self::Unknown(code),
+        }
+    }
+
+    /// Its number on the link.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::Manifest => 0,
+            Self::Board => 1,
+            Self::Older => 2,
+            Self::TooLong => 3,
+            Self::Signature => 4,
+            Self::Storage => 5,
+            Self::OnTrial => 6,
+            Self::Unknown(code) => code,
+        }
     }
 }
 
 impl core::fmt::Display for UpdateError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
+            Self::Unknown(code) => {
+                return write!(
+                    f,
+                    "the device reports error {code}, which the gateway does not know"
+                );
+            }
             Self::Manifest => "the manifest is damaged, or of an unknown format",
             Self::Board => "the image is for another board",
             Self::Older => "the image is older than the firmware that runs",

@@ -85,7 +85,9 @@ fn pairs() -> Vec<(UpdateMessage<'static>, Vec<u8>)> {
     ] {
         pairs.push((UpdateMessage::Phase(phase), tagged(32, &number)));
     }
-    for (code, error) in (0u8..).map_while(|code| Some((code, UpdateError::from_code(code)?))) {
+    // The last ones are unknown.
+    for code in [0u8, 1, 2, 3, 4, 5, 6, 7, 255] {
+        let error = UpdateError::from_code(code);
         let failed = UpdateMessage::Phase(UpdatePhase::Failed(error));
         pairs.push((failed, tagged(32, &(6u8, code))));
     }
@@ -133,7 +135,6 @@ fn undefined_values_are_rejected() {
         &[31, 0, 0, 1, 0, 2],    // neither with nor without a test
         &[31, 1, 0xff, 1, 0, 0], // not UTF-8
         &[32, 7],                // no such phase
-        &[32, 6, 7],             // no such error
     ] {
         assert!(Body::parse(bytes).is_err(), "{bytes:?}");
     }

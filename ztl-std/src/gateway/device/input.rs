@@ -5,6 +5,7 @@ use ztl_core::{TaskId, TaskSpec};
 use ztl_link::Restored;
 
 use super::line_reader::LineEvent;
+use crate::gateway::journal::UnendedUpdate;
 use crate::gateway::opener::Opener;
 use crate::server::{Claim, ReservedId, TaskReporter};
 use crate::task_request::TaskRequest;
@@ -23,6 +24,8 @@ pub(super) enum Input {
     Parameters(TaskReporter, String),
     /// A request about firmware.
     Update(TaskReporter, DeviceRequest),
+    /// An update from before a restart.
+    ResumeUpdate(TaskReporter, UnendedUpdate),
     /// The id for the task that tests new firmware.
     TestReserved(ReservedId),
     /// Of the line with this number.

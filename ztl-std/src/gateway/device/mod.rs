@@ -28,7 +28,7 @@ pub(super) use own::OwnTasksCell;
 use status::SharedStatus;
 use worker::Worker;
 
-use super::journal::{DECIDED, DeviceJournal, JournalFile, UNWRITTEN};
+use super::journal::{DECIDED, DeviceJournal, JournalFile, UNWRITTEN, UnendedUpdate};
 use super::logs::DeviceLog;
 use super::opener::Opener;
 use super::parameters::PARAMETERS;
@@ -118,6 +118,11 @@ impl Device {
     /// Resumes a task from before a restart.
     pub(super) fn resume(&self, task: TaskReporter, known: Restored) {
         let _ = self.inputs.send(Input::Resume(task, known));
+    }
+
+    /// Goes on with an update from before a restart.
+    pub(super) fn resume_update(&self, task: TaskReporter, update: UnendedUpdate) {
+        let _ = self.inputs.send(Input::ResumeUpdate(task, update));
     }
 
     pub(super) fn abort(&self, id: TaskId) {

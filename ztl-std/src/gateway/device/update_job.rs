@@ -6,7 +6,7 @@ use ztl_core::Instant;
 use ztl_core::link::update::UpdatePhase;
 use ztl_link::{DeviceInfo, FirmwareInfo, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest};
 
-use crate::gateway::updates::{UpdateOptions, UpdateProblem, Updated};
+use crate::gateway::updates::{Note, UpdateOptions, UpdateProblem, Updated};
 
 /// Pause before a device that is busy is asked again.
 const AGAIN: Duration = Duration::from_millis(50);
@@ -14,6 +14,9 @@ const AGAIN: Duration = Duration::from_millis(50);
 const PATIENCE: Duration = Duration::from_secs(90);
 /// How long a device may verify an image, or its components go to their safe state.
 const BUSY: Duration = Duration::from_secs(60);
+/// How long an update may take without progress in all, and how often it may begin a step again.
+const STUCK: Duration = Duration::from_secs(300);
+const ATTEMPTS: u32 = 20;
 
 /// Why a device goes back whose update was aborted.
 const ABORTED: &str = "the update was aborted";
@@ -85,6 +88,18 @@ pub(super) struct UpdateJob {
     /// Why the device is to go back, or went back.
     unfit: Option<String>,
     aborted: bool,
+    /// How far the update was last and at most: bytes that are stored, and then one for each further step.
+    last: usize,
+    furthest: usize,
+    /// How often a step was begun again since then, and until when there must be progress.
+    attempts: u32,
+    stuck: Instant,
+    /// The boot in which the new firmware was seen on trial, and the version that it says.
+    trial: Option<(u32, String)>,
+    /// How its self-test has ended.
+    tested: Option<Result<(), String>>,
+    /// Whether an earlier gateway has begun the update; this one does not have the image.
+    resumed: bool,
     /// When to ask again.
     again: Option<(Instant, UpdateRequest)>,
     /// When the step has taken too long.
@@ -105,9 +120,76 @@ impl UpdateJob {
             confirmed: false,
             unfit: None,
             aborted: false,
+            last: 0,
+            furthest: 0,
+            attempts: 0,
+            stuck: now + STUCK,
+            trial: None,
+            tested: None,
+            resumed: false,
             again: None,
             deadline: now + PATIENCE,
         }
+    }
+
+    /// An update whose gateway has ended after it had restarted the device.
+    pub(super) fn resume(now: Instant, note: &Note, tested: Option<Result<(), String>>) -> Self {
+        let image = Image {
+            version: note.image.clone(),
+            manifest: Vec::new(),
+            bytes: Vec::new(),
+        };
+        let options = UpdateOptions::default();
+        let before = FirmwareInfo {
+            board: String::new(),
+            version: note.before.clone(),
+            confirmed: true,
+            self_test: None,
+        };
+        Self {
+            step: Step::Lost,
+            before: Some((note.boot, before)),
+            restarted: true,
+            tested,
+            resumed: true,
+            ..Self::new(now, image, options)
+        }
+    }
+
+    /// What the next gateway must know to go on, from the restart of the device on.
+    pub(super) fn note(&self) -> Option<Note> {
+        let (boot, before) = self.before.as_ref().filter(|_| self.restarted)?;
+        Some(Note {
+            boot: *boot,
+            before: before.version.clone(),
+            image: self.image.version.clone(),
+            test: None,
+        })
+    }
+
+    /// The update is as far as this. Returns `false` if it begins the same again too often.
+    fn reaches(&mut self, now: Instant, far: usize) -> bool {
+        let last = std::mem::replace(&mut self.last, far);
+        if far > self.furthest {
+            (self.furthest, self.attempts, self.stuck) = (far, 0, now + STUCK);
+        } else if far <= last {
+            self.attempts += 1;
+        }
+        self.attempts < ATTEMPTS
+    }
+
+    /// How far the update is after the image is complete.
+    fn after_image(&self, steps: usize) -> usize {
+        self.image.bytes.len() + steps
+    }
+
+    /// It begins the same again and again.
+    fn give_up(&self) -> Next {
+        let text = format!(
+            "no progress in {ATTEMPTS} attempts ({}); what the device runs is not certain: `ztl devices` shows it",
+            self.progress()
+        );
+        fail(UpdateProblem::Other, text)
     }
 
     /// The first request.
@@ -139,12 +221,16 @@ impl UpdateJob {
     /// When to call [`handle_timeout`](Self::handle_timeout).
     pub(super) fn poll_timeout(&self) -> Instant {
         let again = self.again.as_ref().map_or(Instant::NEVER, |(at, _)| *at);
-        again.min(self.deadline)
+        again.min(self.deadline).min(self.stuck)
     }
 
     /// Asks again, or gives up.
     pub(super) fn handle_timeout(&mut self, now: Instant) -> Next {
-        if now >= self.deadline {
+        // A self-test takes as long as the trial lets it.
+        if now >= self.stuck && self.step == Step::Test {
+            self.stuck = now + STUCK;
+        }
+        if now >= self.deadline.min(self.stuck) {
             let what = match self.step {
                 Step::Lost | Step::Read => "the device has not answered",
                 Step::Boot | Step::Restart | Step::Revert => "the device has not restarted",
@@ -194,22 +280,34 @@ impl UpdateJob {
     /// The device answers, for the first time or again. A new session alone changes nothing.
     pub(super) fn on_up(&mut self, now: Instant, boot: u32) -> Next {
         let other_boot = self.before.as_ref().is_some_and(|(it, _)| *it != boot);
-        match self.step {
-            Step::Lost => self.begin(now),
+        let begins = match self.step {
+            Step::Lost | Step::Revert => true,
             // It was reset.
-            Step::Begin | Step::Write | Step::Verify | Step::Restart | Step::Boot if other_boot => {
-                self.begin(now)
-            }
-            Step::Revert => self.begin(now),
-            _ => Next::Wait,
+            Step::Begin | Step::Write | Step::Verify | Step::Restart | Step::Boot => other_boot,
+            _ => false,
+        };
+        if !begins {
+            return Next::Wait;
         }
+        // A new session alone is no progress.
+        if !self.reaches(now, 0) {
+            return self.give_up();
+        }
+        self.begin(now)
     }
 
     /// The task that tests the firmware has ended.
     pub(super) fn on_tested(&mut self, now: Instant, result: Result<(), String>) -> Next {
         if self.step != Step::Test {
+            // Of an earlier gateway; the device has not been asked yet.
+            self.tested = Some(result);
             return Next::Wait;
         }
+        self.on_test_result(now, result)
+    }
+
+    fn on_test_result(&mut self, now: Instant, result: Result<(), String>) -> Next {
+        self.tested = Some(result.clone());
         match result {
             Ok(()) => self.confirm(now),
             Err(reason) => self.revert(now, format!("the self-test failed: {reason}")),
@@ -274,14 +372,32 @@ impl UpdateJob {
             }
             return self.ask_to_begin(now);
         }
-        let is_new = firmware.version == self.image.version;
-        if is_new && (!firmware.confirmed || self.confirmed) {
-            return self.on_new_firmware(now, firmware);
+        if !firmware.confirmed {
+            return self.on_trial(now, device.boot, firmware);
         }
         let version = firmware.version;
+        // In the boot of the trial, or with a version that only the new firmware has: otherwise the device went back.
+        let stays = self.trial.as_ref().filter(|_| self.confirmed);
+        let same_boot = stays.is_some_and(|(boot, _)| *boot == device.boot);
+        let same_version = stays.is_some_and(|(_, on_trial)| *on_trial == version);
+        let had_same = self.version_before() == version;
+        if same_boot || same_version && !had_same {
+            let signed = Some(self.image.version.clone()).filter(|signed| *signed != version);
+            return Next::End(Outcome::Updated(Updated {
+                before: self.version_before(),
+                after: version,
+                signed,
+            }));
+        }
         if self.aborted {
             let text = format!("aborted; the device went back to {version}");
             return Next::End(Outcome::Aborted(text));
+        }
+        if same_version {
+            let text = format!(
+                "the device was reset after the confirmation was sent; it runs {version}, which both images say they are"
+            );
+            return fail(UpdateProblem::Other, text);
         }
         let why = self.unfit.take();
         let why = why.unwrap_or_else(|| "it was not confirmed in time".to_owned());
@@ -292,17 +408,21 @@ impl UpdateJob {
         fail(UpdateProblem::Reverted, text)
     }
 
-    /// The image runs.
-    fn on_new_firmware(&mut self, now: Instant, firmware: FirmwareInfo) -> Next {
-        if firmware.confirmed {
-            return Next::End(Outcome::Updated(Updated {
-                before: self.version_before(),
-                after: firmware.version,
-            }));
+    /// The image runs, and is not confirmed. Only this tells it from the one before: its version is what it says itself.
+    fn on_trial(&mut self, now: Instant, boot: u32, firmware: FirmwareInfo) -> Next {
+        if !self.reaches(now, self.after_image(2)) {
+            return self.give_up();
         }
+        if self.trial.as_ref().is_some_and(|(known, _)| *known != boot) {
+            self.tested = None;
+        }
+        self.trial = Some((boot, firmware.version));
         if self.aborted || self.unfit.is_some() {
             let why = self.unfit.take();
             return self.revert(now, why.unwrap_or_else(|| ABORTED.to_owned()));
+        }
+        if let Some(result) = self.tested.clone() {
+            return self.on_test_result(now, result);
         }
         match firmware.self_test {
             Some((component, goal)) => {
@@ -317,6 +437,15 @@ impl UpdateJob {
 
     fn ask_to_begin(&mut self, now: Instant) -> Next {
         self.verifies = false;
+        if self.resumed {
+            return fail(
+                UpdateProblem::Other,
+                format!(
+                    "the gateway ended before the device had restarted; it runs {}",
+                    self.version_before()
+                ),
+            );
+        }
         if self.step != Step::Begin {
             self.step = Step::Begin;
             self.deadline = now + BUSY;
@@ -359,12 +488,16 @@ impl UpdateJob {
             }
             // The session was lost, so the device has given up.
             (Step::Write | Step::Verify | Step::Restart, UpdatePhase::Idle) => {
+                if !self.reaches(now, 0) {
+                    return self.give_up();
+                }
                 self.ask_to_begin(now)
             }
             // The command to verify was lost with its session.
             (Step::Verify, UpdatePhase::Receiving { offset }) => self.write(now, device, offset),
             (Step::Verify, UpdatePhase::Verifying) => self.ask_again(now, UpdateRequest::Ask),
             (Step::Verify, UpdatePhase::Ready) => {
+                self.reaches(now, self.after_image(1));
                 self.step = Step::Restart;
                 self.restarted = true;
                 Next::Ask(UpdateRequest::Restart)
@@ -393,6 +526,10 @@ impl UpdateJob {
         let at = usize::try_from(offset).unwrap_or(usize::MAX);
         let length = self.image.bytes.len();
         self.sent = at;
+        // Also the first byte is progress.
+        if !self.reaches(now, at.saturating_add(1).min(length)) {
+            return self.give_up();
+        }
         if at == length {
             self.step = Step::Verify;
             self.verifies = true;
@@ -428,3 +565,6 @@ impl UpdateJob {
 fn fail(problem: UpdateProblem, text: String) -> Next {
     Next::End(Outcome::Failed(problem, text))
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use tracing::{info, warn};
-use ztl_core::envelope::ClientId;
 use ztl_core::manifest::{MANIFEST_LEN, Manifest};
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::{
@@ -14,8 +13,9 @@ use ztl_link::{
 use super::input::{DeviceRequest, Input};
 use super::update_job::{Image, Next, Outcome, UpdateJob};
 use super::worker::Worker;
+use crate::gateway::journal::UnendedUpdate;
 use crate::gateway::updates::{
-    LONGEST_IMAGE, LONGEST_PART, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
+    LONGEST_IMAGE, LONGEST_PART, Note, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
     UpdateProblem, bytes_of,
 };
 use crate::log_targets::GATEWAY;
@@ -26,13 +26,17 @@ use crate::time::now;
 
 /// How long the parts of a file are kept after the last one.
 const KEPT: Duration = Duration::from_secs(30);
+/// How long after a part no other file is taken: its client sends the next one at once.
+const OWNED: Duration = Duration::from_secs(3);
+/// Longest text that says which file a part is of, in bytes.
+const LONGEST_NAME: usize = 128;
 
-/// A file that a client uploads.
+/// A file that is uploaded. Any client with the same file may go on with it.
 struct Upload {
-    client: Option<ClientId>,
+    file: String,
     bytes: Vec<u8>,
-    /// When it is dropped.
-    until: Instant,
+    /// When the last part has arrived.
+    latest: Instant,
 }
 
 /// An update that runs.
@@ -44,8 +48,24 @@ struct Running {
     asked: u64,
     /// The task that tests the firmware.
     test: Option<TaskId>,
+    /// Whether the journal has what the next gateway needs.
+    noted: bool,
     /// Its component and its goal, until it has an id.
     next_test: Option<(u8, String)>,
+}
+
+impl Running {
+    fn new(task: TaskReporter, goal: String, job: UpdateJob) -> Self {
+        Self {
+            task,
+            goal,
+            job,
+            asked: 0,
+            test: None,
+            noted: false,
+            next_test: None,
+        }
+    }
 }
 
 /// The requests about firmware of a device.
@@ -66,7 +86,7 @@ impl Updates {
 
     /// When there is something to do.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let upload = self.upload.as_ref().map(|upload| upload.until);
+        let upload = self.upload.as_ref().map(|upload| upload.latest + KEPT);
         let job = self.running.as_ref().map(|it| it.job.poll_timeout());
         ztl_core::time::earliest(upload, job.filter(|at| *at != Instant::NEVER))
     }
@@ -74,57 +94,70 @@ impl Updates {
     /// Keeps a part of a file.
     fn add(
         &mut self,
-        client: Option<ClientId>,
+        now: Instant,
+        file: String,
         offset: usize,
         base64: &str,
     ) -> Result<usize, String> {
+        if file.len() > LONGEST_NAME {
+            return Err(format!("FILE is longer than {LONGEST_NAME} bytes"));
+        }
         let bytes = bytes_of(base64).filter(|bytes| bytes.len() <= LONGEST_PART);
         let bytes = bytes.ok_or_else(|| {
             format!("the part is not base64, or is longer than {LONGEST_PART} bytes")
         })?;
-        if let Some(other) = &self.upload
-            && other.client != client
-        {
-            return Err("another client is sending an image to this device".to_owned());
+        let other = self.upload.as_ref().filter(|upload| upload.file != file);
+        if other.is_some_and(|other| now < other.latest + OWNED) {
+            return Err("another image is being sent to this device; try again".to_owned());
         }
-        let upload = self.upload.get_or_insert_with(|| Upload {
-            client,
-            bytes: Vec::new(),
-            until: now(),
-        });
-        if offset == 0 {
-            upload.bytes.clear();
+        if other.is_some() && offset > 0 {
+            return Err("another image was sent to this device meanwhile; try again".to_owned());
         }
-        let expected = upload.bytes.len();
-        if offset != expected {
-            return Err(format!("the part begins at {offset}, expected {expected}"));
+        let upload = match &mut self.upload {
+            Some(upload) if upload.file == file => upload,
+            place => place.insert(Upload {
+                file,
+                bytes: Vec::new(),
+                latest: now,
+            }),
+        };
+        let has = upload.bytes.len();
+        let known = upload.bytes.get(offset..);
+        let Some(known) = known else {
+            return Err(format!("the part begins at {offset}, expected {has}"));
+        };
+        // Of what another client, or an earlier attempt, has sent already.
+        let same = known.len().min(bytes.len());
+        if known.get(..same) != bytes.get(..same) {
+            self.upload = None;
+            return Err("the part differs from what was sent before as the same file".to_owned());
         }
-        if expected + bytes.len() > LONGEST_IMAGE {
+        let new = bytes.get(same..).unwrap_or_default();
+        if has + new.len() > LONGEST_IMAGE {
             self.upload = None;
             return Err(format!("the image is longer than {LONGEST_IMAGE} bytes"));
         }
-        upload.bytes.extend_from_slice(&bytes);
-        upload.until = now() + KEPT;
+        upload.bytes.extend_from_slice(new);
+        upload.latest = now;
         Ok(upload.bytes.len())
     }
 
     /// The uploaded image.
-    fn image(
-        &mut self,
-        client: Option<ClientId>,
-        options: &UpdateOptions,
-    ) -> Result<Image, (UpdateProblem, String)> {
+    fn image(&mut self, options: &UpdateOptions) -> Result<Image, (UpdateProblem, String)> {
         if self.running.is_some() {
             let text = "another update of this device is in progress".to_owned();
             return Err((UpdateProblem::Busy, text));
         }
-        let uploaded = self.upload.take_if(|upload| upload.client == client);
-        let file = uploaded.map(|upload| upload.bytes).unwrap_or_default();
-        if file.len() != options.length {
-            let (has, length) = (file.len(), options.length);
+        let uploaded = self.upload.as_ref();
+        let uploaded = uploaded.filter(|upload| upload.file == options.file);
+        let has = uploaded.map_or(0, |upload| upload.bytes.len());
+        if has != options.length {
+            let length = options.length;
             let text = format!("the gateway has {has} bytes of an image of {length}");
             return Err((UpdateProblem::Other, text));
         }
+        let uploaded = self.upload.take();
+        let file = uploaded.map(|upload| upload.bytes).unwrap_or_default();
         let parsed = Manifest::parse(&file);
         let parsed = parsed.map_err(|error| (UpdateProblem::Manifest, error.to_string()))?;
         let (length, has) = (parsed.manifest.length, parsed.image.len());
@@ -151,8 +184,8 @@ impl Worker {
                 self.session
                     .request_update(now(), number, UpdateRequest::Read);
             }
-            Ok(UpdateGoal::Part(offset, base64)) => {
-                match self.updates.add(task.client(), offset, &base64) {
+            Ok(UpdateGoal::Part(file, offset, base64)) => {
+                match self.updates.add(now(), file, offset, &base64) {
                     Ok(length) => task.completed(length.to_string()),
                     Err(reason) => task.failed(reason),
                 }
@@ -167,7 +200,7 @@ impl Worker {
     }
 
     fn run_update(&mut self, task: TaskReporter, request: &DeviceRequest, options: UpdateOptions) {
-        let image = match self.updates.image(task.client(), &options) {
+        let image = match self.updates.image(&options) {
             Ok(image) => image,
             Err((problem, text)) => return task.failed(format!("{problem}: {text}")),
         };
@@ -183,17 +216,48 @@ impl Worker {
         let (name, version) = (&self.name, quoted(&image.version).into_owned());
         info!(target: GATEWAY, device = name, "Device '{name}': an update to {version} begins.");
         task.accepted(&request.reply);
-        let mut job = UpdateJob::new(now(), image, options);
-        let next = job.begin(now());
-        self.updates.running = Some(Box::new(Running {
-            task,
-            goal: request.goal.clone(),
-            job,
-            asked: 0,
-            test: None,
-            next_test: None,
-        }));
-        self.go_on(next);
+        let job = UpdateJob::new(now(), image, options);
+        self.updates.running = Some(Box::new(Running::new(task, request.goal.clone(), job)));
+        self.step(|job| job.begin(now()));
+    }
+
+    /// Goes on with an update whose gateway has ended after the restart of the device.
+    pub(super) fn resume_update(&mut self, task: TaskReporter, unended: UnendedUpdate) {
+        let UnendedUpdate {
+            goal, note, tested, ..
+        } = unended;
+        let name = &self.name;
+        info!(target: GATEWAY, device = name, "Device '{name}': its update to {} goes on.", quoted(&note.image));
+        let job = UpdateJob::resume(now(), &note, tested);
+        let mut running = Running::new(task, goal, job);
+        running.test = note.test.and_then(TaskId::new);
+        running.noted = true;
+        self.updates.running = Some(Box::new(running));
+    }
+
+    /// Writes into the journal what the next gateway needs.
+    fn note_update(&mut self) {
+        let Some(running) = &mut self.updates.running else {
+            return;
+        };
+        let Some(note) = running.job.note() else {
+            return;
+        };
+        let test = running.test.map(TaskId::get);
+        let Ok(text) = serde_json::to_string(&Note { test, ..note }) else {
+            return;
+        };
+        running.noted = true;
+        let entry = Entry {
+            id: running.task.id(),
+            component: UPDATES,
+            goal: &running.goal,
+            sent: None,
+        };
+        if let Some(journal) = self.session.journal_mut() {
+            // If it cannot be written, the device goes back when this gateway ends.
+            let _ = journal.going_on(&entry, &text);
+        }
     }
 
     /// Lets the running update do something, and carries out what follows.
@@ -213,10 +277,18 @@ impl Worker {
         match next {
             Next::Wait => {}
             Next::Ask(request) => {
+                if !running.noted && running.job.note().is_some() {
+                    self.note_update();
+                }
+                let Some(running) = &mut self.updates.running else {
+                    return;
+                };
                 running.asked = number;
                 self.updates.asked = number;
                 self.session.request_update(now(), number, request);
             }
+            // One that an earlier gateway has begun.
+            Next::Test(..) if running.test.is_some_and(|id| self.tasks.contains_key(&id)) => {}
             Next::Test(component, goal) => {
                 running.next_test = Some((component, goal));
                 match self.own_tasks.get() {
@@ -257,7 +329,8 @@ impl Worker {
         running.test = Some(request.id);
         let shown = DeviceRequest::from(&request);
         self.log_task(request.id, &shown, "tests the new firmware");
-        let task = id.begin(encoded(&request.handler, &request.component, &request.goal));
+        self.note_update();
+        let task = id.begin_here(encoded(&request.handler, &request.component, &request.goal));
         self.tasks.insert(request.id, (task, shown));
         self.session
             .start(now(), request.id, &request.component, &request.goal);
@@ -313,7 +386,9 @@ impl Worker {
     /// Asks again, gives up, and drops an upload that is not used.
     pub(super) fn on_update_timeout(&mut self) {
         let now = now();
-        self.updates.upload.take_if(|upload| now >= upload.until);
+        self.updates
+            .upload
+            .take_if(|upload| now >= upload.latest + KEPT);
         let running = self.updates.running.as_ref();
         if running.is_some_and(|running| now >= running.job.poll_timeout()) {
             self.step(|job| job.handle_timeout(now));
@@ -408,4 +483,57 @@ fn tell(task: TaskReporter, answer: UpdateAnswer) {
         Err(UpdateFailure::Refused(reason)) => format!("the device refuses: {reason}"),
     };
     task.failed(reason);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(updates: &mut Updates, seconds: u64, file: &str, at: usize) -> Result<usize, String> {
+        let now = Instant::from_millis(seconds * 1000);
+        let bytes: Vec<u8> = file.bytes().cycle().take(30).collect();
+        let UpdateGoal::Part(_, _, base64) = UpdateGoal::part(file, at, &bytes) else {
+            panic!("a part");
+        };
+        updates.add(now, file.to_owned(), at, &base64)
+    }
+
+    #[test]
+    fn an_upload_has_one_file_and_is_free_soon_after_its_client_has_gone() {
+        let mut updates = Updates::default();
+        assert_eq!(part(&mut updates, 0, "abc", 0), Ok(30));
+        assert_eq!(part(&mut updates, 1, "abc", 30), Ok(60));
+        let busy = part(&mut updates, 2, "xyz", 0).expect_err("the other one is there");
+        assert!(busy.contains("another image is being sent"), "{busy}");
+        // Whoever has the same file goes on with it, from the beginning or from anywhere.
+        assert_eq!(part(&mut updates, 2, "abc", 0), Ok(60));
+        assert_eq!(part(&mut updates, 2, "abc", 30), Ok(60));
+        assert_eq!(part(&mut updates, 2, "abc", 60), Ok(90));
+        let gap = part(&mut updates, 2, "abc", 120).expect_err("a part is missing");
+        assert!(gap.contains("begins at 120, expected 90"), "{gap}");
+        assert_eq!(part(&mut updates, 6, "xyz", 0), Ok(30));
+        let late = part(&mut updates, 10, "abc", 90).expect_err("it was replaced");
+        assert!(late.contains("another image was sent"), "{late}");
+        let options = UpdateOptions {
+            file: "abc".to_owned(),
+            length: 30,
+            ..UpdateOptions::default()
+        };
+        let other = updates.image(&options).expect_err("another file");
+        assert!(other.1.contains("has 0 bytes"), "{other:?}");
+        // It was not taken, and is not lost.
+        assert_eq!(part(&mut updates, 10, "xyz", 30), Ok(60));
+    }
+
+    #[test]
+    fn parts_that_differ_are_not_mixed() {
+        let mut updates = Updates::default();
+        assert_eq!(part(&mut updates, 0, "abc", 0), Ok(30));
+        let UpdateGoal::Part(_, _, base64) = UpdateGoal::part("abc", 0, b"abd") else {
+            panic!("a part");
+        };
+        let differs = updates.add(Instant::ZERO, "abc".to_owned(), 0, &base64);
+        assert!(differs.is_err_and(|why| why.contains("differs")));
+        assert!(updates.upload.is_none());
+    }
 }

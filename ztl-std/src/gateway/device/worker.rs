@@ -320,6 +320,10 @@ impl Worker {
                 Some(reason) => task.rejected(reason),
                 None => self.on_update_request(task, &request),
             },
+            Input::ResumeUpdate(task, update) => {
+                self.awaited = self.awaited.saturating_sub(1);
+                self.resume_update(task, update);
+            }
             Input::TestReserved(id) => self.on_test_reserved(id),
             Input::Abort(id) => {
                 self.session.abort(now(), id);

@@ -71,6 +71,18 @@ impl<S: Storage> DeviceJournal<S> {
         self.expected.remove(&id);
     }
 
+    /// A firmware update has come so far that another gateway can go on with it, with this note.
+    ///
+    /// # Errors
+    /// Why that cannot be written.
+    pub(in crate::gateway) fn going_on(
+        &mut self,
+        task: &Entry<'_>,
+        note: &str,
+    ) -> Result<(), String> {
+        lock(&self.records).accepted((self.now)(), &self.device, task, note)
+    }
+
     fn client(&self, id: TaskId) -> Option<String> {
         let ClientId(bytes) = self.expected.get(&id)?.client?;
         Some(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
@@ -94,7 +106,7 @@ impl<S: Storage> SessionJournal for DeviceJournal<S> {
 
     fn accepted(&mut self, task: &Entry<'_>) {
         // If this is lost, the task is restored from its `Start`.
-        let _ = lock(&self.records).accepted((self.now)(), &self.device, task);
+        let _ = lock(&self.records).accepted((self.now)(), &self.device, task, "");
     }
 
     fn ended(&mut self, task: &Entry<'_>, state: State, text: &str) -> Result<(), String> {

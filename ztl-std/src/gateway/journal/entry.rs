@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
 use ztl_core::{State, TaskId};
 
-use crate::gateway::updates::UPDATES;
+use crate::gateway::updates::{Note, UPDATES};
 use crate::time;
 use ztl_link::{Restored, Sent};
 
@@ -161,6 +161,12 @@ impl TaskEntry {
     /// Whether it is a firmware update, which needs its gateway.
     pub(super) fn is_update(&self) -> bool {
         self.component == UPDATES && self.sent.is_none()
+    }
+
+    /// With what another gateway goes on with an update.
+    pub(super) fn note(&self) -> Option<Note> {
+        let text = Some(&self.text).filter(|_| self.is_update());
+        serde_json::from_str(text?).ok()
     }
 
     /// The end of the same task.

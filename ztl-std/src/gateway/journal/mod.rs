@@ -22,6 +22,7 @@ use device::{SharedRecords, lock};
 pub use entry::Moment;
 pub use error::JournalError;
 pub(super) use file::JournalFile;
+pub(super) use records::UnendedUpdate;
 pub use records::{JournalRecords, Storage};
 
 use crate::random;
@@ -78,6 +79,11 @@ impl Journal {
     /// The tasks without an end, each with its device's name.
     pub(super) fn unended(&self) -> Vec<(String, Restored)> {
         lock(&self.records).unended()
+    }
+
+    /// The updates without an end with which this gateway goes on.
+    pub(super) fn unended_updates(&self) -> Vec<UnendedUpdate> {
+        lock(&self.records).unended_updates()
     }
 
     /// The ended tasks, as `told` completes them.

@@ -12,6 +12,7 @@ use ztl_core::{State, TaskId};
 use ztl_link::{Entry, Restored};
 
 use super::entry::{JournalEntry, Moment, Opened, Reserved, TaskEntry, VERSION, Version};
+use crate::gateway::updates::Note;
 use crate::log_targets::GATEWAY;
 use crate::server::{KEEP, RestoredTask};
 
@@ -34,6 +35,17 @@ const LOGGED: usize = 10;
 
 /// The end of an update whose gateway has ended.
 const UPDATE_CUT: &str = "failed: the gateway ended during the update; the device keeps the firmware before, or goes back to it";
+
+/// An update that the gateway before had not ended when it had restarted the device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::gateway) struct UnendedUpdate {
+    pub(in crate::gateway) id: TaskId,
+    pub(in crate::gateway) device: String,
+    pub(in crate::gateway) goal: String,
+    pub(in crate::gateway) note: Note,
+    /// How the task that tests it has ended.
+    pub(in crate::gateway) tested: Option<Result<(), String>>,
+}
 
 /// Stores a journal. What was written successfully survives the end of the process.
 pub trait Storage {
@@ -173,6 +185,32 @@ impl<S: Storage> JournalRecords<S> {
         lines.filter_map(with_device).collect()
     }
 
+    /// The updates without an end with which this gateway goes on.
+    pub(super) fn unended_updates(&self) -> Vec<UnendedUpdate> {
+        let lines = self.tasks.values().filter(|line| !line.state.is_final());
+        lines.filter_map(|line| self.unended_update(line)).collect()
+    }
+
+    fn unended_update(&self, line: &TaskEntry) -> Option<UnendedUpdate> {
+        let note = line.note()?;
+        let test = note.test.and_then(TaskId::new);
+        let test = test.and_then(|id| self.tasks.get(&id));
+        let tested = test
+            .filter(|test| test.state.is_final())
+            .map(|test| match test.state {
+                State::Completed => Ok(()),
+                _ => Err(test.text.clone()),
+            });
+        let [_, _, goal] = line.spec();
+        Some(UnendedUpdate {
+            id: line.task,
+            device: line.device.clone(),
+            goal: goal.to_owned(),
+            note,
+            tested,
+        })
+    }
+
     /// The ended tasks that are still kept, each with its device, component and goal.
     pub fn ended(&self, now: Moment) -> Vec<([&str; 3], RestoredTask)> {
         let lines = self.tasks.values().filter(|line| line.state.is_final());
@@ -215,7 +253,7 @@ impl<S: Storage> JournalRecords<S> {
         self.write(now, Some(JournalEntry::Start(line)))
     }
 
-    /// A device has accepted a task.
+    /// A device has accepted a task. Of an update, `text` is the note with which another gateway goes on.
     ///
     /// # Errors
     /// Why that cannot be written.
@@ -224,9 +262,10 @@ impl<S: Storage> JournalRecords<S> {
         now: Moment,
         device: &str,
         task: &Entry<'_>,
+        text: &str,
     ) -> Result<(), String> {
         let client = self.client(task.id);
-        let line = TaskEntry::new(now, device, client, task, State::Accepted, "");
+        let line = TaskEntry::new(now, device, client, task, State::Accepted, text);
         self.write(now, Some(JournalEntry::Accepted(line)))
     }
 
@@ -302,11 +341,11 @@ impl<S: Storage> JournalRecords<S> {
         useless == 0
     }
 
-    /// Ends the firmware updates of an earlier gateway: they do not go on without it.
+    /// Ends the firmware updates of an earlier gateway whose devices it had not restarted: they do not go on without it.
     fn end_updates(&mut self, now: Moment) {
         let updates = self.tasks.values().filter(|line| line.is_update());
         let open: Vec<TaskEntry> = updates
-            .filter(|line| !line.state.is_final())
+            .filter(|line| !line.state.is_final() && line.note().is_none())
             .map(|line| line.ended_as(now, State::Failed, UPDATE_CUT))
             .collect();
         for line in open {

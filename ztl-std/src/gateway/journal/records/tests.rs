@@ -73,7 +73,7 @@ fn written_entries_are_known_after_a_restart() {
     for number in 101..=104 {
         log.start(at(1), number).unwrap();
     }
-    log.accepted(at(2), "gripper", &task(102)).unwrap();
+    log.accepted(at(2), "gripper", &task(102), "").unwrap();
     log.complete(at(3), 103, "40.0");
     let rejected = (State::Rejected, "busy");
     log.ended_as(at(4), "gripper", &task(104), rejected)
@@ -126,7 +126,7 @@ fn the_entries_match_the_document() {
     task.sent.as_mut().unwrap().loss = Loss::Abort;
     log.starting(at(1), "gripper", Some("00ff".to_owned()), &task)
         .unwrap();
-    log.accepted(at(1), "gripper", &task).unwrap();
+    log.accepted(at(1), "gripper", &task, "").unwrap();
     let end = (State::Completed, "40.0");
     log.ended_as(at(2), "gripper", &task, end).unwrap();
     let written = String::from_utf8(log.storage.clone()).unwrap();
@@ -416,7 +416,7 @@ fn a_full_disk_rejects_tasks_until_there_is_room() {
 fn a_grown_file_is_replaced_by_one_with_the_needed_entries() {
     let mut log = fresh();
     log.start(at(0), 101).unwrap();
-    log.accepted(at(0), "gripper", &task(101)).unwrap();
+    log.accepted(at(0), "gripper", &task(101), "").unwrap();
     let (mut longest, mut seconds) = (0, 0);
     // A task a second, for two and a half hours.
     for number in 102..9_102 {
