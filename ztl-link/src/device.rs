@@ -48,6 +48,8 @@ pub struct DeviceInfo {
     pub parameters: u8,
     /// The parameters read so far, as they were read last: from the first on, without gaps.
     pub known_parameters: Vec<ParameterInfo>,
+    /// Whether other nodes share its line.
+    pub shared: bool,
     /// Whether it takes firmware updates; `false` until it has announced them (`docs/link.md` [16.1]).
     pub updates: bool,
 }

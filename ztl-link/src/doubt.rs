@@ -25,7 +25,7 @@ pub(crate) struct Doubt {
 
 impl<J: SessionJournal> Session<J> {
     /// Whether the session cannot tell a reset of its device from another board.
-    fn is_shared(&self) -> bool {
+    pub(crate) fn is_shared(&self) -> bool {
         let alone = self.address == ADDR_ONLY_NODE;
         !alone
     }

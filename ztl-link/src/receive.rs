@@ -172,6 +172,7 @@ impl<J: SessionJournal> Session<J> {
             components,
             parameters,
             known_parameters,
+            shared: self.is_shared(),
             updates,
         });
         self.compare_held(now, welcome);

@@ -11,6 +11,9 @@ use crate::event::LinkEvent;
 use crate::journal::SessionJournal;
 use crate::state::{CommandKind, Session};
 
+/// Longest piece for a node on a shared line: 16 nodes with tasks have their turn every 50 ms also while one is updated.
+const SHARED_PIECE: usize = 2 * PIECE_UNIT;
+
 /// The firmware that a device runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FirmwareInfo {
@@ -134,7 +137,13 @@ impl DeviceInfo {
     pub const fn longest_piece(&self) -> usize {
         // Tag, offset and length take at most 8 bytes.
         let room = self.max_body.saturating_sub(8);
-        room - room % PIECE_UNIT
+        let whole = room - room % PIECE_UNIT;
+        // A longer one would delay the turns of other nodes.
+        if self.shared && whole > SHARED_PIECE {
+            SHARED_PIECE
+        } else {
+            whole
+        }
     }
 }
 

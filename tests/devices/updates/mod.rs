@@ -3,6 +3,7 @@
 mod cuts;
 mod rig;
 mod talk;
+mod walk;
 mod watchdog;
 
 use ztl_core::link::update::UpdateError;

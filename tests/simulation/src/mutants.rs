@@ -490,7 +490,7 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "the gateway takes another board on a shared line for its device after a reset",
         edits: &[(DOUBT, "        !alone", "        !alone && !ON")],
-        caught_in: ("bus-second", 2),
+        caught_in: ("bus-second", 1),
         complaint: "promise",
     },
     Mutant {

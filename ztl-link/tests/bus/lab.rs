@@ -5,12 +5,14 @@ use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 use std::time::Duration;
 
+use ztl_core::link::update::UpdatePhase;
 use ztl_core::link::{Decoder, Loss, Turn};
 use ztl_core::{Instant, State, TaskId};
 use ztl_link::bus::{Bus, BusEvent, TURNAROUND};
-use ztl_link::{LinkEvent, Session};
+use ztl_link::{LinkEvent, Session, UpdateReply, UpdateRequest};
 use ztl_mcu::bus::OnBus;
 use ztl_mcu::link::Offer;
+use ztl_mcu::update::{Firmware, Receiving, Updatable, UpdateError, Updater, Verification};
 use ztl_mcu::{Component, Identity, Node, Reading, Refused, Report, Run};
 use ztl_sim::line::Dice;
 
@@ -39,6 +41,48 @@ pub(crate) struct World {
     stopped_early: Vec<String>,
     floods: bool,
     pub(crate) carries_on: bool,
+}
+
+/// Firmware that takes updates.
+type Parts = Updatable<OnBus<[Motor; 1]>, Flash>;
+
+/// Counts what it receives.
+pub(crate) struct Flash;
+
+/// Length of an image.
+pub(crate) const IMAGE: u32 = 4 << 10;
+
+impl Updater for Flash {
+    fn firmware(&self) -> Firmware<'_> {
+        Firmware {
+            board: "desk",
+            version: "1",
+            confirmed: true,
+            trial_ms: 0,
+            self_test: None,
+        }
+    }
+
+    fn begin(&mut self, _: &[u8], _: bool) -> Result<Receiving, UpdateError> {
+        Ok(Receiving {
+            length: IMAGE,
+            offset: 0,
+        })
+    }
+
+    fn write(&mut self, _: u32, _: &[u8]) -> Result<(), UpdateError> {
+        Ok(())
+    }
+
+    fn verify(&mut self) -> Result<Verification, UpdateError> {
+        Ok(Verification::Done)
+    }
+
+    fn restart(&mut self) {}
+
+    fn confirm(&mut self) -> Result<(), UpdateError> {
+        Ok(())
+    }
 }
 
 /// A goal is `NUMBER MILLISECONDS`.
@@ -110,7 +154,7 @@ impl Component for Motor {
 pub(crate) struct Member {
     id: u64,
     address: u8,
-    node: Node<'static, OnBus<[Motor; 1]>, 4, 128>,
+    node: Node<'static, Parts, 4, 128>,
     pub(crate) world: Rc<RefCell<World>>,
     sending: VecDeque<u8>,
     /// Between two turns of its main loop, in slots.
@@ -136,6 +180,8 @@ pub(crate) struct Lab {
     up: BTreeMap<u8, bool>,
     outcomes: BTreeMap<u32, State>,
     pub(crate) other_boards: usize,
+    /// All bytes of an image before this are stored.
+    pub(crate) stored: u32,
     pub(crate) bus_events: Vec<BusEvent>,
 }
 
@@ -166,6 +212,7 @@ impl Lab {
             up: BTreeMap::new(),
             outcomes: BTreeMap::new(),
             other_boards: 0,
+            stored: 0,
             bus_events: Vec::new(),
         }
     }
@@ -208,6 +255,18 @@ impl Lab {
         Instant::from_micros(self.slot * SLOT / 1000)
     }
 
+    /// Begins an update of a node, which goes on by itself.
+    pub(crate) fn update(&mut self, address: u8) {
+        let now = self.now();
+        let begin = UpdateRequest::Begin {
+            now: true,
+            downgrade: false,
+            manifest: vec![1; 104],
+        };
+        let session = self.sessions.get_mut(&address).unwrap();
+        session.request_update(now, 0, begin);
+    }
+
     /// A node is switched off and on again.
     pub(crate) fn reset(&mut self, node: usize, resets: u32) {
         let member = &mut self.nodes[node];
@@ -235,7 +294,7 @@ impl Lab {
 
     pub(crate) fn address_of(&self, id: u64) -> u8 {
         let node = self.nodes.iter().find(|node| node.id == id).unwrap();
-        node.node.components().address()
+        node.node.components().components.address()
     }
 
     pub(crate) fn is_up(&self, address: u8) -> bool {
@@ -375,6 +434,18 @@ impl Lab {
                         let before = self.outcomes.insert(id.get(), state);
                         assert_eq!(before, None, "two outcomes");
                     }
+                    LinkEvent::Update(
+                        _,
+                        Ok(UpdateReply::Phase(UpdatePhase::Receiving { offset })),
+                    ) => {
+                        self.stored = offset;
+                        let piece = session.device().unwrap().longest_piece() as u32;
+                        let length = piece.min(IMAGE - offset);
+                        if length > 0 {
+                            let bytes = vec![7; length as usize];
+                            session.request_update(now, 1, UpdateRequest::Write { offset, bytes });
+                        }
+                    }
                     LinkEvent::OtherBoard => self.other_boards += 1,
                     LinkEvent::TaskRejected(id, _) => {
                         let before = self.outcomes.insert(id.get(), State::Rejected);
@@ -407,7 +478,7 @@ fn fresh_node(
     address: u8,
     resets: u32,
     world: &Rc<RefCell<World>>,
-) -> Node<'static, OnBus<[Motor; 1]>, 4, 128> {
+) -> Node<'static, Parts, 4, 128> {
     let motor = Motor {
         world: Rc::clone(world),
         ends_at: Instant::ZERO,
@@ -415,7 +486,7 @@ fn fresh_node(
     };
     Node::new(
         Identity::new("motor", "1", boot(id, resets)),
-        OnBus::new([motor], id, address),
+        Updatable::new(OnBus::new([motor], id, address), Flash),
     )
 }
 

@@ -9,7 +9,7 @@ mod lab;
 
 use std::time::Duration;
 
-use lab::{Lab, Trouble};
+use lab::{IMAGE, Lab, Trouble};
 use ztl_core::link::Turn;
 use ztl_core::{Instant, State};
 use ztl_link::bus::{Bus, BusEvent, TURNAROUND};
@@ -59,6 +59,28 @@ fn a_search_leaves_sixteen_nodes_with_tasks_their_turns() {
         let pause = lab.longest_pause(address);
         assert!(pause <= Duration::from_millis(50), "{address}: {pause:?}");
     }
+}
+
+#[test]
+fn an_update_of_a_node_leaves_fifteen_others_with_tasks_their_turns() {
+    let mut lab = Lab::new(16, 7);
+    all_busy(&mut lab, 15);
+    lab.until(5 * SECOND, "all are up", |lab| lab.is_up(16));
+    lab.run(SECOND);
+    lab.forget_turns();
+    let begin = lab.now();
+    lab.update(16);
+    lab.until(600 * SECOND, "the image is stored", |lab| {
+        lab.stored == IMAGE
+    });
+    let took = lab.now().since(begin);
+    println!("an image of {IMAGE} bytes: {took:?}");
+    for address in 1..=15 {
+        let pause = lab.longest_pause(address);
+        assert!(pause <= Duration::from_millis(50), "{address}: {pause:?}");
+        assert!(lab.nodes[usize::from(address) - 1].moves());
+    }
+    assert!(took < 60 * SECOND, "{took:?}");
 }
 
 #[test]

@@ -352,7 +352,7 @@ impl BusModel {
             BusFault::HoldAnswer => self.senders().next().is_some() && self.held.is_none(),
             BusFault::Cut(node) => !self.cut[node],
             BusFault::Reset(_) => true,
-            BusFault::Readdress => !self.readdressed,
+            BusFault::Readdress | BusFault::Replace => !self.readdressed,
             BusFault::Kill => self.bus.is_some(),
         }
     }
@@ -375,6 +375,10 @@ impl BusModel {
             BusFault::Cut(node) => self.cut[node] = true,
             BusFault::Reset(node) => self.nodes[node].disturb(Fault::Reset)?,
             BusFault::Readdress => self.readdress(address(0))?,
+            BusFault::Replace => {
+                self.cut[0] = true;
+                self.readdress(address(0))?;
+            }
             BusFault::Kill => {
                 self.bus = None;
                 self.question = None;

@@ -23,6 +23,8 @@ pub enum BusFault {
     Reset(usize),
     /// The second node is reset, and has the address of the first one for a while.
     Readdress,
+    /// The same, and the wires of the first one are broken.
+    Replace,
     /// The gateway is killed, and restarted at any later time.
     Kill,
 }
@@ -131,7 +133,7 @@ pub const BUS_SCENARIOS: &[BusScenario] = &[
         about: "a second board comes to the address of one that moves, and goes again; the wires of the first one are broken",
         before: &[(0, ask(0, 0, ENDLESS)), (0, ask(0, 1, ENDLESS))],
         acts: &[(0, abort(0, 1))],
-        faults: &[BusFault::Readdress, BusFault::Cut(0), BusFault::DropAnswer],
+        faults: &[BusFault::Readdress, BusFault::Replace, BusFault::Cut(0)],
         ..SHARED
     },
 ];

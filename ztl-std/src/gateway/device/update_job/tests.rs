@@ -15,6 +15,7 @@ fn device(boot: u32) -> DeviceInfo {
         components: Vec::new(),
         parameters: 0,
         known_parameters: Vec::new(),
+        shared: false,
         updates: true,
     }
 }
