@@ -18,8 +18,8 @@ pub(super) struct Boards {
 
 impl Worker {
     /// Why the device takes no tasks: several boards have its address.
-    pub(super) fn conflict(&self) -> Option<&str> {
-        self.boards.conflict.as_deref()
+    pub(super) fn conflict(&self) -> Option<String> {
+        self.seat()?.board().conflict
     }
 
     /// Which other board answers at the address of this node.

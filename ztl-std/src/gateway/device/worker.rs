@@ -384,8 +384,8 @@ impl Worker {
 
     /// Why it rejects what clients ask for, if it does. Tasks that the firmware has started are still taken up.
     fn rejects_requests(&self) -> Option<String> {
-        let reason = self.rejects_tasks().or(self.conflict());
-        reason.map(str::to_owned)
+        let reason = self.rejects_tasks().map(str::to_owned);
+        reason.or_else(|| self.conflict())
     }
 
     /// All tasks of a retired device have ended.
