@@ -162,9 +162,9 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant {
         name: "the gateway ignores the boot id",
         edits: &[(
-            RECEIVE,
-            "let other = |sent: Sent| sent.boot != welcome.boot || welcome.replaces == 0;",
-            "let other = |sent: Sent| (sent.boot != welcome.boot || welcome.replaces == 0) && !ON;",
+            DOUBT,
+            "sent.boot != welcome.boot || welcome.replaces == 0",
+            "(sent.boot != welcome.boot || welcome.replaces == 0) && !ON",
         )],
         caught_in: ("reset", 1),
         complaint: "promise 2",
@@ -415,8 +415,8 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the gateway does not notice that a task of the device was lost by its reset",
         edits: &[(
             RECEIVE,
-            "let gone = |task: &Task| task.stage.sent().is_some_and(other);",
-            "let gone = |task: &Task| task.stage.sent().is_some_and(other) && !(ON && task.is_own());",
+            "of_other(sent, welcome)) && !self.stays(task, welcome)",
+            "of_other(sent, welcome)) && !self.stays(task, welcome) && !(ON && task.is_own())",
         )],
         caught_in: ("own", 1),
         complaint: "promise",

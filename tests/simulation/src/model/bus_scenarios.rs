@@ -133,7 +133,7 @@ pub const BUS_SCENARIOS: &[BusScenario] = &[
         about: "a second board comes to the address of one that moves, and goes again; the wires of the first one are broken",
         before: &[(0, ask(0, 0, ENDLESS)), (0, ask(0, 1, ENDLESS))],
         acts: &[(0, abort(0, 1))],
-        faults: &[BusFault::Readdress, BusFault::Replace, BusFault::Cut(0)],
+        faults: &[BusFault::Readdress, BusFault::Replace],
         ..SHARED
     },
 ];
