@@ -62,8 +62,8 @@ pub(crate) struct AnyUpdater;
 
 fn perhaps<T>(value: T) -> Result<T, UpdateError> {
     match UpdateError::from_code(receive()) {
-        Some(error) => Err(error),
-        None => Ok(value),
+        UpdateError::Unknown(_) => Ok(value),
+        error => Err(error),
     }
 }
 
