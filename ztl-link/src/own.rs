@@ -164,12 +164,12 @@ impl<J: SessionJournal> Session<J> {
             return;
         }
         let mut asked = Vec::new();
-        let boot = self.device.as_ref().map(|device| device.boot);
+        let (shared, boot) = (self.is_shared(), self.device.as_ref().map(|it| it.boot));
         for task in self.tasks.values_mut() {
             if let Some(sent) = task.stage.sent()
                 && task.waits_for_word()
                 // Another board would not know it.
-                && Some(sent.boot) == boot
+                && (!shared || Some(sent.boot) == boot)
                 && now >= task.ask_at
             {
                 task.ask_at = now + ASK_PAUSE;

@@ -130,9 +130,9 @@ pub const BUS_SCENARIOS: &[BusScenario] = &[
     },
     BusScenario {
         name: "bus-second",
-        about: "a second board comes to the address of one that moves, and goes again; the wires of the first one are broken",
-        before: &[(0, ask(0, 0, ENDLESS)), (0, ask(0, 1, ENDLESS))],
-        acts: &[(0, abort(0, 1))],
+        about: "a task that carries on is aborted; a second board comes to the address of its node, whose wires may be broken, and goes again",
+        before: &[(0, ask(0, 1, ENDLESS))],
+        acts: &[(0, abort(0, 0))],
         faults: &[BusFault::Readdress, BusFault::Replace],
         ..SHARED
     },
