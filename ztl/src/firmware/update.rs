@@ -7,7 +7,6 @@ use std::time::Duration;
 use clap::Args;
 use ed25519_dalek::{Digest as _, Sha512};
 use ztl_core::dispatcher::NOTHING_KNOWN;
-use ztl_core::manifest::Manifest;
 use ztl_std::gateway::{
     LONGEST_IMAGE, LONGEST_PART, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
     UpdateProblem, Updated,
