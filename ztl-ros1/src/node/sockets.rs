@@ -36,4 +36,6 @@ pub(super) fn limit(stream: &TcpStream, limit: Duration) {
         let millis = u32::try_from(limit.as_millis()).unwrap_or(u32::MAX);
         let _ = sockopt::set_tcp_user_timeout(stream, millis);
     }
+    #[cfg(not(target_os = "linux"))]
+    let _ = limit;
 }
