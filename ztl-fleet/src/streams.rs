@@ -26,6 +26,8 @@ const LOST: Duration = Duration::from_secs(2);
 pub const RENEW: Duration = Duration::from_secs(1);
 /// Part of the window after which an endpoint asks earlier.
 const PART: usize = 4;
+/// Work of a message at both ends, as if it had so many bytes more.
+const WORK: usize = 512;
 /// How long an agent passes messages on after it was asked.
 pub const LEASE: Duration = Duration::from_secs(5);
 /// Most topics that are asked for. For more, everything is.
@@ -161,6 +163,19 @@ pub fn topics_of(begin: &[u8], robot: &str) -> Vec<String> {
     vec![format!("/{rest}"), rest.to_owned()]
 }
 
+/// The parts of what begins so that belong to these scopes.
+pub fn within(begin: &[u8], scopes: impl Iterator<Item = String>) -> Vec<String> {
+    let part = |scope: String| {
+        let root = scope + "/";
+        if root.as_bytes().starts_with(begin) {
+            return Some(root);
+        }
+        let is_below = begin.starts_with(root.as_bytes());
+        is_below.then(|| String::from_utf8_lossy(begin).into_owned())
+    };
+    scopes.filter_map(part).collect()
+}
+
 /// The same topics without those that others cover; everything if there are too many.
 #[must_use]
 pub fn fewest(mut topics: Vec<String>) -> Vec<String> {
@@ -227,6 +242,7 @@ impl Outgoing {
 
     /// The number of a message that is sent now.
     pub fn send(&mut self, now: Instant, bytes: usize) -> u64 {
+        let bytes = bytes.saturating_add(WORK);
         self.skip(1);
         self.under_way.push_back((self.number, bytes, now));
         self.bytes += bytes;
@@ -329,7 +345,7 @@ impl Incoming {
         let missed = head.number - self.heard - 1;
         self.heard = head.number;
         self.newest |= missed > 0;
-        self.bytes = self.bytes.saturating_add(bytes);
+        self.bytes = self.bytes.saturating_add(bytes).saturating_add(WORK);
         Some(missed)
     }
 }

@@ -119,7 +119,7 @@ impl Subscribe {
             missed = subscriber.missed();
             if newly_missed > 0 && !self.rate {
                 error_line(format_args!(
-                    "ztl: warning: {newly_missed} messages were missed: this subscriber is too slow"
+                    "ztl: warning: {newly_missed} messages were missed: this subscriber is too slow, or a connection behind the publisher was lost"
                 ));
             }
             output.on_time(newly_missed);

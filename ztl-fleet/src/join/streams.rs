@@ -19,7 +19,8 @@ use crate::random;
 use crate::seal;
 use crate::session::key;
 use crate::streams::{
-    Granted, Head, LEASE, LONGEST, LONGEST_TOPIC, MOST_TOPICS, Outgoing, Want, scope_of,
+    Granted, Head, LEASE, LONGEST, LONGEST_TOPIC, MOST_TOPICS, Outgoing, Want, fewest, scope_of,
+    within,
 };
 use crate::wire::{Verdict, from_hex, hex};
 
@@ -204,14 +205,36 @@ impl Shared {
         };
         may.then(|| scope.map(str::to_owned))
     }
+
+    /// What of these topics this endpoint may hear. Nothing else is asked for: a stream may run only while somebody hears it.
+    fn allowed(
+        &self,
+        subscription: &Subscription,
+        topics: &[String],
+        scopes: &[String],
+    ) -> Vec<String> {
+        let Some(identity) = &self.config.identity else {
+            return topics.to_vec();
+        };
+        let Some((key, _)) = &subscription.sealer else {
+            return Vec::new();
+        };
+        if identity.may_use_all(key) {
+            return topics.to_vec();
+        }
+        let scopes = scopes.iter().filter(|scope| identity.may_use(key, scope));
+        let scopes: Vec<&String> = scopes.collect();
+        let within = |topic: &String| within(topic.as_bytes(), scopes.iter().copied().cloned());
+        fewest(topics.iter().flat_map(within).collect())
+    }
 }
 
-/// Passes messages on until the endpoint does not want them any more.
+/// Passes messages on until the endpoint does not want them any more, or what was published before does not count any more.
 fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result<(), String> {
     let mut publisher = None;
     let (mut topics, mut scopes) = (Vec::new(), Vec::new());
     let mut looked: Option<Instant> = None;
-    let (mut missed, mut lost) = (0, 0);
+    let mut missed = 0;
     let mut warned = false;
     loop {
         let Some(shared) = weak.upgrade() else {
@@ -228,10 +251,7 @@ fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result
             continue;
         }
         let wants_newest = std::mem::take(&mut wishes.newest);
-        let has_changed = topics != wishes.topics;
-        if has_changed {
-            topics.clone_from(&wishes.topics);
-        }
+        let wanted = wishes.topics.clone();
         drop(wishes);
         let publisher = match &mut publisher {
             Some(publisher) => publisher,
@@ -243,16 +263,18 @@ fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result
                 none.insert(connected.map_err(|error| error.to_string())?)
             }
         };
-        if has_changed {
-            publisher.set_topics(&topics);
-        }
-        if wants_newest {
-            publisher.ask_newest();
-        }
         if looked.is_none_or(|looked| looked.elapsed() >= SCOPES) {
             looked = Some(Instant::now());
             let server = shared.server.lock().unwrap_or_else(PoisonError::into_inner);
             scopes = shared.scopes(&server);
+        }
+        let allowed = shared.allowed(subscription, &wanted, &scopes);
+        if topics != allowed {
+            publisher.set_topics(&allowed);
+            topics = allowed;
+        }
+        if wants_newest {
+            publisher.ask_newest();
         }
         // While it waits, it does not keep the agent.
         drop(shared);
@@ -263,17 +285,15 @@ fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result
             (false, Some(advice)) => Some(advice),
             (false, None) => Some("the publisher is not connected".to_owned()),
         };
-        // How many came while the connection was lost is not known; one at least may have.
-        let gaps = [
-            publisher.missed().saturating_sub(missed),
-            publisher.lost().saturating_sub(lost),
-        ];
-        (missed, lost) = (publisher.missed(), publisher.lost());
+        if publisher.lost() > 0 {
+            // It may have been restarted, so its states do not count any more: those of a new session do.
+            return Ok(());
+        }
+        let gap = publisher.missed().saturating_sub(missed);
+        missed = publisher.missed();
         let mut wishes = subscription.wishes();
         wishes.problem = problem;
-        wishes
-            .outgoing
-            .skip(gaps.iter().fold(0, |all, gap| all.saturating_add(*gap)));
+        wishes.outgoing.skip(gap);
         let Some((Heard { topic, body, .. }, is_state)) = heard else {
             continue;
         };

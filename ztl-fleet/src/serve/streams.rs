@@ -19,7 +19,7 @@ use crate::random;
 use crate::seal::Request;
 use crate::seldom::{Seldom, brief};
 use crate::session::{ZenohError, parts};
-use crate::streams::{Granted, Head, Incoming, RENEW, fewest, is_wanted, topics_of};
+use crate::streams::{Granted, Head, Incoming, RENEW, fewest, is_wanted, topics_of, within};
 use crate::wire::{ROOT, Verdict, fresh, hex};
 
 /// How long to wait for an agent's answer.
@@ -62,6 +62,8 @@ struct Robot {
     asking: Option<u64>,
     /// Whether the last answer was that the question was stale.
     was_stale: bool,
+    /// Whether the last answer began a session.
+    was_new: bool,
     due: Instant,
     problem: Option<String>,
 }
@@ -184,6 +186,7 @@ impl Relay {
                 incoming: Incoming::default(),
                 asking: None,
                 was_stale: false,
+                was_new: false,
                 due: Instant::now(),
                 problem: None,
             };
@@ -201,15 +204,20 @@ impl Relay {
         robot.asking = None;
         // What it had published last is not its state any more.
         robot.incoming.lose_states();
-        let root = format!("/{name}/").into_bytes();
-        self.publisher.forget(move |topic| topic.starts_with(&root));
-        self.has_changed = true;
         match robot.topics.is_empty() {
             true => drop(self.robots.remove(name)),
             false => {
                 warn!(target: "fleet", "Robot '{name}' has no streams now: it is not connected.");
             }
         }
+        self.forget(name);
+        self.has_changed = true;
+    }
+
+    /// Forgets the states of a robot.
+    fn forget(&self, name: &str) {
+        let root = format!("/{name}/").into_bytes();
+        self.publisher.forget(move |topic| topic.starts_with(&root));
     }
 
     /// Finds out what is wanted, of one robot or of all.
@@ -232,10 +240,9 @@ impl Relay {
                 .take_while(|(known, _)| known.starts_with(name));
             for (known, robot) in robots {
                 let fits = rest.is_none() || known == name;
-                if fits && only.is_none_or(|only| only == known) && self.may_hear(key, known, robot)
-                {
+                if fits && only.is_none_or(|only| only == known) {
                     let begins = begins.entry(known.clone()).or_default();
-                    begins.insert(begin.clone());
+                    begins.extend(self.allowed(key, known, robot, begin));
                 }
             }
         }
@@ -250,12 +257,22 @@ impl Relay {
         self.has_changed = true;
     }
 
-    /// Whether the owner of a key may hear anything of a robot.
-    fn may_hear(&self, key: Option<&PublicKey>, name: &str, robot: &Robot) -> bool {
-        let Some(key) = key else { return true };
-        let mut scopes = robot.known.scopes.iter();
-        self.access.may_use(key, &format!("/{name}"))
-            || scopes.any(|scope| self.access.may_use(key, &format!("/{name}{scope}")))
+    /// What of the topics of a robot that begin so the owner of a key may hear.
+    fn allowed(
+        &self,
+        key: Option<&PublicKey>,
+        name: &str,
+        robot: &Robot,
+        begin: &[u8],
+    ) -> Vec<Vec<u8>> {
+        let may_use = |scope: &str| key.is_none_or(|key| self.access.may_use(key, scope));
+        if may_use(&format!("/{name}")) {
+            return vec![begin.to_vec()];
+        }
+        let scopes = robot.known.scopes.iter();
+        let scopes = scopes.map(|scope| format!("/{name}{scope}"));
+        let allowed = within(begin, scopes.filter(|scope| may_use(scope)));
+        allowed.into_iter().map(String::into_bytes).collect()
     }
 
     fn set_begins(&mut self, name: &str, begins: BTreeSet<Vec<u8>>) {
@@ -344,9 +361,15 @@ impl Relay {
                 let Ok(granted) = serde_json::from_slice::<Granted>(&body) else {
                     return;
                 };
-                let (missed, again) = robot.incoming.on_answer(now(), &granted);
-                if again {
+                let (missed, is_new) = robot.incoming.on_answer(now(), &granted);
+                // Who changes it in each answer is asked no more often for that.
+                let was_new = std::mem::replace(&mut robot.was_new, is_new);
+                if is_new && !was_new {
                     robot.due = Instant::now();
+                }
+                if is_new {
+                    // What was published in the session before may not be a state any more.
+                    self.forget(name);
                 }
                 self.tell_missed(name, missed);
                 granted.problem

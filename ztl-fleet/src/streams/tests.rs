@@ -286,3 +286,23 @@ fn messages_round_trip_and_odd_ones_say_nothing() {
         assert_eq!(Head::parse(odd), None);
     }
 }
+
+#[test]
+fn of_topics_that_begin_so_only_the_part_in_these_scopes_is_left() {
+    let parts = |begin: &str| {
+        let scopes = ["/lab", "/arm/left"].map(str::to_owned);
+        within(begin.as_bytes(), scopes.into_iter()).join(" ")
+    };
+    for (begin, left) in [
+        ("", "/lab/ /arm/left/"),
+        ("/l", "/lab/"),
+        ("/lab", "/lab/"),
+        ("/lab/", "/lab/"),
+        ("/lab/po", "/lab/po"),
+        ("/labor", ""),
+        ("/arm/", "/arm/left/"),
+        ("lab/", ""),
+    ] {
+        assert_eq!(parts(begin), left, "{begin}");
+    }
+}

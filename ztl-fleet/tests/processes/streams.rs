@@ -1,5 +1,6 @@
 //! Streams and events of tasks, from a robot's publisher to subscribers at an endpoint.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -215,6 +216,27 @@ fn a_cut_tells_a_gap_and_shows_no_stale_state() {
 }
 
 #[test]
+fn states_of_a_publisher_that_was_restarted_do_not_come_back() {
+    let mut streaming = Streaming::new();
+    let mut early = streaming.subscribe("/arm/test");
+    streaming.until_heard(&mut early);
+    streaming.publish("/pose", 1, true);
+    assert_eq!(next(&mut early, "/pose"), 1);
+    let endpoint = streaming.publisher.endpoint().to_owned();
+    // Its port is free again.
+    streaming.publisher = Publisher::bind("tcp://127.0.0.1:*", "/test").unwrap();
+    streaming.publisher = Publisher::bind(&endpoint, "/test").unwrap();
+    streaming.until_heard(&mut early);
+    let mut late = streaming.subscribe("/arm/test");
+    until("the late subscriber hears the robot", PATIENCE, || {
+        streaming.publish("/begin", 0, false);
+        let heard = next_within(&mut late, TURN)?;
+        assert_ne!(heard.topic, "/arm/test/pose", "of the publisher before");
+        number(&heard, "/begin")
+    });
+}
+
+#[test]
 fn an_agent_that_was_killed_begins_anew_and_the_gap_is_told() {
     let mut streaming = Streaming::new();
     let mut subscriber = streaming.subscribe("/arm/test");
@@ -327,8 +349,13 @@ fn rules_of_the_robot_and_of_the_endpoint_hold_for_streams() {
         next_within(&mut other, TURN);
         other.is_connected().then_some(())
     });
-    streaming.until_heard(&mut anna);
     let secret = streaming.publisher.under("/secret");
+    let watched = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&watched);
+    secret.watch("/x", move |is_watched| {
+        seen.store(is_watched, Ordering::Release)
+    });
+    streaming.until_heard(&mut anna);
     // A reading of a gateway belongs to the whole robot.
     let reading = streaming.publisher.under("gripper");
     for hidden in [&secret, &reading] {
@@ -341,6 +368,8 @@ fn rules_of_the_robot_and_of_the_endpoint_hold_for_streams() {
         number(&heard, "/word")
     });
     assert_eq!(anna.missed(), 0);
+    // What nobody may hear is not asked for, so a stream that runs only while it is watched does not begin.
+    assert!(!watched.load(Ordering::Acquire));
     assert_eq!(next_within(&mut other, TURN), None);
     assert!(other.is_connected());
 }

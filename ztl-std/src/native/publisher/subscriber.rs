@@ -97,7 +97,7 @@ impl Subscriber {
         if self.topics().any(meets)
             && (may_hear(&unheard.root) || scopes.any(|scope| may_hear(scope)))
         {
-            self.missed += unheard.count;
+            self.missed = self.missed.saturating_add(unheard.count);
         }
     }
 
@@ -172,7 +172,7 @@ impl Subscriber {
         let before = self.missed;
         while self.held > BEHIND && self.queue.len() > 1 {
             let dropped = self.pop();
-            self.missed += 1;
+            self.missed = self.missed.saturating_add(1);
             if let Some(state) = dropped.filter(|message| message.is_state) {
                 let topic = state.topic().to_vec();
                 let bytes = topic.len() + ENTRY;
