@@ -147,8 +147,8 @@ fn who_may_hear_a_robot_learns_that_its_messages_were_missed() {
         };
         assert_eq!(heard.topic, topic);
     }
-    let mut missed = |root: &str, scope: &str| {
-        publisher.tell_missed(root, vec![scope.to_owned()], 3);
+    let mut missed = |root: &str, scope: &str, count| {
+        publisher.tell_missed(root, vec![scope.to_owned()], count);
         // It is told with the next messages.
         publisher.publish("/arm", "/arm/lab", "/end", b"", false);
         publisher.publish("/leg", "/leg/lab", "/end", b"", false);
@@ -163,8 +163,11 @@ fn who_may_hear_a_robot_learns_that_its_messages_were_missed() {
         }
         (anna.missed(), other.missed())
     };
-    assert_eq!(missed("/arm", "/arm/lab"), (3, 0));
-    assert_eq!(missed("/leg", "/leg/lab"), (3, 3));
-    assert_eq!(missed("/leg", "/leg/other"), (3, 3));
-    assert_eq!(missed("/ar", "/ar/lab"), (3, 3));
+    assert_eq!(missed("/arm", "/arm/lab", 3), (3, 0));
+    assert_eq!(missed("/leg", "/leg/lab", 3), (3, 3));
+    assert_eq!(missed("/leg", "/leg/other", 3), (3, 3));
+    assert_eq!(missed("/ar", "/ar/lab", 3), (3, 3));
+    // A robot may say anything.
+    assert_eq!(missed("/arm", "/arm/lab", u64::MAX).1, 3);
+    assert_eq!(missed("/arm", "/arm/lab", u64::MAX).1, 3);
 }
