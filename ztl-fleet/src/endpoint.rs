@@ -18,10 +18,11 @@ use ztl_core::envelope::{ClientId, Envelope};
 
 use crate::wire::{InitId, InitRules, RobotInfo, Verdict};
 use questions::Question;
+pub use requests::robot_of;
 use robots::Robot;
 
 /// How long a request may take, less than a client's timeout of 2 s.
-const LONGEST: Duration = Duration::from_millis(1900);
+pub(crate) const LONGEST: Duration = Duration::from_millis(1900);
 /// How long a robot's server may hold a STATUS, in milliseconds, so that its answer arrives in time.
 const LONGEST_HOLD_MS: u64 = 1500;
 /// Pause before a query without a reply is repeated.

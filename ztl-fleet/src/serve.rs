@@ -3,6 +3,7 @@
 mod arrivals;
 mod events;
 mod streams;
+mod turns;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -15,15 +16,16 @@ use ztl_std::{Access, BindError};
 
 use crate::caller::Caller;
 use crate::config::EndpointConfig;
-use crate::endpoint::{Ask, ClientRequest, Endpoint, EndpointEffect};
+use crate::endpoint::{Ask, ClientRequest, Endpoint, EndpointEffect, robot_of};
 use crate::random;
 use crate::seal::Request;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError};
 use crate::wire::{InitId, InitRules, RobotInfo, Verdict, fresh, is_abort};
 use arrivals::{Arrivals, Known};
-use events::Event;
+use events::{Event, Turn};
 use streams::Bound;
+use turns::Origin;
 
 /// How often robots are asked what they are.
 const INFO: Duration = Duration::from_secs(2);
@@ -105,7 +107,7 @@ impl Serving {
             answers: self.server.answers(),
             access: self.access,
             events: Arc::clone(&events),
-            paths: HashMap::new(),
+            waiting: HashMap::new(),
             who: HashMap::new(),
             next: 0,
         };
@@ -113,8 +115,13 @@ impl Serving {
         // It ends when the process does.
         drop(thread.spawn(move || loops.run())?);
         self.server.listen(|request| {
-            let is_abort = is_abort(request.body.as_deref().unwrap_or_default());
-            events.put_request(request, is_abort);
+            let body = request.body.as_deref().unwrap_or_default();
+            let origin = Origin {
+                connection: request.connection,
+                robot: robot_of(body).to_owned(),
+            };
+            let is_abort = is_abort(body);
+            events.put_request(&origin, request, is_abort);
         })?;
         Ok(())
     }
@@ -131,7 +138,8 @@ struct Loop {
     answers: RelayAnswers,
     access: Access,
     events: Arc<Events>,
-    paths: HashMap<u64, RelayPath>,
+    /// Requests without an answer yet.
+    waiting: HashMap<u64, (Turn, RelayPath)>,
     /// The keys of the clients that wait, for the robots' logs.
     who: HashMap<u64, String>,
     next: u64,
@@ -167,10 +175,11 @@ impl Loop {
 
     fn on_event(&mut self, event: Event<RelayedRequest>) -> Vec<EndpointEffect> {
         match event {
-            Event::Request(request) => {
+            Event::Request(turn, arrived, request) => {
                 self.next += 1;
                 let Ok(fresh) = random::id() else {
                     // Without random numbers, an INIT could be taken for another.
+                    self.events.end(&turn);
                     return Vec::new();
                 };
                 let asked = ClientRequest {
@@ -179,7 +188,7 @@ impl Loop {
                     fresh,
                     body: request.body.as_deref(),
                 };
-                self.paths.insert(self.next, request.path);
+                self.waiting.insert(self.next, (turn, request.path));
                 let (client, access) = (request.client, &self.access);
                 if let Some(key) = client {
                     self.who.insert(self.next, key.to_string());
@@ -194,7 +203,8 @@ impl Loop {
                     };
                     client.is_none_or(may)
                 };
-                self.machine.handle_request(now(), asked, may_use)
+                // Its client has waited since then.
+                self.machine.handle_request(arrived, asked, may_use)
             }
             Event::Verdict(query, verdict) => self.machine.handle_verdict(now(), query, verdict),
             Event::NoReply(query) => self.machine.handle_no_reply(now(), query),
@@ -240,15 +250,11 @@ impl Loop {
         for effect in effects {
             match effect {
                 EndpointEffect::Answer { request, body } => {
-                    self.who.remove(&request);
-                    if let Some(path) = self.paths.remove(&request) {
+                    if let Some(path) = self.end(request) {
                         self.answers.send(path, body);
                     }
                 }
-                EndpointEffect::Silence { request } => {
-                    self.who.remove(&request);
-                    self.paths.remove(&request);
-                }
+                EndpointEffect::Silence { request } => drop(self.end(request)),
                 EndpointEffect::Ask {
                     query,
                     robot,
@@ -266,6 +272,14 @@ impl Loop {
                 }
             }
         }
+    }
+
+    /// A request is not under way any more. Returns the way back for its answer.
+    fn end(&mut self, request: u64) -> Option<RelayPath> {
+        self.who.remove(&request);
+        let (turn, path) = self.waiting.remove(&request)?;
+        self.events.end(&turn);
+        Some(path)
     }
 
     /// Tells who claims a name that is bound to another key, and who has it.

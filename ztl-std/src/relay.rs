@@ -44,6 +44,8 @@ pub struct RelayServer {
 /// A request as it arrived.
 #[derive(Debug)]
 pub struct RelayedRequest {
+    /// The connection that it came over; a later connection has a higher number.
+    pub connection: u64,
     /// Leads the answer back.
     pub path: RelayPath,
     /// The client and the request's number, if the client sends them.
@@ -114,6 +116,7 @@ impl RelayServer {
                 if let Received::Request(request) = received {
                     let client = request.sender.key();
                     handle(RelayedRequest {
+                        connection: request.path.connection(),
                         path: RelayPath(request.path),
                         envelope: request.envelope,
                         body: request.content.map(|content| content.to_vec()),

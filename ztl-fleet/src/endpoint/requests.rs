@@ -9,12 +9,22 @@ use super::{
     LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, VALID_MS, about_server, rejection,
     with_any_scope,
 };
+use crate::wire::is_name;
 
 /// The robot and its own scope in a scope of the endpoint: `/NAME/scope`.
 pub(super) fn split(scope: &str) -> Option<(&str, &str)> {
     let rest = scope.strip_prefix('/')?;
     let end = rest.find('/')?;
     rest.split_at_checked(end)
+}
+
+/// The robot that a request is for; empty if it is for none.
+#[must_use]
+pub fn robot_of(body: &[u8]) -> &str {
+    let message = Message::parse(body).ok();
+    let robot = message.and_then(|message| split(message.scope));
+    let robot = robot.map(|(robot, _)| robot);
+    robot.filter(|robot| is_name(robot)).unwrap_or_default()
 }
 
 impl Endpoint {

@@ -54,8 +54,8 @@ impl Shared {
         }
         let code = message.code().ok().and_then(|code| code.value());
         let is_abort = is_abort(&asked.body);
-        let place = Place::take(&self.waiting);
-        if place.is_none() && !is_abort {
+        let place = (!is_abort).then(|| Place::take(&self.waiting));
+        if matches!(place, Some(None)) {
             return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
         }
         if code == Some(1) {

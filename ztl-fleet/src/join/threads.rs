@@ -6,8 +6,8 @@ use std::sync::{Arc, MutexGuard, PoisonError};
 
 use super::Shared;
 
-/// Most queries at a time; each has a thread.
-const MOST: usize = 192;
+/// Most queries at a time; each has a thread. Beside requests that wait (`requests.rs`), there is room for ABORTs and `stop`.
+const MOST: usize = 256;
 /// Most threads that wait for a query: starting one takes longer than to wake one.
 const MOST_IDLE: usize = 4;
 

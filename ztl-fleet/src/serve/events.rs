@@ -1,17 +1,23 @@
 //! What waits for the endpoint's rules, in bounds.
 //!
-//! There are four kinds, of which each has its turn: no flood of one of them holds up another. A request for which there is no
-//! room gets no answer, which its client takes for *unknown*.
+//! There are four kinds, of which each has its turn: no flood of one of them holds up another. Nor does one connection hold up
+//! another ([`Turns`]). A request for which there is no room gets no answer, which its client takes for *unknown*.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use ztl_core::Instant;
+use ztl_std::time::now;
+
+use super::turns::{Origin, Taken, Turns};
 use crate::wire::{RobotInfo, Verdict};
 
-/// Most requests that wait, and as many ABORTs.
-const MOST_REQUESTS: usize = 1000;
+/// Of one connection, most requests that are under way to one robot, and most ABORTs. The robot's agent takes more
+/// (`join/requests.rs`, `join/threads.rs`).
+const REQUESTS: usize = 64;
+const ABORTS: usize = 96;
 /// Most agents that came or went.
 const MOST_AGENTS: usize = 20_000;
 const KINDS: usize = 4;
@@ -19,7 +25,8 @@ const KINDS: usize = 4;
 /// What happens.
 #[derive(Debug)]
 pub(super) enum Event<R> {
-    Request(R),
+    /// A request whose turn it is; [`Events::end`] must follow.
+    Request(Turn, Instant, R),
     Verdict(u64, Verdict),
     NoReply(u64),
     Info(RobotInfo),
@@ -27,13 +34,20 @@ pub(super) enum Event<R> {
     Presence(Agent, bool),
 }
 
+/// The turn of a request.
+#[derive(Debug)]
+pub(super) struct Turn {
+    origin: Origin,
+    is_abort: bool,
+}
+
 /// A robot, and the id of its agent.
 type Agent = (String, String);
 
 #[derive(Debug)]
 struct Waiting<R> {
-    aborts: VecDeque<R>,
-    requests: VecDeque<R>,
+    aborts: Turns<R>,
+    requests: Turns<R>,
     /// At most two for each query. The rules have few under way.
     replies: VecDeque<Event<R>>,
     /// Only the newest of an agent counts.
@@ -52,11 +66,11 @@ pub(super) struct Events<R> {
 }
 
 impl<R> Events<R> {
-    pub(super) const fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             waiting: Mutex::new(Waiting {
-                aborts: VecDeque::new(),
-                requests: VecDeque::new(),
+                aborts: Turns::new(ABORTS),
+                requests: Turns::new(REQUESTS),
                 replies: VecDeque::new(),
                 presence: BTreeMap::new(),
                 last: (String::new(), String::new()),
@@ -71,16 +85,16 @@ impl<R> Events<R> {
     }
 
     /// Adds a request, unless too many of its kind wait.
-    pub(super) fn put_request(&self, request: R, is_abort: bool) {
+    pub(super) fn put_request(&self, origin: &Origin, request: R, is_abort: bool) {
         let mut waiting = self.waiting();
-        let requests = match is_abort {
-            true => &mut waiting.aborts,
-            false => &mut waiting.requests,
-        };
-        if requests.len() < MOST_REQUESTS {
-            requests.push_back(request);
-        }
+        waiting.turns(is_abort).put(now(), origin, request);
         drop(waiting);
+        self.some.notify_one();
+    }
+
+    /// A request was answered, or gets no answer.
+    pub(super) fn end(&self, turn: &Turn) {
+        self.waiting().turns(turn.is_abort).end(&turn.origin);
         self.some.notify_one();
     }
 
@@ -104,8 +118,8 @@ impl<R> Events<R> {
     pub(super) fn next(&self, limit: Duration) -> Option<Event<R>> {
         let waiting = self.waiting();
         let waiting = self.some.wait_timeout_while(waiting, limit, |waiting| {
-            waiting.aborts.is_empty()
-                && waiting.requests.is_empty()
+            waiting.aborts.is_quiet()
+                && waiting.requests.is_quiet()
                 && waiting.replies.is_empty()
                 && waiting.presence.is_empty()
         });
@@ -115,14 +129,30 @@ impl<R> Events<R> {
 }
 
 impl<R> Waiting<R> {
+    const fn turns(&mut self, is_abort: bool) -> &mut Turns<R> {
+        match is_abort {
+            true => &mut self.aborts,
+            false => &mut self.requests,
+        }
+    }
+
+    fn take_request(&mut self, is_abort: bool) -> Option<Event<R>> {
+        let Taken {
+            origin,
+            arrived,
+            request,
+        } = self.turns(is_abort).take(now())?;
+        Some(Event::Request(Turn { origin, is_abort }, arrived, request))
+    }
+
     fn take(&mut self) -> Option<Event<R>> {
         for _ in 0..KINDS {
             self.turn = (self.turn + 1) % KINDS;
             let event = match self.turn {
-                0 => self.aborts.pop_front().map(Event::Request),
+                0 => self.take_request(true),
                 1 => self.replies.pop_front(),
                 2 => self.take_presence(),
-                _ => self.requests.pop_front().map(Event::Request),
+                _ => self.take_request(false),
             };
             if event.is_some() {
                 return event;
@@ -149,10 +179,17 @@ mod tests {
         (name.to_owned(), "7".to_owned())
     }
 
+    fn origin() -> Origin {
+        Origin {
+            connection: 1,
+            robot: "arm".to_owned(),
+        }
+    }
+
     /// Takes everything that waits.
     fn all(events: &Events<&'static str>) -> Vec<String> {
         let told = |event: Event<&str>| match event {
-            Event::Request(request) => request.to_owned(),
+            Event::Request(_, _, request) => request.to_owned(),
             Event::Presence((name, _), is_there) => format!("{name} {is_there}"),
             other => format!("{other:?}"),
         };
@@ -165,14 +202,14 @@ mod tests {
     fn each_kind_has_its_turn_and_the_newest_presence_counts() {
         let events = Events::new();
         for _ in 0..2 {
-            events.put_request("STATUS", false);
+            events.put_request(&origin(), "STATUS", false);
             events.put_presence(agent("arm"), false);
         }
         for is_there in [false, true] {
             events.put_presence(agent("leg"), is_there);
         }
         events.put_reply(Event::NoReply(1));
-        events.put_request("ABORT", true);
+        events.put_request(&origin(), "ABORT", true);
         let first = ["NoReply(1)", "arm false", "STATUS", "ABORT"];
         assert_eq!(all(&events), [&first[..], &["leg true", "STATUS"]].concat());
     }
@@ -181,21 +218,19 @@ mod tests {
     fn a_flood_is_bounded_and_holds_up_neither_aborts_nor_presence() {
         let events = Events::new();
         for number in 0..10 * MOST_AGENTS {
-            events.put_request("INIT", false);
+            events.put_request(&origin(), "INIT", false);
             events.put_presence(agent(&format!("a{number}")), true);
         }
-        events.put_request("ABORT", true);
+        events.put_request(&origin(), "ABORT", true);
         // Whoever is known may go.
         events.put_presence(agent("a7"), false);
-        let next = || {
-            events
-                .next(Duration::ZERO)
-                .map(|event| format!("{event:?}"))
-        };
-        let soon: Vec<_> = (0..KINDS).filter_map(|_| next()).collect();
-        assert!(soon.contains(&"Request(\"ABORT\")".to_owned()), "{soon:?}");
+        let soon: Vec<_> = (0..KINDS)
+            .filter_map(|_| events.next(Duration::ZERO))
+            .collect();
+        let is_abort = |event: &Event<&str>| matches!(event, Event::Request(_, _, "ABORT"));
+        assert!(soon.iter().any(is_abort), "{soon:?}");
         let rest = all(&events);
-        assert_eq!(KINDS + rest.len(), MOST_REQUESTS + 1 + MOST_AGENTS);
+        assert_eq!(KINDS + rest.len(), REQUESTS + 1 + MOST_AGENTS);
         assert!(rest.contains(&"a7 false".to_owned()));
     }
 

@@ -1,5 +1,6 @@
 //! Agents under load: with a full disk, with more requests than they take, and with requests that are held at the robot.
 
+use std::io::Write as _;
 use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -12,12 +13,16 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_std::relay::{RelayAnswers, RelayClient, RelayServer, RelayedRequest};
 use ztl_std::server::{Access, Limits};
 use ztl_std::{State, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Server, connect_to, end, start, until};
+use ztl_tests::lab::{
+    PATIENCE, Process, Server, connect_to, end, in_time, shake_hands, start, until,
+};
 
 use crate::{Fleet, fleet, kill, tasks};
 
 /// A client's timeout.
 const LIMIT: Duration = Duration::from_secs(2);
+/// A request takes no longer, whatever others wait for.
+const SOON: Duration = Duration::from_millis(500);
 
 /// A robot's server whose requests the test answers, in the middle of its threads.
 struct Robot {
@@ -154,6 +159,77 @@ fn a_flood_of_requests_that_wait_holds_up_neither_an_abort_nor_stop_all() {
         robot.answers.stop();
         assert_eq!(told, Ok(b"/arm/test;4;7;".to_vec()));
         assert!(stopped.starts_with("arm  stopped: 0 tasks\n"), "{stopped}");
+    });
+}
+
+/// What a client without an envelope sends.
+fn on_wire(body: &str) -> Vec<u8> {
+    let length = u8::try_from(body.len()).unwrap();
+    [&[1, 0, 0, length], body.as_bytes()].concat()
+}
+
+#[test]
+fn a_client_with_1000_requests_that_nobody_answers_delays_no_other_client() {
+    /// STATUSes and ABORTs that it may have under way.
+    const SHARE: usize = 64 + 96;
+    let (fleet, robot) = (Fleet::new(), Robot::new());
+    let file = fleet.agent_file("arm", &robot.endpoint, "scopes: /test\n");
+    let endpoint = format!("tcp://127.0.0.1:{}", fleet.port);
+    let client = || RelayClient::new(&endpoint, None).unwrap();
+    let (waiting, ends) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let mut flooding = shake_hands(fleet.port);
+    scope(|threads| {
+        // A server that never answers a request about task 8.
+        threads.spawn(|| {
+            while let Some(request) = robot.next() {
+                let body = request.body.as_deref().unwrap();
+                let message = Message::parse(body).unwrap();
+                let answer = match (message.scope, message.state, message.id) {
+                    (_, _, "8") => {
+                        waiting.fetch_add(1, Ordering::SeqCst);
+                        continue;
+                    }
+                    ("$ztl", ..) => "$ztl;2;-1;No controller for scope: $ztl".to_owned(),
+                    (_, "1", _) => "/test;1;7;".to_owned(),
+                    (_, state, _) => format!("/test;{};7;", if state == "2" { 1 } else { 4 }),
+                };
+                robot.answers.send(request.path, answer.into_bytes());
+            }
+        });
+        let _agent = fleet.join_by(&mut self::fleet(&["join"], &file));
+        threads.spawn(|| {
+            let request = [
+                on_wire("/arm/test;2;8;"),
+                on_wire("/arm/test;3;8;"),
+                on_wire("/leg/test;2;8;"),
+                on_wire("$ztl;2;-1;probe"),
+            ];
+            // It ends also if the test fails.
+            let start = Instant::now();
+            while !ends.load(Ordering::SeqCst) && start.elapsed() < 3 * PATIENCE {
+                flooding
+                    .write_all(&request[..2].concat().repeat(500))
+                    .unwrap();
+                flooding.write_all(&request.concat()).unwrap();
+                std::thread::sleep(Duration::from_millis(200));
+            }
+        });
+        until("the robot has its share of the flood", PATIENCE, || {
+            (waiting.load(Ordering::SeqCst) >= SHARE).then_some(())
+        });
+        let other = client();
+        let told = [
+            "/arm/test;3;7;",
+            "/arm/test;2;7;",
+            "/arm/test;1;-1;",
+            "/arm/test;3;7;",
+        ];
+        let told = told.map(|body| in_time(SOON, || other.ask(None, body.as_bytes(), LIMIT)));
+        ends.store(true, Ordering::SeqCst);
+        robot.answers.stop();
+        let expected = [4, 1, 1, 4];
+        let expected = expected.map(|state| Ok(format!("/arm/test;{state};7;").into_bytes()));
+        assert_eq!(told, expected);
     });
 }
 

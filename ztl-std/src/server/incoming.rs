@@ -17,6 +17,17 @@ pub(crate) enum ReturnPath {
     Libzmq(Vec<zmq::Message>),
 }
 
+impl ReturnPath {
+    /// The number of its connection; 0 with libzmq, which does not tell it.
+    pub(crate) const fn connection(&self) -> u64 {
+        match self {
+            Self::Native(peer, _) => peer.number(),
+            #[cfg(feature = "libzmq")]
+            Self::Libzmq(_) => 0,
+        }
+    }
+}
+
 /// The content of a message.
 pub(crate) enum Content {
     Native(Box<[u8]>),

@@ -45,8 +45,14 @@ impl Served for Pub {
 #[cfg_attr(test, derive(Default))]
 pub(crate) struct PeerId {
     pub(super) slot: usize,
-    /// Later connections have higher ones.
     pub(super) number: u64,
+}
+
+impl PeerId {
+    /// Later connections have higher ones.
+    pub(crate) const fn number(self) -> u64 {
+        self.number
+    }
 }
 
 /// A message.
