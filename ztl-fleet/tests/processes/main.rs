@@ -16,6 +16,9 @@ mod line;
 mod pictures;
 mod scene;
 mod streams;
+#[path = "../../../tests/web/client.rs"]
+#[expect(dead_code, reason = "the tests of the web console use the rest")]
+mod web_client;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

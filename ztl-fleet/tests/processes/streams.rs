@@ -7,9 +7,12 @@ use std::time::Duration;
 use ztl_std::keys::KeyPair;
 use ztl_std::publish::Heard;
 use ztl_std::{Publisher, State, Subscriber};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, end, in_time, start, until, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, Scratch, Server, end, in_time, original_tool, start, until, ztl,
+};
 
 use crate::line::{Line, Mode};
+use crate::web_client::Client;
 use crate::{Fleet, fleet, python};
 
 /// A request takes no longer, whatever flows beside it.
@@ -149,6 +152,51 @@ fn what_ztl_serve_publishes_is_heard_at_the_endpoint_and_its_programs_run_only_m
         listed.stdout.trim_end().ends_with("  streams"),
         "{listed:?}"
     );
+}
+
+#[test]
+fn the_web_console_and_the_originals_subscriber_show_a_robots_stream() {
+    const TOPIC: &str = "/ztl/streams/fleet/arm/test/pose";
+    let streaming = Streaming::new();
+    let (port, tasks) = (streaming.port.to_string(), streaming.fleet.port.to_string());
+    let args = ["-r", "localhost", "-p", &port, "-s", "/arm/test"];
+    let original = Process::start(original_tool("ztl_simple_subscriber").args(args));
+    until("the original's subscriber shows a value", PATIENCE, || {
+        streaming.publish("/word", 6, false);
+        // Other robots' topics and other scopes are not its own.
+        streaming
+            .publisher
+            .under("/other")
+            .publish("/word", &8.into());
+        std::thread::sleep(TURN);
+        let shown = "INFO:object-subscriber:Received data: 6";
+        original.stderr().contains(shown).then_some(())
+    });
+    assert!(!original.stderr().contains("Received data: 8"));
+
+    let mut console = ztl();
+    console.args(["web", "-c", "/dev/null", "-p", "0"]);
+    console.args(["--task", "arm", "127.0.0.1", &tasks, "/arm/test"]);
+    console.args(["--publisher", "fleet", "127.0.0.1", &port, "/arm"]);
+    let console = Process::start(&mut console);
+    let link = console.wait_for("://127.0.0.1:");
+    let (_, console_port) = link.rsplit_once(':').unwrap();
+    let console_port = console_port
+        .trim_end()
+        .trim_end_matches('/')
+        .parse()
+        .unwrap();
+    let mut client = Client::open(console_port);
+    client.subscribe(TOPIC);
+    streaming.publish("/pose", 1, true);
+    let told = client.topic(TOPIC, |told| told["value"] == 1);
+    assert_eq!(told["topic"], "/arm/test/pose", "{told}");
+    streaming.publish("/pose", 2, true);
+    client.topic(TOPIC, |told| told["value"] == 2);
+    // Whoever looks later sees the newest value.
+    let mut late = Client::open(console_port);
+    late.subscribe(TOPIC);
+    late.topic(TOPIC, |told| told["value"] == 2);
 }
 
 #[test]
