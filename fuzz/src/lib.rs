@@ -22,5 +22,6 @@ mod script;
 pub mod seal;
 pub mod spec;
 pub mod sse;
+pub mod stream_head;
 pub mod zmtp;
 pub mod zmtp_session;
