@@ -109,6 +109,27 @@ fn an_answer_for_a_client_that_is_gone_is_dropped() {
 }
 
 #[test]
+fn requests_tell_which_came_over_the_same_connection() {
+    let relay = Relay::start("tcp://127.0.0.1:*");
+    let (first, other) = (relay.client(), relay.client());
+    let ask = |client: &RelayClient, number| {
+        std::thread::scope(|scope| {
+            let asked = scope.spawn(|| client.ask(envelope(number), b"ask", PATIENCE));
+            let RelayedRequest {
+                connection, path, ..
+            } = relay.next();
+            relay.answers.send(path, b"answer".to_vec());
+            assert_eq!(asked.join().unwrap(), Ok(b"answer".to_vec()));
+            connection
+        })
+    };
+    let (one, two) = (ask(&first, 1), ask(&other, 1));
+    assert!(two > one, "{two} and {one}");
+    assert_eq!([ask(&first, 2), ask(&other, 2)], [one, two]);
+    relay.stop();
+}
+
+#[test]
 fn a_server_that_is_gone_and_back_is_reached_again() {
     let relay = Relay::start("tcp://127.0.0.1:*");
     let client = relay.client();
