@@ -5,6 +5,7 @@ mod descriptions;
 mod device;
 mod file;
 mod firmware;
+mod handover;
 mod lines;
 #[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
 mod logs;

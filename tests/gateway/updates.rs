@@ -7,12 +7,12 @@ use ztl_tests::lab::{
 };
 
 /// Keys, images and devices.
-struct Bench {
+pub(crate) struct Bench {
     scratch: Scratch,
 }
 
 impl Bench {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let scratch = Scratch::new();
         for name in ["lab", "other"] {
             let path = scratch.path(name);
@@ -22,7 +22,7 @@ impl Bench {
         Self { scratch }
     }
 
-    fn path(&self, name: &str) -> String {
+    pub(crate) fn path(&self, name: &str) -> String {
         self.scratch.path(name).display().to_string()
     }
 
@@ -43,7 +43,7 @@ impl Bench {
         path
     }
 
-    fn image(&self, version: &str, text: &str) -> String {
+    pub(crate) fn image(&self, version: &str, text: &str) -> String {
         self.signed(["lab", "simulated", version], text, 4000)
     }
 
@@ -58,7 +58,7 @@ impl Bench {
     }
 
     /// A device `name` with this rate, and what the gateway calls it.
-    fn served(&self, name: &str, options: &[&str]) -> (Process, String) {
+    pub(crate) fn served(&self, name: &str, options: &[&str]) -> (Process, String) {
         let path = self.path(name);
         let device = self.device(&format!("pty:{path}"), options);
         (device, format!("{name}=serial:{path}"))
@@ -69,7 +69,7 @@ impl Bench {
 const SLOW: [&str; 2] = ["--baud", "9600"];
 
 /// `ztl firmware update` with these words.
-fn update(server: &Server, words: &[&str]) -> std::process::Command {
+pub(crate) fn update(server: &Server, words: &[&str]) -> std::process::Command {
     let port = server.port.to_string();
     let mut command = ztl();
     command
@@ -116,7 +116,7 @@ fn version(server: &Server, device: &str) -> Option<String> {
 }
 
 #[track_caller]
-fn wait_for_version(server: &Server, device: &str, wanted: &str) {
+pub(crate) fn wait_for_version(server: &Server, device: &str, wanted: &str) {
     until(wanted, PATIENCE, || {
         (version(server, device)? == wanted).then_some(())
     });
@@ -391,53 +391,6 @@ fn without_its_gateway_new_firmware_goes_back() {
     drop(gateway);
     let gateway = Server::gateway(&[&hand]);
     wait_for_version(&gateway, "hand", "1.0.0");
-}
-
-/// The options of a gateway that can be started again with its journal.
-fn again(bench: &Bench, hand: &str, port: u16) -> Server {
-    let mut command = ztl();
-    let port = port.to_string();
-    command.args(["gateway", "--device", hand, "-s", SCOPE, "-p", &port]);
-    let gateway = Server::start(command.args(["--journal", &bench.path("journal")]));
-    gateway.wait_ready("hand");
-    gateway
-}
-
-#[test]
-fn the_next_gateway_tests_and_confirms_what_runs_on_trial() {
-    let bench = Bench::new();
-    let (_device, hand) = bench.served("hand", &[]);
-    let port = reserve_port();
-    let shown = || Process::run(ztl().args(["ps", "-p", &port.to_string()])).stdout;
-    // The test takes 2 s. A trial that is shorter ends before the next gateway can confirm.
-    for (version, trial, code, says) in [
-        ("1.1.0", 60_000, 0, "runs 1.1.0, before 1.0.0"),
-        ("1.2.0", 1500, 6, "went back from 1.2.0 to 1.1.0"),
-    ] {
-        let mut gateway = again(&bench, &hand, port);
-        let image = bench.image(version, &format!("trial: {trial}\nself-test: 100\n"));
-        let running = Process::start(&mut update(&gateway, &["hand", &image]));
-        gateway.process.wait_for("tests the new firmware");
-        // It is the gateway that has started the test.
-        let shown = until("the test is shown", PATIENCE, || {
-            Some(shown()).filter(|shown| shown.contains("hand:finger:100"))
-        });
-        assert!(!shown.contains("by the device"), "{shown}");
-        gateway.process.kill();
-        drop(gateway);
-        let gateway = again(&bench, &hand, port);
-        let ended = running.end(PATIENCE);
-        assert_eq!(ended.code, Some(code), "{ended:?}");
-        let said = format!("{}{}", ended.stdout, ended.stderr);
-        assert!(said.contains(says), "{ended:?}");
-        // Its finger is at 100 now, or in its first place again.
-        let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
-        complete(&mut remote, "hand", "finger", "0");
-    }
-    let journal = std::fs::read_to_string(bench.path("journal")).expect("a journal");
-    let tests =
-        |line: &&str| line.contains(r#""event":"start""#) && line.contains(r#""goal":"100""#);
-    assert_eq!(journal.lines().filter(tests).count(), 2, "{journal}");
 }
 
 #[test]

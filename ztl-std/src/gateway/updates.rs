@@ -131,6 +131,19 @@ pub(in crate::gateway) struct Note {
     /// The task that tests it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(in crate::gateway) test: Option<u32>,
+    /// Whether the gateway has stopped during that task, so that its end as ABORTED says nothing about the firmware.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub(in crate::gateway) stopped: bool,
+    /// The device's boot on trial and the version that it says, if it may have been confirmed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::gateway) trial: Option<(u32, String)>,
+    /// Whether a client has aborted the update.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub(in crate::gateway) aborted: bool,
+}
+
+const fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 /// Why an update has failed. The text of a failed task begins with this word and a colon.

@@ -2,6 +2,7 @@
 
 mod backpressure;
 mod boards;
+mod handover;
 mod input;
 mod line_reader;
 mod own;

@@ -22,6 +22,7 @@ impl Worker {
             );
             task.leave();
         }
+        self.leave_update();
     }
 
     pub(super) fn on_stop(&mut self, leave_running: bool, end: Instant) {
@@ -29,7 +30,7 @@ impl Worker {
             return;
         }
         self.stopping = Some(end);
-        self.stop_update("the gateway stops");
+        self.hand_over_update();
         for id in self.tasks.keys().copied().collect::<Vec<_>>() {
             match self.session.policy(id) {
                 // The device started it without the gateway, and goes on without it.
@@ -37,6 +38,7 @@ impl Worker {
                 _ => self.session.abort(now(), id),
             }
         }
+        self.leave_update();
     }
 
     /// Leaves a task to its device.

@@ -146,10 +146,15 @@ impl UpdateJob {
             confirmed: true,
             self_test: None,
         };
+        let failed = tested.as_ref().and_then(|result| result.as_ref().err());
         Self {
             step: Step::Lost,
             before: Some((note.boot, before)),
             restarted: true,
+            confirmed: note.trial.is_some(),
+            unfit: failed.map(|reason| test_failed(reason)),
+            aborted: note.aborted,
+            trial: note.trial.clone(),
             tested,
             resumed: true,
             ..Self::new(now, image, options)
@@ -164,6 +169,9 @@ impl UpdateJob {
             before: before.version.clone(),
             image: self.image.version.clone(),
             test: None,
+            stopped: false,
+            trial: self.trial.clone().filter(|_| self.confirmed),
+            aborted: self.aborted,
         })
     }
 
@@ -306,11 +314,19 @@ impl UpdateJob {
         self.on_test_result(now, result)
     }
 
+    /// The task that tests the firmware was aborted because its gateway stopped, so another one tests it.
+    pub(super) fn on_test_cut(&mut self, now: Instant) -> Next {
+        match self.step {
+            Step::Test => self.begin(now),
+            _ => Next::Wait,
+        }
+    }
+
     fn on_test_result(&mut self, now: Instant, result: Result<(), String>) -> Next {
         self.tested = Some(result.clone());
         match result {
             Ok(()) => self.confirm(now),
-            Err(reason) => self.revert(now, format!("the self-test failed: {reason}")),
+            Err(reason) => self.revert(now, test_failed(&reason)),
         }
     }
 
@@ -381,7 +397,9 @@ impl UpdateJob {
         let same_boot = stays.is_some_and(|(boot, _)| *boot == device.boot);
         let same_version = stays.is_some_and(|(_, on_trial)| *on_trial == version);
         let had_same = self.version_before() == version;
-        if same_boot || same_version && !had_same {
+        // An earlier gateway may have confirmed it.
+        let by_other = self.resumed && self.image.version == version;
+        if same_boot || (same_version || by_other) && !had_same {
             let signed = Some(self.image.version.clone()).filter(|signed| *signed != version);
             return Next::End(Outcome::Updated(Updated {
                 before: self.version_before(),
@@ -560,6 +578,10 @@ impl UpdateJob {
         let before = self.before.as_ref();
         before.map_or_else(|| "what it runs".to_owned(), |(_, it)| it.version.clone())
     }
+}
+
+fn test_failed(reason: &str) -> String {
+    format!("the self-test failed: {reason}")
 }
 
 fn fail(problem: UpdateProblem, text: String) -> Next {

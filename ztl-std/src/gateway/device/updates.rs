@@ -13,7 +13,6 @@ use ztl_link::{
 use super::input::{DeviceRequest, Input};
 use super::update_job::{Image, Next, Outcome, UpdateJob};
 use super::worker::Worker;
-use crate::gateway::journal::UnendedUpdate;
 use crate::gateway::updates::{
     LONGEST_IMAGE, LONGEST_PART, Note, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
     UpdateProblem, bytes_of,
@@ -40,29 +39,35 @@ struct Upload {
 }
 
 /// An update that runs.
-struct Running {
-    task: TaskReporter,
-    goal: String,
-    job: UpdateJob,
+pub(super) struct Running {
+    pub(super) task: TaskReporter,
+    pub(super) goal: String,
+    pub(super) job: UpdateJob,
     /// The number of the last request.
     asked: u64,
-    /// The task that tests the firmware.
-    test: Option<TaskId>,
-    /// Whether the journal has what the next gateway needs.
-    noted: bool,
-    /// Its component and its goal, until it has an id.
-    next_test: Option<(u8, String)>,
+    /// The task that tests the firmware, or has tested it.
+    pub(super) test: Option<TaskId>,
+    /// Whether a gateway has stopped meanwhile: if that task ends as ABORTED, this says nothing about the firmware.
+    pub(super) stopped: bool,
+    /// Whether a client has aborted that task.
+    pub(super) test_refused: bool,
+    /// What the journal has for the next gateway.
+    pub(super) noted: Option<Note>,
+    /// The component and the goal of the next test, until it has an id.
+    pub(super) next_test: Option<(u8, String)>,
 }
 
 impl Running {
-    fn new(task: TaskReporter, goal: String, job: UpdateJob) -> Self {
+    pub(super) fn new(task: TaskReporter, goal: String, job: UpdateJob) -> Self {
         Self {
             task,
             goal,
             job,
             asked: 0,
             test: None,
-            noted: false,
+            stopped: false,
+            test_refused: false,
+            noted: None,
             next_test: None,
         }
     }
@@ -72,7 +77,7 @@ impl Running {
 #[derive(Default)]
 pub(super) struct Updates {
     upload: Option<Upload>,
-    running: Option<Box<Running>>,
+    pub(super) running: Option<Box<Running>>,
     /// Questions for what runs, each with its number.
     questions: VecDeque<(u64, TaskReporter)>,
     /// The number of the last request to the session.
@@ -221,47 +226,12 @@ impl Worker {
         self.step(|job| job.begin(now()));
     }
 
-    /// Goes on with an update whose gateway has ended after the restart of the device.
-    pub(super) fn resume_update(&mut self, task: TaskReporter, unended: UnendedUpdate) {
-        let UnendedUpdate {
-            goal, note, tested, ..
-        } = unended;
-        let name = &self.name;
-        info!(target: GATEWAY, device = name, "Device '{name}': its update to {} goes on.", quoted(&note.image));
-        let job = UpdateJob::resume(now(), &note, tested);
-        let mut running = Running::new(task, goal, job);
-        running.test = note.test.and_then(TaskId::new);
-        running.noted = true;
-        self.updates.running = Some(Box::new(running));
-    }
-
-    /// Writes into the journal what the next gateway needs.
-    fn note_update(&mut self) {
-        let Some(running) = &mut self.updates.running else {
-            return;
-        };
-        let Some(note) = running.job.note() else {
-            return;
-        };
-        let test = running.test.map(TaskId::get);
-        let Ok(text) = serde_json::to_string(&Note { test, ..note }) else {
-            return;
-        };
-        running.noted = true;
-        let entry = Entry {
-            id: running.task.id(),
-            component: UPDATES,
-            goal: &running.goal,
-            sent: None,
-        };
-        if let Some(journal) = self.session.journal_mut() {
-            // If it cannot be written, the device goes back when this gateway ends.
-            let _ = journal.going_on(&entry, &text);
-        }
-    }
-
     /// Lets the running update do something, and carries out what follows.
-    fn step(&mut self, act: impl FnOnce(&mut UpdateJob) -> Next) {
+    pub(super) fn step(&mut self, act: impl FnOnce(&mut UpdateJob) -> Next) {
+        // The next gateway goes on.
+        if self.stopping.is_some() {
+            return;
+        }
         if let Some(running) = &mut self.updates.running {
             let next = act(&mut running.job);
             self.go_on(next);
@@ -269,6 +239,9 @@ impl Worker {
     }
 
     fn go_on(&mut self, next: Next) {
+        if !matches!(next, Next::End(_)) {
+            self.note_update();
+        }
         let number = self.updates.asked + 1;
         let Some(running) = &mut self.updates.running else {
             return;
@@ -277,12 +250,6 @@ impl Worker {
         match next {
             Next::Wait => {}
             Next::Ask(request) => {
-                if !running.noted && running.job.note().is_some() {
-                    self.note_update();
-                }
-                let Some(running) = &mut self.updates.running else {
-                    return;
-                };
                 running.asked = number;
                 self.updates.asked = number;
                 self.session.request_update(now(), number, request);
@@ -327,6 +294,7 @@ impl Worker {
             goal,
         };
         running.test = Some(request.id);
+        (running.stopped, running.test_refused) = (false, false);
         let shown = DeviceRequest::from(&request);
         self.log_task(request.id, &shown, "tests the new firmware");
         self.note_update();
@@ -338,15 +306,21 @@ impl Worker {
 
     /// A task has ended, or was rejected: perhaps the one that tests the new firmware.
     pub(super) fn on_task_over(&mut self, id: TaskId, state: State, text: &str) {
-        let running = self.updates.running.as_mut();
-        let test = running.and_then(|running| running.test.take_if(|test| *test == id));
-        if test.is_some() {
-            let result = match state {
-                State::Completed => Ok(()),
-                _ => Err(text.to_owned()),
-            };
-            self.step(|job| job.on_tested(now(), result));
+        let Some(running) = &self.updates.running else {
+            return;
+        };
+        if running.test != Some(id) {
+            return;
         }
+        if self.stopping.is_some() {
+            return self.leave_update();
+        }
+        let cut = running.stopped;
+        self.step(|job| match state {
+            State::Completed => job.on_tested(now(), Ok(())),
+            State::Aborted if cut => job.on_test_cut(now()),
+            _ => job.on_tested(now(), Err(text.to_owned())),
+        });
     }
 
     /// Handles the answer to the request with this number.
@@ -401,16 +375,21 @@ impl Worker {
             return;
         };
         if id.is_some_and(|id| id != running.task.id()) {
+            if id == running.test {
+                (running.stopped, running.test_refused) = (false, true);
+                self.note_update();
+            }
             return;
         }
-        let test = running.test.take();
+        running.next_test = None;
+        let test = running.test.filter(|id| self.tasks.contains_key(id));
         self.step(|job| job.abort(now()));
         if let Some(test) = test {
             self.session.abort(now(), test);
         }
     }
 
-    /// The gateway stops, so it cannot go on.
+    /// It cannot go on.
     pub(super) fn stop_update(&mut self, why: &str) {
         if self.updates.running.is_some() {
             let text =

@@ -195,8 +195,9 @@ impl<S: Storage> JournalRecords<S> {
         let note = line.note()?;
         let test = note.test.and_then(TaskId::new);
         let test = test.and_then(|id| self.tasks.get(&id));
+        let cut = |test: &TaskEntry| note.stopped && test.state == State::Aborted;
         let tested = test
-            .filter(|test| test.state.is_final())
+            .filter(|test| test.state.is_final() && !cut(test))
             .map(|test| match test.state {
                 State::Completed => Ok(()),
                 _ => Err(test.text.clone()),

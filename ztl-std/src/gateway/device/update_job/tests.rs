@@ -311,3 +311,56 @@ fn another_gateway_tests_and_confirms_what_runs_on_trial() {
     };
     assert!(failure(end).contains("before the device had restarted"));
 }
+
+#[test]
+fn the_next_gateway_knows_whether_the_firmware_was_confirmed_tested_or_refused() {
+    let resume = |rig: &mut Rig, tested| {
+        let note = rig.job.note().expect("it was restarted");
+        rig.job = UpdateJob::resume(rig.now, &note, tested);
+        rig.job.on_up(rig.now, rig.boot)
+    };
+    let updated = |after: &str, signed: Option<&str>| {
+        Next::End(Outcome::Updated(Updated {
+            before: "1.0.0".to_owned(),
+            after: after.to_owned(),
+            signed: signed.map(str::to_owned),
+        }))
+    };
+    let read = Next::Ask(UpdateRequest::Read);
+    // The gateway ends after it has asked the device to confirm, also one whose firmware says the version before.
+    for (says, signed) in [("1.1.0", None), ("1.0.0", Some("1.1.0"))] {
+        let mut rig = Rig::restarted();
+        rig.answer(runs(says, false));
+        assert_eq!(rig.job.note().expect("a note").trial, None);
+        let confirm = Next::Ask(UpdateRequest::Confirm);
+        assert_eq!(rig.job.on_tested(rig.now, Ok(())), confirm);
+        assert_eq!(resume(&mut rig, Some(Ok(()))), read);
+        assert_eq!(rig.answer(runs(says, true)), updated(says, signed));
+    }
+    // Whatever the journal has: only the new firmware has another version than the one before.
+    let mut rig = Rig::restarted();
+    resume(&mut rig, None);
+    assert_eq!(rig.answer(runs("1.1.0", true)), updated("1.1.0", None));
+    // A client has aborted the update.
+    let mut rig = Rig::restarted();
+    assert_eq!(rig.job.abort(rig.now), Next::Wait);
+    resume(&mut rig, None);
+    let restart = Next::Ask(UpdateRequest::Restart);
+    assert_eq!(rig.answer(runs("1.1.0", false)), restart);
+    // The self-test had failed, and the device has gone back already.
+    let mut rig = Rig::restarted();
+    resume(&mut rig, Some(Err("stuck".to_owned())));
+    let Next::End(end) = rig.answer(runs("1.0.0", true)) else {
+        panic!("it ends");
+    };
+    let told = failure(end);
+    assert!(told.contains("the self-test failed: stuck"), "{told}");
+    // The self-test was cut by the stop: it runs again.
+    let mut rig = Rig::restarted();
+    resume(&mut rig, None);
+    assert_eq!(rig.job.on_test_cut(rig.now), Next::Wait);
+    let test = Next::Test(0, "20".to_owned());
+    assert_eq!(rig.answer(runs("1.1.0", false)), test);
+    assert_eq!(rig.job.on_test_cut(rig.now), read);
+    assert_eq!(rig.answer(runs("1.1.0", false)), test);
+}
