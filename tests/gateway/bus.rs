@@ -190,6 +190,55 @@ fn a_board_that_comes_to_the_address_of_a_moving_one_ends_no_task_and_an_abort_s
 }
 
 #[test]
+fn a_restarted_gateway_names_another_board_at_the_address_of_one_with_tasks() {
+    let scratch = Scratch::new();
+    let path = scratch.path("line").display().to_string();
+    let line = |nodes: &[&str]| {
+        let on = format!("pty:{path}");
+        let line = Process::start(ztl().args(["device", "--bus", "--on", &on]).args(nodes));
+        line.wait_for("Serve it with");
+        line
+    };
+    let journal = scratch.path("journal").display().to_string();
+    let gateway = || {
+        let device = format!("arm=rs485:{path}?wait=100");
+        Server::gateway_with(&[&device], &["--journal", &journal])
+    };
+    let board = || {
+        let journal = std::fs::read_to_string(&journal).expect("the journal");
+        let (_, rest) = journal.split_once(r#""board":""#)?;
+        Some(rest.split_once('"')?.0.to_owned())
+    };
+    let first = line(&["left=sim:gripper@3"]);
+    let mut server = gateway();
+    server.wait_ready("arm.left");
+    let task = start(
+        &mut connect(&server.endpoint()),
+        "arm.left",
+        "finger",
+        "100",
+    );
+    let earlier = board().expect("a board");
+    server.process.kill();
+    drop((server, first));
+    // The same firmware at the same address, as the second node of its line with another id.
+    let _second = line(&["right=sim:gripper@4", "left=sim:gripper@3"]);
+    let server = gateway();
+    let told = server
+        .process
+        .wait_for("the tasks from before are those of the board");
+    assert!(told.contains(&format!("with the id {earlier}")), "{told}");
+    assert_eq!(told.matches(&earlier).count(), 1, "{told}");
+    assert!(told.contains("answers at address 3"), "{told}");
+    // The board had to stop by itself after its link timeout, wherever it is.
+    let mut remote = connect(&server.endpoint());
+    let end = remote.wait(task, LIMIT).expect("its end");
+    assert_eq!(end.state, State::Failed, "{end:?}");
+    let says = "device was reset, or another board has its address";
+    assert!(end.text.contains(says), "{end:?}");
+}
+
+#[test]
 fn two_nodes_with_one_address_are_named_and_do_not_disturb_the_third() {
     let line = Line::of(&[
         "left=sim:gripper@3",

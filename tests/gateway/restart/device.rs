@@ -7,8 +7,13 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use ztl_mcu::bus::OnBus;
 use ztl_mcu::link::{Loss, Offer};
-use ztl_mcu::{Component, Identity, Instant, Node, Refused, Report, Run};
+use ztl_mcu::{Component, Components, Identity, Instant, Node, Refused, Report, Run};
+
+/// Its address on a shared line, and the one of all nodes.
+const ADDRESS: u8 = 3;
+const ADDR_ALL: u8 = 255;
 
 /// What a motor did for a goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -30,6 +35,8 @@ pub(crate) struct World {
     /// Its power fails for a moment.
     pub(crate) reset: bool,
     power_off: bool,
+    /// Frames for all nodes of a shared line, such as those of a search. Some are not counted.
+    pub(crate) searched: usize,
 }
 
 type Shared = Arc<Mutex<World>>;
@@ -115,16 +122,37 @@ pub(crate) struct Device {
 
 impl Device {
     pub(crate) fn power_on(link_timeout: Duration) -> Self {
+        Self::seated(link_timeout, None)
+    }
+
+    /// A node of a shared line with this id.
+    pub(crate) fn on_bus(link_timeout: Duration, id: u64) -> Self {
+        Self::seated(link_timeout, Some(id))
+    }
+
+    fn seated(link_timeout: Duration, id: Option<u64>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         listener.set_nonblocking(true).unwrap();
         let world = Shared::default();
         let its = Arc::clone(&world);
         let thread = std::thread::spawn(move || {
-            let mut boot = 81500;
+            let mut boot = 81500 + 1000 * id.map_or(0, |id| id as u32);
             while !its.lock().unwrap().power_off {
                 boot += 1;
-                run(&listener, &its, boot, link_timeout);
+                let mut identity = Identity::new("motors", "1", boot);
+                identity.link_timeout = link_timeout;
+                let motors = [
+                    Motor::new("arm", Loss::Abort, &its),
+                    Motor::new("belt", Loss::CarryOn, &its),
+                ];
+                match id {
+                    None => run(&listener, &its, Node::<_, 4, 256>::new(identity, motors)),
+                    Some(id) => {
+                        let seat = OnBus::new(motors, id, ADDRESS);
+                        run(&listener, &its, Node::<_, 4, 256>::new(identity, seat));
+                    }
+                }
             }
         });
         Self {
@@ -161,16 +189,9 @@ impl Drop for Device {
 }
 
 /// From one reset to the next.
-fn run(listener: &TcpListener, world: &Shared, boot: u32, link_timeout: Duration) {
+fn run<C: Components>(listener: &TcpListener, world: &Shared, mut node: Node<'_, C, 4, 256>) {
     let start = std::time::Instant::now();
     let now = || Instant::from_micros(start.elapsed().as_micros() as u64);
-    let mut identity = Identity::new("motors", "1", boot);
-    identity.link_timeout = link_timeout;
-    let motors = [
-        Motor::new("arm", Loss::Abort, world),
-        Motor::new("belt", Loss::CarryOn, world),
-    ];
-    let mut node = Node::<_, 4, 256>::new(identity, motors);
     let mut line: Option<TcpStream> = None;
     let mut buffer = [0xA5; 256];
     loop {
@@ -200,7 +221,12 @@ fn run(listener: &TcpListener, world: &Shared, boot: u32, link_timeout: Duration
         };
         match read {
             Some(Ok(0)) => line = None,
-            Some(Ok(count)) if !deaf => node.handle_bytes(now(), &buffer[..count]),
+            Some(Ok(count)) if !deaf => {
+                let frames = buffer[..count].windows(3);
+                let to_all = frames.filter(|begin| begin[0] == 0 && begin[2] == ADDR_ALL);
+                world.lock().unwrap().searched += to_all.count();
+                node.handle_bytes(now(), &buffer[..count]);
+            }
             Some(Err(error)) if !matches!(error.kind(), ErrorKind::WouldBlock) => line = None,
             Some(_) => {}
             None => std::thread::sleep(Duration::from_millis(1)),

@@ -1,6 +1,7 @@
 //! The gateway is killed at any moment and restarted on its journal: each task has one id and one final state, and clients receive
 //! the true one.
 
+mod boards;
 mod device;
 mod disk;
 mod handler;

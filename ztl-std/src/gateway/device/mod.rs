@@ -22,6 +22,7 @@ use std::thread::JoinHandle;
 use ztl_core::TaskId;
 use ztl_link::{Restored, Session};
 
+use boards::Boards;
 pub(super) use input::shown;
 use input::{DeviceRequest, Input};
 pub(super) use line_reader::{LineEvent, run_line};
@@ -66,9 +67,11 @@ impl Device {
         let (inputs, inbox) = channel();
         let baud = opener.as_ref().and_then(|opener| opener.baud);
         let has_journal = journal.is_some();
+        let boards = journal.as_ref().map(DeviceJournal::boards);
         let session = Session::with_journal(journal, gateway, baud, random::nonzero);
         let sender = inputs.clone();
         let mut worker = Worker::new(name, opener, session, sender, awaited, observers, own_tasks);
+        worker.boards = Boards::of_journal(&boards.unwrap_or_default());
         let (url, status, log) = (worker.url().to_owned(), worker.status(), worker.log());
         let unused = worker.unused();
         let thread = std::thread::Builder::new()

@@ -33,6 +33,8 @@ pub struct DeviceJournal<S> {
     records: SharedRecords<S>,
     device: String,
     now: fn() -> Moment,
+    /// The id of the board that answers, on a shared line.
+    board: Option<u64>,
     /// Tasks that are not started yet.
     expected: HashMap<TaskId, Expected>,
 }
@@ -52,8 +54,19 @@ impl<S: Storage> DeviceJournal<S> {
             records,
             device: device.to_owned(),
             now,
+            board: None,
             expected: HashMap::new(),
         }
+    }
+
+    /// The boots and boards to which tasks without an end were sent.
+    pub(in crate::gateway) fn boards(&self) -> Vec<(u32, u64)> {
+        lock(&self.records).boards(&self.device)
+    }
+
+    /// The board that answers on a shared line; tasks are sent to it from now on.
+    pub(in crate::gateway) const fn set_board(&mut self, board: u64) {
+        self.board = Some(board);
     }
 
     /// A task is about to be started, unless its server rejects it before it is claimed.
@@ -92,7 +105,8 @@ impl<S: Storage> DeviceJournal<S> {
 impl<S: Storage> SessionJournal for DeviceJournal<S> {
     fn starting(&mut self, task: &Entry<'_>) -> Result<(), String> {
         let client = self.client(task.id);
-        lock(&self.records).starting((self.now)(), &self.device, client, task)?;
+        let (now, board) = ((self.now)(), self.board);
+        lock(&self.records).starting(now, &self.device, client, board, task)?;
         // The journal has the client from now on.
         let expected = self.expected.remove(&task.id);
         if expected.is_none_or(|expected| expected.claim.take()) {

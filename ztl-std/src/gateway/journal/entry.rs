@@ -128,7 +128,15 @@ struct SentTo {
     #[serde(with = "LossName")]
     loss: Loss,
     link_timeout_ms: u64,
+    /// The unique id of the board on a shared line.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    board: Option<BoardId>,
 }
+
+/// Hexadecimal, since JSON readers keep only 53 bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(super) struct BoardId(#[serde(with = "hex")] pub(super) u64);
 
 impl TaskEntry {
     pub(super) fn new(
@@ -153,9 +161,24 @@ impl TaskEntry {
                 boot: sent.boot,
                 loss: sent.loss,
                 link_timeout_ms: time::millis(sent.link_timeout),
+                board: None,
             }),
             client,
         }
+    }
+
+    /// The same on this board of a shared line.
+    pub(super) fn on_board(mut self, board: Option<BoardId>) -> Self {
+        if let Some(sent) = &mut self.sent {
+            sent.board = board;
+        }
+        self
+    }
+
+    /// The boot of the device, and the board of a shared line.
+    pub(super) fn board(&self) -> Option<(u32, BoardId)> {
+        let sent = self.sent?;
+        Some((sent.boot, sent.board?))
     }
 
     /// Whether it is a firmware update, which needs its gateway.

@@ -11,7 +11,7 @@ use ztl_core::{State, TaskId};
 
 use ztl_link::{Entry, Restored};
 
-use super::entry::{JournalEntry, Moment, Opened, Reserved, TaskEntry, VERSION, Version};
+use super::entry::{BoardId, JournalEntry, Moment, Opened, Reserved, TaskEntry, VERSION, Version};
 use crate::gateway::updates::Note;
 use crate::log_targets::GATEWAY;
 use crate::server::{KEEP, RestoredTask};
@@ -239,7 +239,15 @@ impl<S: Storage> JournalRecords<S> {
         own.find_map(TaskEntry::own)
     }
 
-    /// A `Start` is about to be sent.
+    /// The boots and boards to which tasks without an end were sent, of a device on a shared line.
+    pub(super) fn boards(&self, device: &str) -> Vec<(u32, u64)> {
+        let lines = self.tasks.values().filter(|line| !line.state.is_final());
+        let boards = lines.filter(|line| line.device == device);
+        let boards = boards.filter_map(TaskEntry::board);
+        boards.map(|(boot, BoardId(id))| (boot, id)).collect()
+    }
+
+    /// A `Start` is about to be sent, on a shared line to the board with this id.
     ///
     /// # Errors
     /// Why that cannot be written.
@@ -248,9 +256,11 @@ impl<S: Storage> JournalRecords<S> {
         now: Moment,
         device: &str,
         client: Option<String>,
+        board: Option<u64>,
         task: &Entry<'_>,
     ) -> Result<(), String> {
         let line = TaskEntry::new(now, device, client, task, State::Initiated, "");
+        let line = line.on_board(board.map(BoardId));
         self.write(now, Some(JournalEntry::Start(line)))
     }
 
@@ -267,6 +277,7 @@ impl<S: Storage> JournalRecords<S> {
     ) -> Result<(), String> {
         let client = self.client(task.id);
         let line = TaskEntry::new(now, device, client, task, State::Accepted, text);
+        let line = line.on_board(self.board(task.id));
         self.write(now, Some(JournalEntry::Accepted(line)))
     }
 
@@ -283,6 +294,7 @@ impl<S: Storage> JournalRecords<S> {
     ) -> Result<(), String> {
         let client = self.client(task.id);
         let line = TaskEntry::new(now, device, client, task, state, text);
+        let line = line.on_board(self.board(task.id));
         self.write(now, Some(JournalEntry::Ended(line)))
     }
 
@@ -358,6 +370,11 @@ impl<S: Storage> JournalRecords<S> {
     /// The client in a task's earlier entries.
     fn client(&self, id: TaskId) -> Option<String> {
         self.tasks.get(&id)?.client.clone()
+    }
+
+    /// The board in a task's earlier entries.
+    fn board(&self, id: TaskId) -> Option<BoardId> {
+        Some(self.tasks.get(&id)?.board()?.1)
     }
 
     /// Takes an entry into memory. A final state never changes.

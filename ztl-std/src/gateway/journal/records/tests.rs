@@ -34,7 +34,7 @@ fn task(number: u32) -> Entry<'static> {
 impl<S: Storage> JournalRecords<S> {
     fn start(&mut self, now: Moment, number: u32) -> Result<(), String> {
         let client = Some("c0ffee".to_owned());
-        self.starting(now, "gripper", client, &task(number))
+        self.starting(now, "gripper", client, None, &task(number))
     }
 
     #[track_caller]
@@ -64,6 +64,25 @@ fn fresh() -> JournalRecords<Vec<u8>> {
 fn restarted(log: &JournalRecords<Vec<u8>>) -> JournalRecords<Vec<u8>> {
     let written = log.storage.clone();
     again(&written, written.clone())
+}
+
+#[test]
+fn the_board_of_a_task_is_known_after_a_restart_until_the_task_has_ended() {
+    let mut log = fresh();
+    log.starting(at(1), "gripper", None, Some(u64::MAX), &task(101))
+        .unwrap();
+    log.accepted(at(2), "gripper", &task(101), "").unwrap();
+    // Without a shared line, or of a gateway that did not know.
+    log.start(at(2), 102).unwrap();
+    let next = restarted(&log);
+    assert_eq!(next.boards("gripper"), [(81501, u64::MAX)]);
+    assert!(next.boards("head").is_empty());
+    assert_eq!(next.unended().len(), 2);
+    let id = br#""board":"ffffffffffffffff""#;
+    let ids = log.storage.windows(id.len()).filter(|part| part == id);
+    assert_eq!(ids.count(), 2);
+    log.complete(at(3), 101, "40.0");
+    assert!(restarted(&log).boards("gripper").is_empty());
 }
 
 #[test]
@@ -124,7 +143,7 @@ fn the_entries_match_the_document() {
     task.goal = "40";
     task.sent.as_mut().unwrap().link = LinkId(3);
     task.sent.as_mut().unwrap().loss = Loss::Abort;
-    log.starting(at(1), "gripper", Some("00ff".to_owned()), &task)
+    log.starting(at(1), "gripper", Some("00ff".to_owned()), None, &task)
         .unwrap();
     log.accepted(at(1), "gripper", &task, "").unwrap();
     let end = (State::Completed, "40.0");
@@ -209,7 +228,7 @@ fn the_last_block_of_ids_ends_with_the_last_id() {
         id: last,
         ..task(200)
     };
-    log.starting(at(1), "gripper", None, &entry).unwrap();
+    log.starting(at(1), "gripper", None, None, &entry).unwrap();
     assert_eq!(restarted(&log).last_id(), Some(last));
 }
 
@@ -500,6 +519,7 @@ fn no_bytes_make_the_reader_panic() {
                 at(101),
                 "gripper",
                 None,
+                None,
                 &Entry {
                     id: id(next),
                     ..task(200)
@@ -530,7 +550,7 @@ fn the_last_task_that_a_device_has_started_is_never_forgotten() {
     assert_eq!(log.latest_own("gripper"), None);
     for (number, link) in [(101, 1), (102, 2)] {
         let task = own_task(number, link);
-        log.starting(at(1), "gripper", None, &task).unwrap();
+        log.starting(at(1), "gripper", None, None, &task).unwrap();
         let end = (State::Completed, "40.0");
         log.ended_as(at(2), "gripper", &task, end).unwrap();
     }
@@ -555,7 +575,7 @@ fn the_last_task_that_a_device_has_started_is_never_forgotten() {
 #[test]
 fn a_task_that_a_device_has_started_runs_after_a_restart() {
     let mut log = fresh();
-    log.starting(at(1), "gripper", None, &own_task(101, 1))
+    log.starting(at(1), "gripper", None, None, &own_task(101, 1))
         .unwrap();
     let unended = restarted(&log).unended();
     assert_eq!(unended[0].1.sent.link, LinkId::local(1));
