@@ -51,6 +51,27 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
     wait("it has all", || publisher.subscribers().len() == 1 && all());
 }
 
+#[test]
+fn a_node_that_is_disconnected_has_never_acknowledged_all() {
+    let master = Master::shared();
+    let node = master.node();
+    for _ in 0..10 {
+        let topic = unique("/commands");
+        let limit = Duration::from_millis(100);
+        let publisher = node.command_publisher(&topic, string(), limit, true);
+        let publisher = publisher.unwrap();
+        let _slow = listen(&node, node.name(), &topic, "/slow");
+        behind(&publisher);
+        // The system or the node closes the connection, whichever looks first.
+        let lost = until("it is lost", PATIENCE * 2, || {
+            let audience = publisher.audience();
+            assert!(audience.nodes.iter().all(|node| !node.has_all));
+            audience.nodes.is_empty().then_some(audience.lost)
+        });
+        assert_eq!(lost.len(), 1);
+    }
+}
+
 /// A frame of TCPROS.
 fn frame(content: &[u8]) -> Vec<u8> {
     let len = u32::try_from(content.len()).unwrap().to_le_bytes();

@@ -2,6 +2,7 @@
 
 mod actions;
 mod api;
+mod connection;
 mod engine;
 mod explain;
 mod fit;

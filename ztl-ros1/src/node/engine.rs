@@ -21,7 +21,7 @@ use crate::tcpros::Frames;
 /// What the owner has the thread do.
 pub(crate) type Job = Box<dyn FnOnce(&mut Engine, Instant) + Send>;
 
-/// Jobs that are done before connections get their turn.
+/// Jobs that are done before connections get their next turn.
 const JOBS: usize = 256;
 
 /// How long a connection may say nothing: a subscriber before its header, and a caller between its calls.
@@ -124,15 +124,15 @@ impl Engine {
     fn turn(&mut self) -> io::Result<()> {
         self.net.poll()?;
         let now = Instant::now();
-        self.do_jobs(now);
-        while let Some(event) = self.net.next_event() {
-            self.on_event(now, event);
-        }
+        self.handle_events(now);
         if self.net.is_due(now) {
             self.net.handle_timeout(now);
+            self.handle_events(now);
             self.retry_sources(now);
             self.time_actions(now);
         }
+        // Then its owner asks, and learns of connections that have failed.
+        self.do_jobs(now);
         if let Some(limit) = self.stopping {
             self.net.wake_by(limit);
         }
@@ -140,6 +140,12 @@ impl Engine {
         self.relink(now);
         self.look_up();
         Ok(())
+    }
+
+    fn handle_events(&mut self, now: Instant) {
+        while let Some(event) = self.net.next_event() {
+            self.on_event(now, event);
+        }
     }
 
     fn do_jobs(&mut self, now: Instant) {

@@ -10,9 +10,11 @@ use std::time::{Duration, Instant};
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
 
+use super::connection::Connection;
 use super::net_error::{NetError, plain};
 use super::outbox::{Outbox, is_later};
-use super::{sockets, unacknowledged};
+use super::sockets;
+use super::unacknowledged::{self, Ends};
 use crate::uri::Address;
 
 /// Bytes that are read from a connection in one turn, so that a node that floods keeps no other waiting.
@@ -64,21 +66,6 @@ pub(crate) enum Read {
     /// Nothing for now.
     Later,
     Ended(NetError),
-}
-
-struct Connection {
-    peer: Address,
-    /// Missing while the host's name is looked up.
-    stream: Option<TcpStream>,
-    outbox: Outbox,
-    /// Close it once everything is sent.
-    closing: bool,
-    accepted: bool,
-    deadline: Option<Instant>,
-    /// It is in the list of those that may be readable.
-    listed: bool,
-    /// The other end has ended its stream. The system reports that once, perhaps with the last bytes.
-    ended: bool,
 }
 
 /// The way to the thread of a node.
@@ -318,14 +305,14 @@ impl Net {
         }
     }
 
-    /// Whether all that was sent is acknowledged, on a connection with a limit.
+    /// Whether all that was sent is acknowledged, on a connection with a limit. One that has failed never is.
     pub(crate) fn is_settled(
         &mut self,
         id: ConnectionId,
         table: &mut unacknowledged::Table,
     ) -> bool {
         let connection = self.connections.get_mut(&id);
-        connection.is_none_or(|connection| connection.is_settled(table))
+        connection.is_some_and(|connection| connection.is_settled(table))
     }
 
     /// Whether nothing must be sent or acknowledged any more on connections with a limit.
@@ -420,6 +407,7 @@ impl Net {
             id,
             Connection {
                 peer,
+                ends: None,
                 stream,
                 outbox: Outbox::default(),
                 closing: false,
@@ -460,7 +448,8 @@ impl Net {
         };
         let port = connection.peer.port;
         let registry = self.poll.registry();
-        let stream = TcpStream::connect(SocketAddr::new(address, port)).and_then(|mut stream| {
+        let theirs = SocketAddr::new(address, port);
+        let stream = TcpStream::connect(theirs).and_then(|mut stream| {
             let both = Interest::READABLE | Interest::WRITABLE;
             registry.register(&mut stream, Token(id.0), both)?;
             Ok(stream)
@@ -468,6 +457,7 @@ impl Net {
         match stream {
             Ok(stream) => {
                 sockets::prepare(&stream);
+                connection.ends = Ends::of(&stream, theirs);
                 connection.stream = Some(stream);
             }
             Err(error) => {
@@ -501,10 +491,12 @@ impl Net {
                 port: address.port(),
             };
             let id = self.insert(peer, Some(stream), None);
-            let stream = self
-                .connections
-                .get_mut(&id)
-                .and_then(|c| c.stream.as_mut());
+            let connection = self.connections.get_mut(&id);
+            let stream = connection.and_then(|connection| {
+                let stream = connection.stream.as_mut()?;
+                connection.ends = Ends::of(stream, address);
+                Some(stream)
+            });
             let both = Interest::READABLE | Interest::WRITABLE;
             let registry = self.poll.registry();
             let registered = stream.map(|stream| {
@@ -568,28 +560,5 @@ impl Net {
     fn fail(&mut self, id: ConnectionId, error: NetError) {
         self.close(id);
         self.events.push_back(NetEvent::Failed(id, error));
-    }
-}
-
-impl Connection {
-    fn failure(&self, error: &io::Error) -> NetError {
-        let peer = self.peer.to_string();
-        // The system has waited for what it sent to be acknowledged.
-        if error.kind() == io::ErrorKind::TimedOut && self.outbox.has_limit() {
-            return NetError::Silent { peer };
-        }
-        if error.kind() == io::ErrorKind::ConnectionRefused {
-            return NetError::Refused { peer };
-        }
-        let error = plain(error);
-        NetError::Failed { peer, error }
-    }
-
-    /// Whether everything was sent, and acknowledged if that is limited.
-    fn is_settled(&mut self, table: &mut unacknowledged::Table) -> bool {
-        if let Some(stream) = &self.stream {
-            self.outbox.acknowledge(stream, table);
-        }
-        self.outbox.is_settled()
     }
 }

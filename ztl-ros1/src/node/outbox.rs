@@ -2,13 +2,12 @@
 
 use std::collections::VecDeque;
 use std::io::{self, Write as _};
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use mio::net::TcpStream;
 
-use super::unacknowledged;
+use super::unacknowledged::{self, Ends, Missing};
 
 /// A large message may take longer: as if the network carried this many bytes a second.
 const SLOWEST: usize = 1 << 20;
@@ -99,16 +98,17 @@ impl Outbox {
     }
 
     /// Forgets what the other end has acknowledged; `table` says how much it has not.
-    pub(crate) fn acknowledge(&mut self, stream: &TcpStream, table: &mut unacknowledged::Table) {
+    pub(crate) fn acknowledge(&mut self, ends: Option<Ends>, table: &mut unacknowledged::Table) {
         if self.in_flight.is_empty() {
             return;
         }
-        let ends = (stream.local_addr(), stream.peer_addr());
-        let (Ok(SocketAddr::V4(ours)), Ok(SocketAddr::V4(theirs))) = ends else {
-            return self.in_flight.clear();
+        let missing = match ends.map_or(Missing::Untold, |ends| table.bytes(ends)) {
+            Missing::Bytes(bytes) => bytes,
+            // Where the system does not tell, what was handed over counts as acknowledged.
+            Missing::Untold => 0,
+            // It has closed the connection, and nobody will ever know.
+            Missing::Gone => return,
         };
-        // Where the system does not tell, what was handed over counts as acknowledged.
-        let missing = table.bytes(ours, theirs).unwrap_or_default();
         let acknowledged = self.handed_over.saturating_sub(missing);
         while let Some((end, _)) = self.in_flight.front()
             && *end <= acknowledged
@@ -128,4 +128,37 @@ impl Outbox {
 pub(crate) fn is_later(error: &io::Error) -> bool {
     use io::ErrorKind::{NotConnected, WouldBlock};
     matches!(error.kind(), WouldBlock | NotConnected)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{TcpListener, TcpStream as Blocking};
+
+    use super::*;
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn what_was_in_flight_when_the_system_closed_the_connection_is_never_acknowledged() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let theirs = Blocking::connect(listener.local_addr().unwrap()).unwrap();
+        let (ours, to) = listener.accept().unwrap();
+        ours.set_nonblocking(true).unwrap();
+        let mut ours = TcpStream::from_std(ours);
+        let ends = Ends::of(&ours, to);
+        let mut outbox = Outbox::default();
+        outbox.limit(Duration::from_secs(60));
+        outbox.push(Instant::now(), Arc::from([0; 10]), 1);
+        outbox.flush(&mut ours).unwrap();
+        assert!(!outbox.is_settled());
+        theirs.peek(&mut [0; 10]).unwrap();
+        // Closed with something unread: the system resets the connection.
+        drop(theirs);
+        while unacknowledged::Table::default().bytes(ends.unwrap()) != Missing::Gone {
+            std::thread::yield_now();
+        }
+        outbox.acknowledge(ends, &mut unacknowledged::Table::default());
+        assert!(!outbox.is_settled());
+        outbox.acknowledge(None, &mut unacknowledged::Table::default());
+        assert!(outbox.is_settled(), "the system does not tell");
+    }
 }

@@ -1,33 +1,69 @@
 //! How many bytes of a connection the other end has not acknowledged. The call that asks the system for one connection needs
 //! `unsafe`, so this reads the table of all.
 
-use std::net::SocketAddrV4;
+use std::net::{SocketAddr, SocketAddrV4};
+
+use mio::net::TcpStream;
 
 /// Where Linux has the table of its IPv4 connections.
 const TABLE: &str = "/proc/self/net/tcp";
+
+/// The addresses of this end of a connection and of the other one.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ends {
+    ours: SocketAddrV4,
+    theirs: SocketAddrV4,
+}
+
+impl Ends {
+    /// Of a connection to this address, made or being made. `None` if the table does not have such a connection.
+    pub(crate) fn of(stream: &TcpStream, theirs: SocketAddr) -> Option<Self> {
+        match (stream.local_addr().ok()?, theirs) {
+            (SocketAddr::V4(ours), SocketAddr::V4(theirs)) => Some(Self { ours, theirs }),
+            _ => None,
+        }
+    }
+}
+
+/// What the other end has not acknowledged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Missing {
+    Bytes(u64),
+    /// The system has closed the connection.
+    Gone,
+    /// The system does not tell.
+    Untold,
+}
 
 /// The table, read when it is first needed.
 #[derive(Debug, Default)]
 pub(crate) struct Table(Option<String>);
 
 impl Table {
-    /// The bytes of a connection that were sent and not acknowledged. `None` if the system does not tell.
-    pub(crate) fn bytes(&mut self, ours: SocketAddrV4, theirs: SocketAddrV4) -> Option<u64> {
+    /// The bytes of a connection that were sent and not acknowledged.
+    pub(crate) fn bytes(&mut self, ends: Ends) -> Missing {
         let read = || std::fs::read_to_string(TABLE).unwrap_or_default();
-        find(self.0.get_or_insert_with(read), ours, theirs)
+        find(self.0.get_or_insert_with(read), ends)
     }
 }
 
-fn find(table: &str, ours: SocketAddrV4, theirs: SocketAddrV4) -> Option<u64> {
-    let wanted = [shown(ours), shown(theirs)];
-    table.lines().find_map(|line| {
+fn find(table: &str, ends: Ends) -> Missing {
+    let mut lines = table.lines();
+    if !lines.next().is_some_and(|head| head.contains("tx_queue")) {
+        return Missing::Untold;
+    }
+    let wanted = [shown(ends.ours), shown(ends.theirs)];
+    let row = lines.find_map(|line| {
         let mut words = line.split_ascii_whitespace().skip(1);
-        if [words.next()?, words.next()?] != wanted {
-            return None;
-        }
-        let (sent, _) = words.nth(1)?.split_once(':')?;
-        u64::from_str_radix(sent, 16).ok()
-    })
+        let is_it = [words.next()?, words.next()?] == wanted;
+        is_it.then_some(words)
+    });
+    let Some(mut row) = row else {
+        return Missing::Gone;
+    };
+    let sent = row.nth(1).and_then(|queues| queues.split_once(':'));
+    let sent = sent.and_then(|(sent, _)| u64::from_str_radix(sent, 16).ok());
+    sent.map_or(Missing::Untold, Missing::Bytes)
 }
 
 /// An address as the table has it.
@@ -39,7 +75,7 @@ fn shown(address: SocketAddrV4) -> String {
 #[cfg(test)]
 mod tests {
     use std::io::{Read as _, Write as _};
-    use std::net::{SocketAddr, TcpListener, TcpStream};
+    use std::net::TcpListener;
 
     use super::*;
 
@@ -47,38 +83,48 @@ mod tests {
     #[cfg(target_os = "linux")]
     fn bytes_count_until_the_other_end_has_room_for_them() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let mut ours = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
-        let (mut theirs, _) = listener.accept().unwrap();
-        let ends = [ours.local_addr().unwrap(), ours.peer_addr().unwrap()];
-        let [SocketAddr::V4(from), SocketAddr::V4(to)] = ends else {
-            panic!("{ends:?}");
-        };
-        let missing = || Table::default().bytes(from, to);
-        assert_eq!(missing(), Some(0));
+        let theirs = std::net::TcpStream::connect(listener.local_addr().unwrap());
+        let mut theirs = theirs.unwrap();
+        let (ours, to) = listener.accept().unwrap();
         ours.set_nonblocking(true).unwrap();
+        let mut ours = TcpStream::from_std(ours);
+        let ends = Ends::of(&ours, to).unwrap();
+        let missing = || Table::default().bytes(ends);
+        assert_eq!(missing(), Missing::Bytes(0));
         let mut sent = 0;
         while let Ok(count) = ours.write(&[0; 100_000]) {
             sent += count;
         }
-        assert!(missing().is_some_and(|bytes| bytes > 0));
+        assert!(matches!(missing(), Missing::Bytes(1..)));
         let mut received = 0;
         while received < sent {
             received += theirs.read(&mut [0; 100_000]).unwrap();
         }
-        while missing() != Some(0) {
+        while missing() != Missing::Bytes(0) {
             std::thread::yield_now();
         }
-        assert_eq!(Table::default().bytes(from, from), None);
+        let other = Ends {
+            theirs: ends.ours,
+            ..ends
+        };
+        assert_eq!(Table::default().bytes(other), Missing::Gone);
     }
 
     #[test]
     fn a_table_of_another_form_tells_nothing() {
         let address: SocketAddrV4 = "127.0.0.1:80".parse().unwrap();
+        let ends = Ends {
+            ours: address,
+            theirs: address,
+        };
         let name = shown(address);
-        for table in ["", "a", "0: a b c d", &format!("0: {name} {name} 01 x:0")] {
-            assert_eq!(find(table, address, address), None, "{table}");
+        let head = "sl local_address rem_address st tx_queue rx_queue";
+        let row = |queues: &str| format!("{head}\n0: {name} {name} 01 {queues} rest");
+        for table in ["", "a", "0: a b c d", &row("x:0"), &row("7")] {
+            assert_eq!(find(table, ends), Missing::Untold, "{table}");
         }
-        let table = format!("0: {name} {name} 01 0000001F:00000000 rest");
-        assert_eq!(find(&table, address, address), Some(31));
+        assert_eq!(find(head, ends), Missing::Gone);
+        let table = row("0000001F:00000000");
+        assert_eq!(find(&table, ends), Missing::Bytes(31));
     }
 }
