@@ -17,9 +17,10 @@ const SILENCE: Duration = Duration::from_secs(2);
 /// How often the controller is told to stop, and the pause between two of these.
 const STOPS: u32 = 3;
 const STOP_PAUSE: Duration = Duration::from_millis(100);
-/// For how long the joints must not move until they count as still, and how long that may take.
+/// How far two joint states that show no movement must be apart until the joints count as still, and how long that may take:
+/// long enough for two states a second apart.
 const STILL: Duration = Duration::from_millis(200);
-pub(super) const STOP_TIME: Duration = Duration::from_secs(2);
+pub(super) const STOP_TIME: Duration = Duration::from_secs(3);
 /// Of the tolerance, how far a joint that is still may move.
 const STILL_PART: f64 = 0.1;
 /// The shortest time between two progress texts.
@@ -78,8 +79,10 @@ enum Phase {
         left: u32,
         next: Instant,
         until: Instant,
-        /// Where the joints were, and since when.
-        rest: (Instant, Vec<f64>),
+        /// When the controller had acknowledged that it is told to stop.
+        told: Option<Instant>,
+        /// The first joint states after that, or after the last movement.
+        rest: Option<Vec<(Instant, f64)>>,
     },
     Ended,
 }
@@ -119,11 +122,11 @@ impl Motion {
         }
     }
 
-    /// Does what is due. `heard`: whether a controller subscribes, or why not.
+    /// Does what is due. `heard`: whether the controller has acknowledged all that was sent to it, or why none is there.
     pub(super) fn handle(
         &mut self,
         now: Instant,
-        heard: Result<(), &str>,
+        heard: Result<bool, &str>,
         seen: &Seen,
         unseen: Unseen<'_>,
         actions: &mut Vec<Action>,
@@ -142,7 +145,7 @@ impl Motion {
             Phase::Moving { .. } => self.watch(now, heard, seen, unseen, actions),
             Phase::Stopping { .. } | Phase::Ended => {}
         }
-        self.settle(now, seen, actions);
+        self.settle(now, heard, seen, unseen, actions);
     }
 
     fn wait(
@@ -180,7 +183,7 @@ impl Motion {
     fn watch(
         &mut self,
         now: Instant,
-        heard: Result<(), &str>,
+        heard: Result<bool, &str>,
         seen: &Seen,
         unseen: Unseen<'_>,
         actions: &mut Vec<Action>,
@@ -217,8 +220,12 @@ impl Motion {
             return self.begin_stop(now, Outcome::Failed(reason));
         }
         if distance <= tolerance {
-            let since = *there_since.get_or_insert(now);
-            if now >= since + SETTLED {
+            // What counts is when joint states arrived: one alone may be of a joint that passes.
+            let times = seen.iter().flatten().map(|(at, _)| *at);
+            let since = *there_since.get_or_insert(times.clone().max().unwrap_or(now));
+            let stays = times.min().is_some_and(|oldest| oldest >= since + SETTLED);
+            // Else the trajectory is still on its way.
+            if stays && heard == Ok(true) {
                 let positions = positions(seen)
                     .iter()
                     .map(|it| format!("{it:.4}"))
@@ -237,45 +244,72 @@ impl Motion {
         }
     }
 
-    /// Tells the controller to stop, several times, and waits until the joints are still.
-    fn settle(&mut self, now: Instant, seen: &Seen, actions: &mut Vec<Action>) {
+    /// Tells the controller to stop, several times, and waits until joint states show that the joints are still.
+    fn settle(
+        &mut self,
+        now: Instant,
+        heard: Result<bool, &str>,
+        seen: &Seen,
+        unseen: Unseen<'_>,
+        actions: &mut Vec<Action>,
+    ) {
         let still = self.target.tolerance * STILL_PART;
-        let is_blind = self.missing(now, seen).is_some();
         let Phase::Stopping {
             outcome,
             left,
             next,
             until,
-            rest: (since, place),
+            told,
+            rest,
         } = &mut self.phase
         else {
             return;
         };
-        if *left > 0 && *next <= now {
-            *left -= 1;
-            *next = now + STOP_PAUSE;
-            actions.push(Action::Stop);
-        }
-        let here = positions(seen);
-        let has_moved = here
-            .iter()
-            .zip(&*place)
-            .any(|(here, place)| (here - place).abs() > still);
-        if has_moved || here.len() != place.len() {
-            (*since, *place) = (now, here);
-        }
         if *left > 0 {
+            if *next <= now {
+                *left -= 1;
+                *next = now + STOP_PAUSE;
+                actions.push(Action::Stop);
+            }
+            // Whether this one is acknowledged is known later.
             return;
         }
-        let is_still = now >= *since + STILL && !is_blind;
-        let ended = match outcome {
-            outcome if is_still => outcome.clone(),
+        if heard == Ok(true) {
+            told.get_or_insert(now);
+        }
+        let fresh = |(at, _): &&(Instant, f64)| told.is_some_and(|told| *at > told);
+        let fresh: Vec<(Instant, f64)> = seen.iter().flatten().filter(fresh).copied().collect();
+        let is_complete = fresh.len() == seen.len();
+        let mut is_still = false;
+        if is_complete {
+            let rest = rest.get_or_insert_with(|| fresh.clone());
+            let pairs = || rest.iter().zip(&fresh);
+            // NaN is a movement.
+            let rests = pairs().all(|(before, after)| (after.1 - before.1).abs() <= still);
+            is_still = rests && pairs().all(|(before, after)| after.0 >= before.0 + STILL);
+            if !rests {
+                *rest = fresh;
+            }
+        }
+        let is_known = |outcome: &Outcome| !matches!(outcome, Outcome::Failed(reason) if reason.starts_with(UNKNOWN_OUTCOME));
+        let ended = match (&*outcome, heard) {
+            (known, Ok(_)) if is_still => known.clone(),
+            (known, _) if !is_known(known) && (heard.is_err() || *until <= now) => known.clone(),
+            (_, Err(reason)) => Outcome::Failed(format!(
+                "{UNKNOWN_OUTCOME}the controller was told to stop, but {reason}"
+            )),
             _ if *until > now => return,
-            Outcome::Failed(reason) if reason.starts_with(UNKNOWN_OUTCOME) => outcome.clone(),
             _ => {
                 let time = human_time(STOP_TIME);
+                let reason = match (told, &rest) {
+                    (None, _) => format!("it has not acknowledged that within {time}"),
+                    (_, None) => {
+                        format!("no states of all joints came within {time}{}", why(unseen))
+                    }
+                    _ => format!("after {time} joint states do not show that the joints are still"),
+                };
                 Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}the controller was told to stop, and after {time} the joints still move or their states are missing"
+                    "{UNKNOWN_OUTCOME}the controller was told to stop, and {reason}"
                 ))
             }
         };
@@ -288,7 +322,8 @@ impl Motion {
             left: STOPS,
             next: now,
             until: now + STOP_TIME,
-            rest: (now, Vec::new()),
+            told: None,
+            rest: None,
         };
     }
 

@@ -552,7 +552,7 @@ impl Job for MotionJob {
         let heard = match &heard.lost {
             Some(lost) => Err(lost.as_str()),
             None if heard.nodes.is_empty() => Err("the controller has left the topic"),
-            None => Ok(()),
+            None => Ok(heard.has_all),
         };
         let seen = self.link.seen.lock();
         let seen = seen.unwrap_or_else(PoisonError::into_inner).clone();

@@ -8,6 +8,8 @@ struct Bench {
     motion: Motion,
     seen: Seen,
     is_heard: bool,
+    /// Whether the controller acknowledges what is sent to it.
+    acknowledges: bool,
     actions: Vec<Action>,
 }
 
@@ -25,13 +27,14 @@ impl Bench {
             motion: Motion::new(now, target),
             seen: vec![None, None],
             is_heard: true,
+            acknowledges: true,
             actions: Vec::new(),
         }
     }
 
-    fn heard(&self) -> Result<(), &'static str> {
+    fn heard(&self) -> Result<bool, &'static str> {
         match self.is_heard {
-            true => Ok(()),
+            true => Ok(self.acknowledges),
             false => Err("the controller has left the topic"),
         }
     }
@@ -78,7 +81,15 @@ fn a_motion_ends_when_all_joints_have_been_at_their_positions_for_a_moment() {
     bench.pass(3 * TICK, Some([1.01, 1.99]));
     bench.pass(SECOND, Some([1.0, 2.5]));
     assert_eq!(bench.done(), []);
-    bench.pass(SETTLED + 2 * TICK, Some([1.01, 1.99]));
+    bench.pass(TICK, Some([1.01, 1.99]));
+    // One joint state alone may be of joints that pass.
+    bench.pass(SECOND, None);
+    assert_eq!(bench.done(), []);
+    bench.acknowledges = false;
+    bench.pass(SECOND, Some([1.01, 1.99]));
+    assert_eq!(bench.done(), []);
+    bench.acknowledges = true;
+    bench.pass(TICK, Some([1.01, 1.99]));
     assert_eq!(
         bench.end(),
         Outcome::Completed("[1.0100, 1.9900]".to_owned())
@@ -137,6 +148,65 @@ fn an_abort_tells_the_controller_three_times_and_waits_until_the_joints_are_stil
     );
 }
 
+/// A motion that has begun and is aborted.
+fn aborted() -> Bench {
+    let mut bench = Bench::new();
+    bench.pass(TICK, Some([0.0, 0.0]));
+    bench
+        .motion
+        .stop(bench.now, StopReason::Client, &mut bench.actions);
+    bench
+}
+
+#[test]
+fn joints_are_still_when_states_after_the_acknowledged_stop_show_it() {
+    // Old states, of a time when the joints may have moved, show nothing.
+    let mut bench = aborted();
+    bench.pass(STOP_TIME + SECOND, None);
+    let unknown = |reason: &str| {
+        Outcome::Failed(format!(
+            "unknown: the controller was told to stop, {reason}"
+        ))
+    };
+    let reason = "and no states of all joints came within 3 s";
+    assert_eq!(bench.end(), unknown(reason));
+
+    // One a second.
+    let mut bench = aborted();
+    for _ in 0..3 {
+        bench.pass(SECOND, None);
+        bench.pass(TICK, Some([0.3, 0.0]));
+    }
+    assert_eq!(bench.end(), Outcome::Aborted("aborted".to_owned()));
+    let mut bench = aborted();
+    for step in 0..4 {
+        bench.pass(SECOND, None);
+        bench.pass(TICK, Some([f64::from(step), 0.0]));
+    }
+    let reason = "and after 3 s joint states do not show that the joints are still";
+    assert_eq!(bench.end(), unknown(reason));
+
+    // The joints rest, and the controller may begin at any time.
+    let mut bench = aborted();
+    bench.acknowledges = false;
+    bench.pass(STOP_TIME + SECOND, Some([0.0, 0.0]));
+    let reason = "and it has not acknowledged that within 3 s";
+    assert_eq!(bench.end(), unknown(reason));
+    let mut bench = aborted();
+    bench.is_heard = false;
+    bench.pass(SECOND, Some([0.0, 0.0]));
+    let reason = "but the controller has left the topic";
+    assert_eq!(bench.end(), unknown(reason));
+
+    // At the limit, shortly after the network was cut.
+    let mut bench = Bench::new();
+    bench.pass(5 * SECOND - 10 * TICK, Some([0.0, 0.0]));
+    bench.acknowledges = false;
+    bench.pass(5 * SECOND, None);
+    let reason = "and it has not acknowledged that within 3 s";
+    assert_eq!(bench.end(), unknown(reason));
+}
+
 #[test]
 fn joints_that_go_on_after_the_stop_are_an_unknown_outcome() {
     let mut bench = Bench::new();
@@ -144,14 +214,14 @@ fn joints_that_go_on_after_the_stop_are_an_unknown_outcome() {
     bench
         .motion
         .stop(bench.now, StopReason::Client, &mut bench.actions);
-    for step in 0..120 {
+    for step in 0..180 {
         bench.pass(TICK, Some([f64::from(step) * 0.01, 0.0]));
     }
     let Outcome::Failed(reason) = bench.end() else {
         panic!("it moves");
     };
     assert!(
-        reason.starts_with("unknown: the controller was told to stop"),
+        reason.ends_with("joint states do not show that the joints are still"),
         "{reason}"
     );
 }
