@@ -5,11 +5,14 @@ use std::net::TcpListener;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
+use ztl_ros1::EndState;
 use ztl_ros1::xmlrpc::Value;
 use ztl_std::State::{Completed, Failed};
 use ztl_tests::lab::{PATIENCE, end, start, until};
 
-use crate::rig::{Master, listen, publisher_of, string, text, trigger, unique, wait};
+use crate::rig::{
+    Master, Running, connected, listen, publisher_of, string, text, trigger, unique, wait,
+};
 use crate::serve::Robot;
 
 /// Has a message wait for a subscriber that reads nothing.
@@ -204,6 +207,29 @@ fn a_killed_server_leaves_no_late_command() {
     let error = slow.read_to_end(&mut late).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::ConnectionReset);
     assert!(late.len() < 100 * 52, "{} bytes", late.len());
+}
+
+#[test]
+fn a_cancel_that_is_acknowledged_late_is_not_discarded() {
+    let master = Master::shared();
+    // Goals have long names then, and one cancel is more than the slow node has room for.
+    let name = unique(&"x".repeat(16_000));
+    let _server = master.action("late", &name);
+    let node = master.node();
+    let action = connected(&node, &name);
+    let mut slow = listen(&node, node.name(), &format!("/{name}/cancel"), "/slow");
+    let running = Running::send(&action, 4);
+    running.accepted();
+    running.goal.cancel();
+    running.ends(EndState::Preempted, "stopped", Some(-1));
+    // Longer than a goal may wait.
+    std::thread::sleep(Duration::from_secs(3));
+    slow.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut length = [0; 4];
+    slow.read_exact(&mut length).unwrap();
+    let mut cancel = vec![0; u32::from_le_bytes(length) as usize];
+    slow.read_exact(&mut cancel).unwrap();
+    assert!(cancel.len() > 16_000);
 }
 
 #[test]

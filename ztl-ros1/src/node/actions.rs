@@ -19,8 +19,8 @@ use crate::{ActionTypes, WireType};
 /// How long the master may take to say what exists, for the reason why a goal was not sent.
 const EXPLAIN: Duration = Duration::from_millis(400);
 
-/// How long a server may take to acknowledge a goal or a cancel. It is shorter than the time after which a goal that the
-/// server does not show ends as unknown.
+/// How long a server may take to acknowledge a goal. It is shorter than the time after which a goal that the server does not
+/// show ends as unknown.
 const GOAL_LIMIT: Duration = Duration::from_secs(2);
 
 /// A simulated clock that has not moved for this long stands still.
@@ -103,8 +103,10 @@ impl Engine {
             limit: Some(GOAL_LIMIT),
             ..Manner::default()
         };
+        // A cancel names one goal, so a late one is better than none.
+        let late = Manner::default();
         self.advertise(&to("goal"), types.goal.clone(), manner, action())?;
-        self.advertise(&to("cancel"), wire::cancel_type(), manner, action())?;
+        self.advertise(&to("cancel"), wire::cancel_type(), late, action())?;
         for (part, ty, kind) in [
             ("status", wire::status_type(), Part::Status),
             ("feedback", types.feedback.clone(), Part::Feedback),
