@@ -179,6 +179,14 @@ fn a_task_whose_subscriber_takes_nothing_more_is_unknown_and_nothing_of_it_arriv
     // What its machine had taken: the messages of less than half a second.
     assert!(late.len() < 60 * 52, "{} bytes", late.len());
 
+    // When it is back, it is stopped first.
+    let mut back = listen(&asker, &node, &topic, "/slow");
+    let mut twist = [0; 52];
+    back.set_read_timeout(Some(PATIENCE)).unwrap();
+    back.read_exact(&mut twist).unwrap();
+    assert_eq!(twist, *frame(&[0; 48]));
+    drop(back);
+
     // The file names the node that counts, so another one stops nothing.
     let _slow = listen(&asker, &node, &topic, "/slow");
     assert_eq!(robot.run("bound", ""), Ok((Completed, "True".to_owned())));

@@ -445,6 +445,14 @@ impl Publisher {
             .send(move |engine, _| engine.publish(&topic, &content));
     }
 
+    /// Sends a message to these nodes, which were disconnected, first when they connect again. Not if something is published
+    /// before.
+    pub fn publish_when_back(&self, nodes: Vec<String>, content: Vec<u8>) {
+        let topic = Arc::clone(&self.topic);
+        self.mailbox
+            .send(move |engine, _| engine.publish_when_back(&topic, nodes, &content));
+    }
+
     /// Who receives it.
     #[must_use]
     pub fn audience(&self) -> Audience {

@@ -82,6 +82,8 @@ pub(crate) struct Publication {
     owners: usize,
     action: Option<Arc<str>>,
     lost: Vec<Loss>,
+    /// Nodes that get a message first when they connect again, unless something is published before.
+    owed: Vec<(String, Arc<[u8]>)>,
     /// Nodes that were refused, and why.
     refused: Vec<(String, String)>,
 }
@@ -121,6 +123,7 @@ impl Engine {
             owners: 1,
             action,
             lost: Vec::new(),
+            owed: Vec::new(),
             refused: Vec::new(),
         };
         self.publications.insert(Arc::clone(topic), publication);
@@ -151,6 +154,7 @@ impl Engine {
         };
         let message: Arc<[u8]> = Arc::from(frame(content));
         publication.published = Some(Instant::now());
+        publication.owed.clear();
         let most = if publication.manner.newest { 1 } else { QUEUE };
         for id in publication.subscribers.keys() {
             self.net.send(*id, Arc::clone(&message), most);
@@ -158,6 +162,22 @@ impl Engine {
         if publication.manner.latching {
             publication.last = Some(message);
         }
+    }
+
+    /// Sends a message to nodes that were lost: now if they are connected again, or else first when they do.
+    pub(crate) fn publish_when_back(&mut self, topic: &str, nodes: Vec<String>, content: &[u8]) {
+        let Some(publication) = self.publications.get_mut(topic) else {
+            return;
+        };
+        let message: Arc<[u8]> = Arc::from(frame(content));
+        for (id, node) in &publication.subscribers {
+            if nodes.iter().any(|wanted| **wanted == **node) {
+                self.net.send(*id, Arc::clone(&message), QUEUE);
+            }
+        }
+        let is_there = |node: &String| publication.subscribers.values().any(|of| **of == **node);
+        let away = nodes.into_iter().filter(|node| !is_there(node));
+        publication.owed = away.map(|node| (node, Arc::clone(&message))).collect();
     }
 
     pub(crate) fn on_subscriber_bytes(
@@ -224,10 +244,16 @@ impl Engine {
             self.net.limit(id, limit);
         }
         self.net.send(id, Arc::from(answer.encode()), QUEUE);
+        let caller = header.get("callerid");
+        let owed = publication.owed.iter().position(|(node, _)| node == caller);
+        if let Some(index) = owed {
+            let (node, message) = publication.owed.swap_remove(index);
+            tracing::info!("sends {node} the stop message of {topic} that it has missed");
+            self.net.send(id, message, QUEUE);
+        }
         if let Some(last) = &publication.last {
             self.net.send(id, Arc::clone(last), QUEUE);
         }
-        let caller = header.get("callerid");
         publication.refused.retain(|(node, _)| node != caller);
         publication.subscribers.insert(id, Arc::from(caller));
         self.relinked.extend(publication.action.clone());

@@ -33,6 +33,9 @@ pub(super) trait Outlet: Send + Sync {
     /// Which nodes receive it, and which were lost since then.
     fn look(&self, since: Instant) -> Heard;
 
+    /// Sends this to the nodes that count and were lost since then, first when they connect again.
+    fn publish_when_back(&self, since: Instant, bytes: Vec<u8>);
+
     /// Has the reason why no node that counts receives it sent to the task.
     fn explain(&self);
 }
@@ -45,13 +48,26 @@ pub(super) struct Wire {
     pub(super) task: JobContext,
 }
 
+impl Wire {
+    fn counts(&self, node: &str) -> bool {
+        self.subscriber.as_ref().is_none_or(|name| name == node)
+    }
+}
+
 impl Outlet for Wire {
     fn publish(&self, bytes: Vec<u8>) {
         self.publisher.publish(bytes);
     }
 
+    fn publish_when_back(&self, since: Instant, bytes: Vec<u8>) {
+        let mut lost = self.publisher.audience().lost;
+        lost.retain(|loss| loss.at >= since && self.counts(&loss.node));
+        let nodes = lost.into_iter().map(|loss| loss.node);
+        self.publisher.publish_when_back(nodes.collect(), bytes);
+    }
+
     fn look(&self, since: Instant) -> Heard {
-        let counts = |node: &str| self.subscriber.as_ref().is_none_or(|name| name == node);
+        let counts = |node: &str| self.counts(node);
         let audience = self.publisher.audience();
         let mut nodes = audience.nodes;
         nodes.retain(|listener| counts(&listener.node));

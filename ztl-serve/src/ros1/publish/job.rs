@@ -156,6 +156,9 @@ impl PublishJob {
                 self.topic
             )),
         };
+        if let (Some(_), Some(stop)) = (&heard.lost, &self.plan.stop) {
+            self.outlet.publish_when_back(self.begun, stop.clone());
+        }
         effects.push(Effect::End(outcome));
         self.phase = Phase::Ended;
     }

@@ -8,6 +8,8 @@ use crate::kind::{Effect, Job as _, StopReason};
 /// A topic without a node.
 struct FakeTopic {
     sent: Mutex<Vec<Vec<u8>>>,
+    /// What a lost node gets when it is back.
+    owed: Mutex<Vec<Vec<u8>>>,
     is_heard: AtomicBool,
     is_behind: AtomicBool,
     is_lost: AtomicBool,
@@ -28,6 +30,10 @@ impl Outlet for Arc<FakeTopic> {
         }
     }
 
+    fn publish_when_back(&self, _: Instant, bytes: Vec<u8>) {
+        self.owed.lock().expect("no panic").push(bytes);
+    }
+
     fn explain(&self) {}
 }
 
@@ -46,6 +52,7 @@ impl Bench {
     fn new(repeat: Option<(Duration, Duration)>, length: Option<Duration>, is_heard: bool) -> Self {
         let topic = Arc::new(FakeTopic {
             sent: Mutex::default(),
+            owed: Mutex::default(),
             is_heard: AtomicBool::new(is_heard),
             is_behind: AtomicBool::new(false),
             is_lost: AtomicBool::new(false),
@@ -205,6 +212,8 @@ fn a_node_that_was_disconnected_makes_the_outcome_unknown_also_of_an_abort() {
     bench.topic.is_lost.store(true, Ordering::Relaxed);
     bench.pass(500 * MS);
     assert_eq!(bench.ended, Some(lost.clone()));
+    // It is stopped when it is back.
+    assert_eq!(*bench.topic.owed.lock().expect("no panic"), [[STOP]]);
     let mut bench = Bench::new(DRIVE, None, true);
     bench.pass(100 * MS);
     bench.topic.is_behind.store(true, Ordering::Relaxed);
