@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use ztl_ros1::xmlrpc::Value;
 use ztl_tests::lab::PATIENCE;
 
-use crate::rig::{Master, string, text, unique, wait};
+use crate::rig::{Master, listen, string, subscription, text, unique, wait};
 
 /// The address of the node's API, and the ports of the API and of TCPROS.
 fn ports(node: &ztl_ros1::Node, topic: &str) -> (String, [u16; 2]) {
@@ -72,6 +72,41 @@ fn garbage_and_a_thousand_idle_connections_lock_nobody_out() {
         .collect();
     assert!(node.ask(&uri, "getPid", &[]).is_ok());
     drop(idle);
+}
+
+#[test]
+fn a_crowd_of_subscribers_does_not_push_out_the_first() {
+    let master = Master::shared();
+    let node = master.node();
+    let topic = unique("/crowded");
+    let limit = Duration::from_secs(60);
+    let publisher = node.command_publisher(&topic, string(), limit, false);
+    let publisher = publisher.unwrap();
+    let mut base = listen(&node, node.name(), &topic, "/base");
+    wait("it is connected", || publisher.subscribers() == ["/base"]);
+    let (_, [_, port]) = ports(&node, &topic);
+    let header = subscription(&topic, "/other");
+    let crowd: Vec<TcpStream> = (0..600)
+        .map(|_| {
+            let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+            // It may be closed already.
+            let _ = stream.write_all(&header);
+            stream
+        })
+        .collect();
+    wait("the crowd is refused", || {
+        let lost = publisher.audience().lost;
+        lost.iter().any(|loss| loss.reason.contains("too many"))
+            || publisher.subscribers().len() == 512
+    });
+    let nodes = publisher.subscribers();
+    assert!(nodes.contains(&"/base".to_owned()), "{}", nodes.len());
+    publisher.publish(text("here"));
+    base.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut message = [0; 12];
+    base.read_exact(&mut message).unwrap();
+    assert!(message.ends_with(b"here"));
+    drop(crowd);
 }
 
 /// The number of threads of this process with this name.

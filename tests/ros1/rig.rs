@@ -272,6 +272,16 @@ pub(crate) fn listen(asker: &Node, node: &str, topic: &str, name: &str) -> TcpSt
     );
     let port = offer.unwrap().as_array().unwrap()[2].as_int().unwrap();
     let mut stream = narrow(u16::try_from(port).unwrap());
+    stream.write_all(&subscription(topic, name)).unwrap();
+    let mut len = [0; 4];
+    stream.read_exact(&mut len).unwrap();
+    let mut header = vec![0; u32::from_le_bytes(len) as usize];
+    stream.read_exact(&mut header).unwrap();
+    stream
+}
+
+/// What a subscriber sends first.
+pub(crate) fn subscription(topic: &str, name: &str) -> Vec<u8> {
     let fields = [
         &format!("callerid={name}"),
         &format!("topic={topic}"),
@@ -280,12 +290,7 @@ pub(crate) fn listen(asker: &Node, node: &str, topic: &str, name: &str) -> TcpSt
     ];
     let fields: Vec<u8> = fields.iter().flat_map(|field| text(field)).collect();
     let len = u32::try_from(fields.len()).unwrap().to_le_bytes();
-    stream.write_all(&[&len, &fields[..]].concat()).unwrap();
-    let mut len = [0; 4];
-    stream.read_exact(&mut len).unwrap();
-    let mut header = vec![0; u32::from_le_bytes(len) as usize];
-    stream.read_exact(&mut header).unwrap();
-    stream
+    [&len, &fields[..]].concat()
 }
 
 /// A connection that holds few bytes that were not read.

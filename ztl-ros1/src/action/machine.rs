@@ -370,7 +370,7 @@ impl Machine {
                 }
                 Phase::Sent { until } if *until <= now => {
                     let text = format!(
-                        "the action server {server} did not acknowledge the goal; it was cancelled"
+                        "the action server {server} did not acknowledge the goal; a cancel was sent"
                     );
                     let id = goal.id.clone();
                     effects.push(Effect::SendCancel { id });

@@ -149,6 +149,9 @@ impl Engine {
                     Err(error) => {
                         format!("{node} subscribes to {topic}, but cannot be reached: {error}")
                     }
+                    Ok(_) if engine.net.is_full() => format!(
+                        "{node} subscribes to {topic}, but cannot connect: others hold too many connections to this node open"
+                    ),
                     Ok(_) => format!(
                         "{node} subscribes to {topic}, but has not connected: can it resolve '{}', the host name of this \
                          node? Set ROS_HOSTNAME or ROS_IP, or `host`, to what it can reach",

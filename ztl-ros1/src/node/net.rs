@@ -1,5 +1,6 @@
 //! The connections of a node: one thread, sockets that never block, queues with an end.
 
+use std::cmp::Reverse;
 use std::collections::{HashMap, VecDeque};
 use std::io::{self, Read as _};
 use std::mem;
@@ -20,7 +21,7 @@ use crate::uri::Address;
 /// Bytes that are read from a connection in one turn, so that a node that floods keeps no other waiting.
 pub(crate) const PIECE: usize = 64 * 1024;
 
-/// Connections that others may hold open; the one that would time out first makes room for another.
+/// Connections that others may hold open.
 const MOST_ACCEPTED: usize = 512;
 
 /// Host names that are looked up at a time, each on a thread.
@@ -511,24 +512,37 @@ impl Net {
         self.make_room();
     }
 
-    /// Closes accepted connections beyond the limit, first those that would time out first.
+    /// Whether another connection is accepted only instead of one that is there.
+    pub(crate) fn is_full(&self) -> bool {
+        let accepted = self.connections.values().filter(|of| of.accepted);
+        accepted.count() >= MOST_ACCEPTED
+    }
+
+    /// Closes accepted connections beyond the limit: first those that would time out first, and then the newest of the host
+    /// that has most.
     fn make_room(&mut self) {
-        let accepted = |connection: &Connection| connection.accepted;
         let connections = self.connections.iter();
-        let mut accepted: Vec<_> = connections
-            .filter(|(_, connection)| accepted(connection))
-            .collect();
-        let Some(surplus) = accepted.len().checked_sub(MOST_ACCEPTED) else {
+        let accepted = connections.filter(|(_, connection)| connection.accepted);
+        let accepted: Vec<(ConnectionId, &Connection)> =
+            accepted.map(|(id, connection)| (*id, connection)).collect();
+        let Some(surplus @ 1..) = accepted.len().checked_sub(MOST_ACCEPTED) else {
             return;
         };
-        accepted.sort_by_key(|(id, connection)| {
-            (connection.deadline.is_none(), connection.deadline, id.0)
-        });
-        let surplus: Vec<ConnectionId> =
-            accepted.iter().take(surplus).map(|(id, _)| **id).collect();
+        let mut hosts: HashMap<&str, usize> = HashMap::new();
+        for (_, connection) in &accepted {
+            *hosts.entry(&connection.peer.host).or_default() += 1;
+        }
+        let rank = |(id, connection): &(ConnectionId, &Connection)| {
+            let count = hosts.get(&*connection.peer.host).copied();
+            let deadline = connection.deadline;
+            (deadline.is_none(), deadline, Reverse((count, id.0)))
+        };
+        let mut accepted = accepted;
+        accepted.sort_by_cached_key(rank);
+        let surplus: Vec<ConnectionId> = accepted.iter().take(surplus).map(|(id, _)| *id).collect();
         for id in surplus {
             let peer = self.peer(id);
-            self.fail(id, NetError::Closed { peer });
+            self.fail(id, NetError::Crowded { peer });
         }
     }
 

@@ -33,6 +33,11 @@ pub enum NetError {
         /// The other end.
         peer: String,
     },
+    /// This node has closed it, because it has too many.
+    Crowded {
+        /// The other end.
+        peer: String,
+    },
     /// There was no answer in time.
     TimedOut {
         /// The other end.
@@ -53,6 +58,12 @@ impl fmt::Display for NetError {
             Self::Failed { peer, error } => write!(f, "no connection to {peer}: {error}"),
             Self::Silent { peer } => {
                 write!(f, "{peer} has not acknowledged what was sent to it in time")
+            }
+            Self::Crowded { peer } => {
+                write!(
+                    f,
+                    "this node has closed the connection of {peer}, because others hold too many open"
+                )
             }
             Self::TimedOut { peer } => write!(f, "no answer from {peer} in time"),
         }

@@ -42,7 +42,7 @@ pub(crate) struct Manner {
 pub struct Audience {
     /// The nodes that are connected, without those of `ztl`, which move no robot.
     pub nodes: Vec<Listener>,
-    /// Nodes that were disconnected, because they have not acknowledged a message in time.
+    /// Nodes that were disconnected: they have not acknowledged a message in time, or there are too many connections.
     pub lost: Vec<Loss>,
 }
 
@@ -268,11 +268,15 @@ impl Engine {
         let Some(node) = publication.subscribers.remove(&id) else {
             return;
         };
-        if let NetError::Silent { .. } = error {
+        let is_silent = matches!(error, NetError::Silent { .. });
+        if is_silent || matches!(error, NetError::Crowded { .. }) {
             let reason = error.to_string();
-            tracing::warn!(
-                "disconnected {node} from {topic}, and discarded what waited for it: {reason}"
-            );
+            // A crowd does not fill the log.
+            if is_silent || publication.lost.len() < MOST_REMEMBERED {
+                tracing::warn!(
+                    "disconnected {node} from {topic}, and discarded what waited for it: {reason}"
+                );
+            }
             publication.lose(&node, reason);
         }
     }

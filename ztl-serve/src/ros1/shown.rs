@@ -130,6 +130,7 @@ pub(super) fn has(message: &MessageType, path: &str) -> Result<(), String> {
             let fields = message.fields().iter().map(|field| &*field.name);
             let help = match closest(part, fields.clone()) {
                 Some(field) => format!("did you mean '{field}'?"),
+                None if message.fields().is_empty() => "it has no fields".to_owned(),
                 None => format!("there are: {}", fields.collect::<Vec<_>>().join(", ")),
             };
             return Err(format!("{} has no field '{part}'; {help}", message.name()));

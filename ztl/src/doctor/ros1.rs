@@ -147,7 +147,8 @@ fn clock(node: &Node, survey: &Survey) -> Option<Finding> {
         let text = format!("no status of {action} within 2 s, so its clock is unknown");
         return Some(Finding::note(ABOUT, text));
     };
-    let text = format!("the clock of {action} is {ahead:+.3} s ahead of this one");
+    let (apart, side) = (ahead.abs(), if ahead < 0.0 { "behind" } else { "ahead of" });
+    let text = format!("the clock of {action} is {apart:.3} s {side} this one");
     Some(match ahead.abs() <= CLOCKS {
         true => Finding::good(ABOUT, text),
         false => {

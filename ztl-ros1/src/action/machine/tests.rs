@@ -338,7 +338,7 @@ fn a_goal_that_the_server_never_shows_is_unknown_and_cancelled() {
         lab.pass(Duration::from_secs(1));
         lab.status("/arm", &[]);
     }
-    let text = "the action server /arm did not acknowledge the goal; it was cancelled";
+    let text = "the action server /arm did not acknowledge the goal; a cancel was sent";
     lab.expect(&[cancel_sent(), ended(EndState::Unknown, text, None)]);
     // It arrives after all.
     lab.status("/arm", &[status(Status::Active)]);
