@@ -35,7 +35,7 @@ fn message(bytes: &[u8]) {
     let Some(place) = place(&head) else {
         return;
     };
-    // A message is heard by whoever may use the scope, so it must be true.
+    // Everybody with the right to the scope hears the message, so the scope must be the right one.
     let of_scope = scope.as_ref().map(|scope| format!("/{ROBOT}{scope}"));
     let is_told = place == format!("/{ROBOT}") || Some(place) == of_scope;
     assert!(is_told, "{topic:?} with the scope {scope:?} has another");

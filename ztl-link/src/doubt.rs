@@ -98,15 +98,17 @@ impl<J: SessionJournal> Session<J> {
         self.is_shared() && task.carries_on() && task.stage.sent().is_some_and(other)
     }
 
+    /// The tasks of another boot that may still run.
+    fn astray(&self) -> Vec<TaskId> {
+        let tasks = self.tasks.iter();
+        let astray = tasks.filter(|(_, task)| task.may_run() && self.is_astray(task));
+        astray.map(|(id, _)| *id).collect()
+    }
+
     /// Tasks of another boot keep their state in the session that begins.
     pub(crate) fn leave_astray(&mut self) {
         self.doubt = Doubt::default();
-        let astray: Vec<TaskId> = self
-            .tasks
-            .iter()
-            .filter(|(_, task)| task.may_run() && self.is_astray(task))
-            .map(|(id, _)| *id)
-            .collect();
+        let astray = self.astray();
         if !astray.is_empty() {
             self.events.push_back(LinkEvent::OtherBoard);
         }
@@ -137,12 +139,7 @@ impl<J: SessionJournal> Session<J> {
         if self.doubt.alone < SEARCHES {
             return;
         }
-        let reset: Vec<TaskId> = self
-            .tasks
-            .iter()
-            .filter(|(_, task)| task.may_run() && self.is_astray(task))
-            .map(|(id, _)| *id)
-            .collect();
+        let reset = self.astray();
         if !reset.is_empty() {
             self.events.push_back(LinkEvent::Reset);
         }

@@ -8,20 +8,22 @@ use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, Server, connect, start, st
 /// Frames of more than three searches, each of which asks at least two questions.
 const SEARCHES: usize = 14;
 
+/// A gateway of a shared line with this device; its journal is there.
+fn gateway(device: &Device, scratch: &Scratch) -> Server {
+    let url = format!("arm=rs485:tcp:127.0.0.1:{}?wait=100", device.port);
+    let mut command = ztl();
+    command.args(["gateway", "-p", "0", "-s", SCOPE, "-d", &url]);
+    command.arg("--journal").arg(scratch.path("journal"));
+    let server = Server::start(&mut command);
+    server.wait_ready("arm.motors");
+    server
+}
+
 #[test]
 fn a_task_that_carries_on_keeps_its_state_when_another_board_has_its_address() {
     let [board, other] = [1, 2].map(|id| Device::on_bus(LONG, id));
     let scratch = Scratch::new();
-    let gateway = |device: &Device| {
-        let url = format!("arm=rs485:tcp:127.0.0.1:{}?wait=100", device.port);
-        let mut command = ztl();
-        command.args(["gateway", "-p", "0", "-s", SCOPE, "-d", &url]);
-        command.arg("--journal").arg(scratch.path("journal"));
-        let server = Server::start(&mut command);
-        server.wait_ready("arm.motors");
-        server
-    };
-    let mut first = gateway(&board);
+    let mut first = gateway(&board, &scratch);
     let task = start(
         &mut connect(&first.endpoint()),
         "arm.motors",
@@ -31,7 +33,7 @@ fn a_task_that_carries_on_keeps_its_state_when_another_board_has_its_address() {
     first.process.kill();
     drop(first);
     // The same firmware at the same address, but another board.
-    let mut second = gateway(&other);
+    let mut second = gateway(&other, &scratch);
     second.process.wait_for("the board with the id 0000000000000002 answers at address 3; the tasks from before are those of the board with the id 0000000000000001");
     let before = other.world().searched;
     until("some searches", PATIENCE, || {
@@ -47,7 +49,7 @@ fn a_task_that_carries_on_keeps_its_state_when_another_board_has_its_address() {
     second.process.kill();
     drop(second);
     // The first board has finished meanwhile, and tells its outcome.
-    let third = gateway(&board);
+    let third = gateway(&board, &scratch);
     let end = connect(&third.endpoint()).wait(task, LIMIT);
     assert_eq!(end, Ok(status(State::Completed, "7")));
     assert_eq!(board.deed("7 1000"), ONCE);
@@ -57,16 +59,7 @@ fn a_task_that_carries_on_keeps_its_state_when_another_board_has_its_address() {
 fn a_board_that_was_reset_while_its_gateway_was_gone_is_recognised_by_its_id() {
     let board = Device::on_bus(LONG, 1);
     let scratch = Scratch::new();
-    let gateway = || {
-        let url = format!("arm=rs485:tcp:127.0.0.1:{}?wait=100", board.port);
-        let mut command = ztl();
-        command.args(["gateway", "-p", "0", "-s", SCOPE, "-d", &url]);
-        command.arg("--journal").arg(scratch.path("journal"));
-        let server = Server::start(&mut command);
-        server.wait_ready("arm.motors");
-        server
-    };
-    let mut first = gateway();
+    let mut first = gateway(&board, &scratch);
     let task = start(
         &mut connect(&first.endpoint()),
         "arm.motors",
@@ -79,7 +72,7 @@ fn a_board_that_was_reset_while_its_gateway_was_gone_is_recognised_by_its_id() {
     until("the reset", PATIENCE, || {
         (!board.world().reset).then_some(())
     });
-    let second = gateway();
+    let second = gateway(&board, &scratch);
     let end = connect(&second.endpoint()).wait(task, LIMIT);
     assert_eq!(end, Ok(status(State::Failed, "device was reset")));
 }

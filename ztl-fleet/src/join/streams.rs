@@ -232,7 +232,7 @@ impl Shared {
 /// Passes messages on until the endpoint does not want them any more, or what was published before does not count any more.
 fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result<(), String> {
     let mut publisher = None;
-    let (mut topics, mut scopes) = (Vec::new(), Vec::new());
+    let (mut wanted, mut topics, mut scopes) = (Vec::new(), Vec::new(), Vec::new());
     let mut looked: Option<Instant> = None;
     let mut missed = 0;
     let mut warned = false;
@@ -251,7 +251,10 @@ fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result
             continue;
         }
         let wants_newest = std::mem::take(&mut wishes.newest);
-        let wanted = wishes.topics.clone();
+        let mut may_differ = wanted != wishes.topics;
+        if may_differ {
+            wanted.clone_from(&wishes.topics);
+        }
         drop(wishes);
         let publisher = match &mut publisher {
             Some(publisher) => publisher,
@@ -267,11 +270,14 @@ fn pass_on(weak: &Weak<Shared>, id: &str, subscription: &Subscription) -> Result
             looked = Some(Instant::now());
             let server = shared.server.lock().unwrap_or_else(PoisonError::into_inner);
             scopes = shared.scopes(&server);
+            may_differ = true;
         }
-        let allowed = shared.allowed(subscription, &wanted, &scopes);
-        if topics != allowed {
-            publisher.set_topics(&allowed);
-            topics = allowed;
+        if may_differ {
+            let allowed = shared.allowed(subscription, &wanted, &scopes);
+            if topics != allowed {
+                publisher.set_topics(&allowed);
+                topics = allowed;
+            }
         }
         if wants_newest {
             publisher.ask_newest();
