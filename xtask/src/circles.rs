@@ -6,9 +6,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-/// Crates that still have circles. Take a crate out when its last one is gone.
-const WITH_CIRCLES: [&str; 5] = ["ztl-link", "ztl-naoqi", "ztl-ros1", "ztl-serve", "ztl-std"];
-
 /// A module, from the crate's root.
 type Module = Vec<String>;
 
@@ -128,9 +125,8 @@ fn no_two_files_of_a_crate_import_each_other() {
         let source = entry.path().join("src");
         if (name.starts_with("ztl") || name == "xtask") && source.is_dir() {
             let circle = circle(&source);
-            let may_have = WITH_CIRCLES.contains(&name.as_str());
             assert!(
-                may_have || circle.is_empty(),
+                circle.is_empty(),
                 "{name}: these files import each other: {circle:?}; move what both need into a third"
             );
         }

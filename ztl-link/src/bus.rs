@@ -13,7 +13,7 @@ use ztl_core::Instant;
 use ztl_core::link::{BusMessage, Decoder, Turn};
 use ztl_core::time::earliest;
 
-use crate::state::{BusNeeds, FRAME};
+use crate::session::{BusNeeds, FRAME};
 use member::Member;
 use search::Search;
 

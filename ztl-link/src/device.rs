@@ -2,9 +2,13 @@
 
 use std::time::Duration;
 
+use ztl_core::link::update::PIECE_UNIT;
 use ztl_core::link::{Busy, Loss};
 
 use crate::parameters::ParameterInfo;
+
+/// Longest piece for a node on a shared line: 16 nodes with tasks have their turn every 50 ms also while one is updated.
+const SHARED_PIECE: usize = 2 * PIECE_UNIT;
 
 /// A component, as its device describes it.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,6 +59,20 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
+    /// Most bytes of an image in one message; 0 if the device takes none.
+    #[must_use]
+    pub const fn longest_piece(&self) -> usize {
+        // Tag, offset and length take at most 8 bytes.
+        let room = self.max_body.saturating_sub(8);
+        let whole = room - room % PIECE_UNIT;
+        // A longer one would delay the turns of other nodes.
+        if self.shared && whole > SHARED_PIECE {
+            SHARED_PIECE
+        } else {
+            whole
+        }
+    }
+
     pub(crate) fn note_parameter(&mut self, index: usize, info: &ParameterInfo) {
         let next = self.known_parameters.len();
         match self.known_parameters.get_mut(index) {

@@ -3,7 +3,7 @@
 use ztl_core::{State, TaskId};
 
 use crate::parameters::ParameterAnswer;
-use crate::update::UpdateAnswer;
+use crate::updates::UpdateAnswer;
 
 /// A change of a task or of the link.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,27 +5,20 @@
 
 pub mod bus;
 mod device;
-mod doubt;
 mod event;
 mod journal;
-mod outcome;
-mod own;
 mod parameters;
-mod receive;
-mod send;
 mod session;
-mod state;
 mod statistics;
 mod task;
-mod update;
+mod updates;
 
 pub use device::{ComponentInfo, DeviceInfo};
 pub use event::LinkEvent;
 pub use journal::{Entry, Restored, Sent, SessionJournal};
-pub use own::BegunTask;
 pub use parameters::{
     ParameterAnswer, ParameterFailure, ParameterInfo, ParameterRequest, ParameterValue,
 };
-pub use state::{BusNeeds, Session};
+pub use session::{BegunTask, BusNeeds, Session};
 pub use statistics::{LinkCounters, RoundTrips};
-pub use update::{FirmwareInfo, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest};
+pub use updates::{FirmwareInfo, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest};

@@ -28,9 +28,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod arguments;
 mod client;
 mod connection;
 mod decode;
+mod description;
 mod encode;
 mod endpoint;
 mod limits;
@@ -41,6 +43,7 @@ mod signature;
 mod table;
 mod value;
 
+pub use arguments::{ArgumentError, ArgumentErrorKind};
 pub use client::{CallHandle, Client, SubscriptionHandle};
 pub use connection::Credentials;
 pub use decode::{DecodeError, decode};
@@ -48,7 +51,7 @@ pub use encode::Mismatch;
 pub use endpoint::Endpoint;
 pub use limits::Limits;
 pub use message::{Address, DYNAMIC_PAYLOAD, Frames, HEADER_LEN, Kind, Message, StreamError};
-pub use meta_object::{ArgumentError, ArgumentErrorKind, Member, MetaObject, Method, Object};
+pub use meta_object::{Member, MetaObject, Method, Object};
 pub use session::{
     Action, Call, CallError, CallId, Cancel, Event, LinkId, Options, Session, SignalOf,
     SubscriptionId,

@@ -7,7 +7,9 @@
 
 mod calls;
 mod directory;
+mod functions;
 mod links;
+mod pending;
 mod services;
 mod signals;
 
@@ -16,10 +18,11 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crate::arguments::ArgumentError;
 use crate::connection::Credentials;
 use crate::endpoint::Endpoint;
 use crate::limits::Limits;
-use crate::meta_object::{ArgumentError, MetaObject};
+use crate::meta_object::MetaObject;
 use crate::table::Table;
 use crate::value::Value;
 

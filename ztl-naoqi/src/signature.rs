@@ -3,10 +3,6 @@
 use std::fmt;
 use std::sync::Arc;
 
-use ztl_core::goal::{self, GoalError};
-
-use crate::value::Value;
-
 /// A type of values.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Signature {
@@ -85,23 +81,6 @@ impl Signature {
         match parser.peek() {
             None => Ok(signature),
             Some(_) => Err(parser.expected("the end")),
-        }
-    }
-}
-
-impl Signature {
-    /// Reads the text of a goal as a value of this type: a text is taken unchanged, other values are parsed.
-    ///
-    /// # Errors
-    /// Where the goal is malformed.
-    pub fn value_of_goal(&self, goal: &str) -> Result<Value, GoalError> {
-        match self {
-            Self::Text => Ok(Value::Text(goal.to_owned())),
-            _ => {
-                // `\L` and `\P` take one byte more than they are written with.
-                let mut scratch = vec![0; goal.len() * 2];
-                goal::from_str_with(goal, &mut scratch)
-            }
         }
     }
 }

@@ -206,20 +206,7 @@ fn hostile_values_are_errors_in_bounded_memory() {
 }
 
 #[test]
-fn a_goal_becomes_what_the_argument_asks_for() {
-    for (text, goal, expected) in [
-        ("s", "1.5, it's", Value::Text("1.5, it's".to_owned())),
-        ("f", "1.5", Value::Double(1.5)),
-        ("m", "7", Value::Integer(7)),
-        (
-            "[s]",
-            "['it\\'s']",
-            Value::List(vec![Value::Text("it's".to_owned())]),
-        ),
-    ] {
-        assert_eq!(signature(text).value_of_goal(goal), Ok(expected));
-    }
-    assert!(signature("f").value_of_goal("[1").is_err());
+fn a_method_says_the_types_of_its_arguments() {
     let say = method(100, "say", "(s)").arguments().unwrap().unwrap();
     assert_eq!(say.fields, [Signature::Text]);
     assert_eq!(method(100, "any", "m").arguments(), Ok(None));

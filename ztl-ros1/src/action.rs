@@ -4,6 +4,14 @@ mod foreign;
 pub(crate) mod machine;
 pub(crate) mod wire;
 
+/// Topics of an action that are received.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Part {
+    Status,
+    Feedback,
+    Result,
+}
+
 /// What a goal does.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum GoalEvent {

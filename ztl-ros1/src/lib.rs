@@ -5,6 +5,7 @@
 mod action;
 #[cfg(test)]
 mod damage;
+mod graph;
 mod http;
 mod live_type;
 pub mod message;

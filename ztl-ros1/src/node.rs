@@ -1,6 +1,5 @@
 //! A node: its thread, and the handles of its owner.
 
-mod actions;
 mod api;
 mod connection;
 mod engine;
@@ -11,12 +10,7 @@ mod net;
 mod net_error;
 mod outbox;
 mod owners;
-mod publications;
-mod registrar;
-mod rpc;
-mod service;
 mod sockets;
-mod topics;
 mod unacknowledged;
 
 use std::net::Ipv4Addr;
@@ -31,18 +25,18 @@ use crate::action::machine::GoalKey;
 use crate::uri::Address;
 use crate::xmlrpc::Value;
 use crate::{ActionTypes, WireType};
+use engine::publications::Manner;
+pub use engine::publications::{Audience, Listener, Loss};
+pub use engine::rpc::CallError;
+pub(crate) use engine::rpc::read_offer;
+pub use engine::service::ServiceError;
+use engine::topics::Consumer;
 use engine::{Engine, Identity};
 pub use fit::TypeConflict;
 pub(crate) use hosts::resolve;
 use hosts::{host_towards, own_host, resolve_literal, variable};
 use net::{Net, Wake};
 pub use net_error::NetError;
-use publications::Manner;
-pub use publications::{Audience, Listener, Loss};
-pub use rpc::CallError;
-pub(crate) use rpc::read_offer;
-pub use service::ServiceError;
-use topics::Consumer;
 
 /// How long the master or a node may take to answer a question of the owner.
 const ANSWER: Duration = Duration::from_secs(5);

@@ -51,7 +51,7 @@ pub struct Config {
     /// The node of ROS 1, and the names there that the file uses.
     ros1: (Arc<Connection>, Vec<UsedName>),
     /// The robot with NAOqi, and what of it the file uses.
-    naoqi: Arc<naoqi::connection::Naoqi>,
+    naoqi: Arc<naoqi::names::Naoqi>,
 }
 
 /// A scope and its handlers.

@@ -2,7 +2,8 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `hosts` | `http` at the top of the file: names for hosts, and their certificates |
+//! | `hosts` | names for hosts, and their certificates |
+//! | `hosts_reader` | `http` at the top of the file |
 //! | `request` | a request of the file, and what it is for a goal |
 //! | `dial` | connections, plain or encrypted, each with its time |
 //! | `tls` | whom to trust |
@@ -10,7 +11,8 @@
 //! | `events` | WebSockets and Server-Sent Events (`sse`), read on a thread |
 //! | `condition` | what an answer or an event means |
 //! | `task` | `http`: the kind |
-//! | `run` | the thread of a task, and the supervisor's side of it |
+//! | `task/run` | the thread of a task, and the supervisor's side of it |
+//! | `thread` | starts a thread |
 //! | `shared` | what both know in common |
 //! | `stream` | `http-event`: events as a stream |
 
@@ -25,9 +27,9 @@ mod exchange;
 #[cfg(feature = "http")]
 pub(crate) mod hosts;
 #[cfg(feature = "http")]
-mod request;
+mod hosts_reader;
 #[cfg(feature = "http")]
-mod run;
+mod request;
 #[cfg(feature = "http")]
 mod shared;
 #[cfg(feature = "http")]
@@ -36,6 +38,8 @@ mod sse;
 pub(crate) mod stream;
 #[cfg(feature = "http")]
 pub(crate) mod task;
+#[cfg(feature = "http")]
+mod thread;
 #[cfg(feature = "http")]
 mod tls;
 

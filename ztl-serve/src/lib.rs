@@ -53,6 +53,7 @@ mod naoqi;
 mod program;
 mod reader;
 mod ros1;
+mod secret;
 mod stream;
 mod supervisor;
 mod thread_job;

@@ -2,9 +2,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `connection` | the client that all share, and `naoqi` at the top of the file |
-//! | `arguments` | arguments of methods, from YAML and a goal |
-//! | `names` | what of the file's services, methods and signals is not there |
+//! | `connection` | the client that all share |
+//! | `reader` | `naoqi` at the top of the file; names and arguments |
+//! | `arguments` | arguments of methods, filled with a goal |
+//! | `names` | the services, methods and signals that the file uses, and which of them are not there |
 //! | `call` | `naoqi`: a call of a method |
 //! | `signal` | `naoqi-event` and `naoqi-signal`, streams |
 //! | `wait` | `naoqi-wait`: a wait for an event |
@@ -13,6 +14,7 @@ mod arguments;
 pub(crate) mod call;
 pub(crate) mod connection;
 pub(crate) mod names;
+mod reader;
 pub(crate) mod signal;
 pub(crate) mod wait;
 

@@ -1,5 +1,7 @@
 //! Reads a configuration file: what all its parts need.
 
+mod templates;
+
 use std::path::Path;
 use std::time::Duration;
 
@@ -9,17 +11,8 @@ use ztl_std::describe::GoalRule;
 
 #[cfg(feature = "http")]
 use crate::http::hosts::Hosts;
-use crate::naoqi::connection::Naoqi;
+use crate::naoqi::names::Naoqi;
 use crate::ros1::connection::Ros1;
-
-/// The text of a file with a secret, of at most `most` bytes.
-///
-/// # Errors
-/// Why it cannot be read.
-pub(crate) fn secret(file: &Path, most: u64) -> Result<String, String> {
-    let text = ztl_std::files::read_text(file, most);
-    text.map_err(|error| format!("{}: {error}", file.display()))
-}
 
 /// A file that is being read.
 pub(crate) struct ConfigReader<'d> {

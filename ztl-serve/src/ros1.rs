@@ -2,7 +2,8 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `connection` | the node that all share, and `ros1` at the top of the file |
+//! | `connection` | the node that all share |
+//! | `reader` | `ros1` at the top of the file, and names |
 //! | `types` | types by their names in the file, and the names in ROS that have them |
 //! | `message`, `fit` | messages with placeholders, read from YAML and filled with a goal |
 //! | `used_name`, `names` | the names in ROS that the file uses, and what of these is not there |
@@ -24,6 +25,7 @@ mod motion;
 pub(crate) mod names;
 pub(crate) mod parameter;
 pub(crate) mod publish;
+mod reader;
 pub(crate) mod service;
 mod shown;
 pub(crate) mod topic;

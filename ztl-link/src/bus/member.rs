@@ -5,7 +5,7 @@ use std::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{NO_SEQ, Turn};
 
-use crate::state::BusNeeds;
+use crate::session::BusNeeds;
 
 /// How often a node with tasks has its turn: no more often if it has nothing to say, and no less often if the line is fast
 /// enough for all, apart from the question that is under way.

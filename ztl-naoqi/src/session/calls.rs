@@ -8,8 +8,8 @@ use crate::message::{Address, Message};
 use crate::meta_object::{MetaObject, Object};
 use crate::value::Value;
 
-use super::directory::MAIN;
-use super::links::Pending;
+use super::functions::MAIN;
+use super::pending::Pending;
 use super::{CallError, CallId, Cancel, Event, LinkId, Session};
 
 /// How long the answer of a service that was removed may take: it comes from another process than the removal.

@@ -4,11 +4,12 @@ use std::time::{Duration, Instant};
 
 use crate::connection::payload;
 use crate::endpoint::Endpoint;
-use crate::message::{Address, Message};
+use crate::message::Message;
 use crate::meta_object::MetaObject;
 use crate::value::Value;
 
-use super::links::Pending;
+use super::functions::{META_OBJECT, REGISTER_EVENT, description, function, registration, value};
+use super::pending::Pending;
 use super::services::Process;
 use super::{Action, CallError, Event, LinkId, Session};
 
@@ -19,16 +20,8 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 /// The longest name of a service that is kept, in bytes.
 const LONGEST_NAME: usize = 256;
 
-/// The number of the directory's own service, and of the object that a service is.
+/// The number of the directory's own service.
 const DIRECTORY: u32 = 1;
-pub(super) const MAIN: u32 = 1;
-
-/// The function with which an object describes itself.
-pub(super) const META_OBJECT: u32 = 2;
-/// The function that begins a subscription.
-pub(super) const REGISTER_EVENT: u32 = 0;
-/// The function that ends it.
-pub(super) const UNREGISTER_EVENT: u32 = 1;
 
 /// The state of the directory.
 #[derive(Debug)]
@@ -68,15 +61,6 @@ impl Directory {
             functions: Functions::default(),
             process: None,
         }
-    }
-}
-
-/// A function of a service.
-pub(super) const fn function(service: u32, action: u32) -> Address {
-    Address {
-        service,
-        object: MAIN,
-        action,
     }
 }
 
@@ -274,34 +258,4 @@ impl Functions {
             removed: signal("serviceRemoved")?,
         })
     }
-}
-
-/// The arguments that begin or end a subscription.
-pub(super) fn registration(service: u32, signal: u32, handle: u64) -> Vec<u8> {
-    let mut payload = Vec::with_capacity(16);
-    payload.extend(service.to_le_bytes());
-    payload.extend(signal.to_le_bytes());
-    payload.extend(handle.to_le_bytes());
-    payload
-}
-
-/// What an answer brings.
-pub(super) fn value(
-    answer: Result<Message, CallError>,
-    signature: &str,
-    limits: &crate::Limits,
-) -> Result<Value, String> {
-    let message = answer.map_err(|error| error.to_string())?;
-    payload(message.flags, &message.payload, signature, limits)
-}
-
-/// The description that an answer brings.
-pub(super) fn description(
-    answer: Result<Message, CallError>,
-    limits: &crate::Limits,
-) -> Result<MetaObject, String> {
-    let message = answer.map_err(|error| error.to_string())?;
-    let value = crate::decode(&message.payload, &MetaObject::signature(), limits);
-    let value = value.map_err(|error| format!("its description cannot be read: {error}"))?;
-    MetaObject::from_value(&value).ok_or_else(|| "its description cannot be read".to_owned())
 }

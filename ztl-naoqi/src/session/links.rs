@@ -9,9 +9,10 @@ use crate::endpoint::Endpoint;
 use crate::message::{Address, Kind, Message};
 use crate::table::Table;
 
+use super::pending::Pending;
 use super::services::{Process, ServiceState};
 use super::signals::Stage;
-use super::{Action, CallError, CallId, Event, LinkId, Session, SubscriptionId};
+use super::{Action, CallError, Event, LinkId, Session};
 
 /// How long a connection and its handshake may take.
 const OPENING: Duration = Duration::from_secs(4);
@@ -40,22 +41,6 @@ pub(super) struct Link {
     heard: Instant,
     probed: Option<Instant>,
     pub(super) pending: Table<u32, Pending>,
-}
-
-/// What an answer is for.
-#[derive(Debug, Clone)]
-pub(super) enum Pending {
-    /// Nothing.
-    Ignored,
-    DirectoryDescription,
-    DirectoryServices,
-    Resolved(String),
-    Description(String),
-    Call(CallId),
-    /// The object that has the signal, and the signature in which it is returned.
-    SignalObject(SubscriptionId, String),
-    /// The subscription, and its handle.
-    Registered(SubscriptionId, u64),
 }
 
 impl Session {

@@ -8,8 +8,8 @@ use crate::message::Message;
 use crate::meta_object::MetaObject;
 use crate::value::Value;
 
-use super::directory::{META_OBJECT, description, function, value};
-use super::links::Pending;
+use super::functions::{META_OBJECT, description, function, value};
+use super::pending::Pending;
 use super::{CallError, CallId, LinkId, Session};
 
 /// The pause until a service is looked for again, when signals of it are wanted.

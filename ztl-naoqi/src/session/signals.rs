@@ -5,8 +5,8 @@ use crate::message::{Address, Message};
 use crate::meta_object::MetaObject;
 use crate::value::Value;
 
-use super::directory::{MAIN, REGISTER_EVENT, UNREGISTER_EVENT, registration, value};
-use super::links::Pending;
+use super::functions::{MAIN, REGISTER_EVENT, UNREGISTER_EVENT, registration, value};
+use super::pending::Pending;
 use super::{CallError, Event, LinkId, Session, SignalOf, SubscriptionId};
 
 /// A wish for a signal.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-use crate::survey::is_ztl;
+use crate::graph::is_ztl;
 
 /// How often is asked whether the process that owns a goal lives.
 const AGAIN: Duration = Duration::from_secs(5);

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::engine::registrar::uris;
 use super::engine::{Engine, IDLE, Role};
 use super::net::ConnectionId;
-use super::registrar::uris;
 use crate::http;
 use crate::xmlrpc::{self, Value};
 

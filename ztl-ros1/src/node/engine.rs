@@ -1,5 +1,12 @@
 //! The thread of a node: what happens on its connections, and what its owner asks for.
 
+pub(super) mod actions;
+pub(super) mod publications;
+pub(super) mod registrar;
+pub(super) mod rpc;
+pub(super) mod service;
+pub(super) mod topics;
+
 use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::mem;
@@ -7,16 +14,16 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
-use super::actions::{Action, Clock};
 use super::net::{ConnectionId, Listener, Net, NetEvent, PIECE, Read, Wake};
 use super::net_error::NetError;
-use super::publications::Publication;
-use super::registrar::Registrar;
-use super::rpc::Then;
-use super::service::ServiceCall;
-use super::topics::{Source, Subscription};
 use crate::http;
 use crate::tcpros::Frames;
+use actions::{Action, Clock};
+use publications::Publication;
+use registrar::Registrar;
+use rpc::Then;
+use service::ServiceCall;
+use topics::{Source, Subscription};
 
 /// What the owner has the thread do.
 pub(crate) type Job = Box<dyn FnOnce(&mut Engine, Instant) + Send>;

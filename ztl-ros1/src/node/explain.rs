@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::engine::Engine;
-use super::registrar::uris;
-use super::rpc::CallError;
-use crate::survey::is_ztl;
+use super::engine::registrar::uris;
+use super::engine::rpc::CallError;
+use crate::graph::is_ztl;
 use crate::xmlrpc::Value;
 
 /// How long the master and then a node may take to answer.

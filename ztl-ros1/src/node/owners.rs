@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::engine::Engine;
+use super::engine::rpc::CallError;
 use super::net_error::NetError;
-use super::rpc::CallError;
 use crate::uri::Address;
 use crate::xmlrpc::Value;
 

@@ -14,7 +14,8 @@ use super::hosts::{Host, mistake};
 use super::tls::Trust;
 use crate::call::Call;
 use crate::program::template::Template;
-use crate::reader::{ConfigReader, secret};
+use crate::reader::ConfigReader;
+use crate::secret;
 use crate::value_template::ValueTemplate;
 
 /// The longest secret, in bytes.
@@ -197,7 +198,7 @@ impl Secret {
 
     fn header(&self) -> Result<HeaderValue, String> {
         let file = self.file();
-        let text = secret(file, LONGEST_SECRET)?;
+        let text = secret::read(file, LONGEST_SECRET)?;
         let text = text.trim();
         let value = match self {
             Self::Bearer(_) => format!("Bearer {text}"),

@@ -1,6 +1,8 @@
 //! `http`: a request is the task, or begins one that the robot then does. Nothing is sent twice, unless the file says
 //! that it may be repeated.
 
+mod run;
+
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,11 +12,11 @@ use ztl_yaml::{Fields, Node};
 use super::condition::{Condition, Of};
 use super::events::EventSource;
 use super::request::{METHODS, RequestTemplate, Schemes};
-use super::run::start;
 use crate::call::Call;
 use crate::kind::{JobContext, Kind, Outcome, Services, Start};
 use crate::reader::{ComponentContext, ConfigReader};
 use crate::value_template::{ValueTemplate, rule_of_paths};
+use run::start;
 
 /// How long a task may take, where the file does not say it.
 const LIMIT: Duration = Duration::from_secs(30);

@@ -2,10 +2,8 @@
 
 use ztl_naoqi::{MetaObject, Method, Signature, Value};
 use ztl_std::describe::{GoalRule, GoalValue};
-use ztl_yaml::Node;
 
 use crate::call::Call;
-use crate::reader::ConfigReader;
 use crate::value_template::{ValueTemplate, rule_of_paths};
 
 /// For so many arguments that are a number or a text, both are tried.
@@ -13,25 +11,13 @@ const MOST_OPEN: usize = 6;
 
 /// Arguments with placeholders.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Arguments(Vec<ValueTemplate>);
+pub(crate) struct Arguments(pub(super) Vec<ValueTemplate>);
 
 /// A value for a call, and the same as a text, if the method may want that.
 #[derive(Debug, Clone)]
 pub(super) struct Argument {
     value: Value,
     text: Option<String>,
-}
-
-impl<'d> ConfigReader<'d> {
-    /// Reads arguments for goals of this rule.
-    pub(super) fn naoqi_arguments(&mut self, node: &'d Node, rule: &GoalRule) -> Option<Arguments> {
-        let nodes = self.yaml.list(node, "arguments, as [\"{goal}\", 0.5]")?;
-        let arguments: Vec<_> = nodes
-            .iter()
-            .map(|node| self.value_template(node, rule))
-            .collect();
-        Some(Arguments(arguments.into_iter().collect::<Option<_>>()?))
-    }
 }
 
 impl Arguments {

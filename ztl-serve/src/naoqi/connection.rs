@@ -8,14 +8,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tracing::{info, warn};
 use ztl_naoqi::{Client, Credentials, Endpoint, Event, Limits, Options};
-use ztl_yaml::{Diagnostic, Node, NodeValue};
 
-use super::names::Used;
 use crate::log::LOG;
-use crate::reader::{ConfigReader, secret};
-
-/// Where NAOqi listens on the robot itself.
-const DIRECTORY: &str = "tcp://127.0.0.1:9559";
+use crate::secret;
 
 /// The longest token, in bytes.
 const LONGEST_TOKEN: u64 = 4096;
@@ -30,28 +25,8 @@ pub(crate) struct Robot {
     client: Mutex<Option<Client>>,
 }
 
-/// What is needed to read the components of NAOqi.
-#[derive(Debug)]
-pub(crate) struct Naoqi {
-    pub(crate) robot: Arc<Robot>,
-    /// Where the file names it, if it does.
-    pub(crate) place: Option<Diagnostic>,
-    /// What of the robot the file uses.
-    pub(crate) used: Vec<Used>,
-}
-
-impl Default for Naoqi {
-    fn default() -> Self {
-        Self {
-            robot: Robot::new(DIRECTORY.to_owned(), None),
-            place: None,
-            used: Vec::new(),
-        }
-    }
-}
-
 impl Robot {
-    fn new(directory: String, user: Option<(String, PathBuf)>) -> Arc<Self> {
+    pub(super) fn new(directory: String, user: Option<(String, PathBuf)>) -> Arc<Self> {
         Arc::new(Self {
             directory,
             user,
@@ -101,8 +76,8 @@ impl Robot {
 }
 
 /// Reads a token.
-fn token(file: &Path) -> Result<String, String> {
-    let text = secret(file, LONGEST_TOKEN)?;
+pub(super) fn token(file: &Path) -> Result<String, String> {
+    let text = secret::read(file, LONGEST_TOKEN)?;
     match text.trim() {
         "" => Err(format!(
             "{} is empty; write the robot's password into it",
@@ -122,68 +97,6 @@ fn keep(file: &Path, token: &str) -> std::io::Result<()> {
     written.write_all(format!("{token}\n").as_bytes())?;
     written.sync_all()?;
     fs::rename(&new, file)
-}
-
-impl<'d> ConfigReader<'d> {
-    /// Reads `naoqi` at the top: where the robot's service directory listens, and who this client is.
-    pub(crate) fn naoqi(&mut self, node: &'d Node) {
-        let what = "the address of NAOqi, as tcp://127.0.0.1:9559";
-        let mut user = None;
-        let directory = match &node.value {
-            NodeValue::Map(_) => {
-                let Some(mut fields) = self.yaml.fields(node, "directory, user, token") else {
-                    return;
-                };
-                let directory = fields.required("directory", "directory: tcp://127.0.0.1:9559");
-                let (name, file) = (fields.optional("user"), fields.optional("token"));
-                fields.finish(&mut self.yaml);
-                match (name, file) {
-                    (Some(name), Some(file)) => {
-                        let name = self.yaml.text(name, "a user, as nao");
-                        let path = self.yaml.text(file, "a file with the token");
-                        if let (Some(name), Some(path)) = (name, path) {
-                            let path = self.base.join(path);
-                            if let Err(mistake) = token(&path) {
-                                self.warn(file, format!("tasks will be rejected: {mistake}"));
-                            }
-                            user = Some((name.to_owned(), path));
-                        }
-                    }
-                    (Some(other), None) | (None, Some(other)) => {
-                        let message = "give both: user: nao, token: token.txt";
-                        self.yaml.wrong(other, message);
-                    }
-                    (None, None) => {}
-                }
-                directory
-            }
-            _ => Some(node),
-        };
-        self.naoqi.place = directory.map(|node| self.yaml.mistake(node, ""));
-        let directory = directory.and_then(|node| {
-            let parsed = |text: &str| Endpoint::parse(text).map(|endpoint| endpoint.to_string());
-            self.yaml.parsed(node, what, parsed)
-        });
-        if let Some(directory) = directory {
-            self.naoqi.robot = Robot::new(directory, user);
-        }
-    }
-
-    /// Reads a name with its service, as `ALMotion.moveTo`.
-    pub(super) fn naoqi_name(&mut self, node: &'d Node, what: &str) -> Option<(String, String)> {
-        self.yaml.parsed(node, what, |text| {
-            let wrong = || format!("'{text}' is not {what}");
-            let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
-            let (service, name) = text.split_once('.').ok_or_else(wrong)?;
-            // A method may be followed by its signature.
-            let bare = name.split_once("::").map_or(name, |(name, _)| name);
-            let good = |part: &str| !part.is_empty() && part.chars().all(fits);
-            match good(service) && good(bare) {
-                true => Ok((service.to_owned(), name.to_owned())),
-                false => Err(wrong()),
-            }
-        })
-    }
 }
 
 #[cfg(test)]

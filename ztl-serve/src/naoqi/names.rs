@@ -6,22 +6,44 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ztl_naoqi::{CallError, MetaObject};
-use ztl_yaml::{Diagnostic, Node, closest};
+use ztl_yaml::{Diagnostic, closest};
 
 use super::arguments::Arguments;
-use super::connection::Naoqi;
-use crate::reader::ConfigReader;
+use super::connection::Robot;
+
+/// Where NAOqi listens on the robot itself.
+const DIRECTORY: &str = "tcp://127.0.0.1:9559";
 
 /// How long the robot may take to answer.
 const WAIT: Duration = Duration::from_secs(5);
+
+/// What is needed to read the components of NAOqi.
+#[derive(Debug)]
+pub(crate) struct Naoqi {
+    pub(crate) robot: Arc<Robot>,
+    /// Where the file names it, if it does.
+    pub(crate) place: Option<Diagnostic>,
+    /// What of the robot the file uses.
+    pub(crate) used: Vec<Used>,
+}
+
+impl Default for Naoqi {
+    fn default() -> Self {
+        Self {
+            robot: Robot::new(DIRECTORY.to_owned(), None),
+            place: None,
+            used: Vec::new(),
+        }
+    }
+}
 
 /// A method or signal that the file uses.
 #[derive(Debug, Clone)]
 pub(crate) struct Used {
     /// Where the file has it; its message is still to be written.
-    place: Diagnostic,
-    service: String,
-    what: What,
+    pub(super) place: Diagnostic,
+    pub(super) service: String,
+    pub(super) what: What,
 }
 
 /// Which part of a service.
@@ -31,17 +53,6 @@ pub(super) enum What {
     Signal(String),
     /// The service itself.
     Service,
-}
-
-impl<'d> ConfigReader<'d> {
-    /// Notes what the file uses.
-    pub(super) fn naoqi_uses(&mut self, node: &'d Node, service: &str, what: What) {
-        self.naoqi.used.push(Used {
-            place: self.yaml.mistake(node, ""),
-            service: service.to_owned(),
-            what,
-        });
-    }
 }
 
 /// Asks the robot for what the file uses. Returns what is not there or does not fit, or why nobody can tell.

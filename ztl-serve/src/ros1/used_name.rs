@@ -2,9 +2,7 @@
 
 use ztl_ros1::WireType;
 use ztl_ros1::message::{ActionType, MessageType, ServiceType};
-use ztl_yaml::{Diagnostic, Node};
-
-use crate::reader::ConfigReader;
+use ztl_yaml::Diagnostic;
 
 /// A name in ROS that the file uses.
 #[derive(Debug, Clone)]
@@ -141,18 +139,5 @@ impl UsedName {
         warning.message = format!("warning: {message}");
         warning.help = help;
         warning
-    }
-}
-
-impl<'d> ConfigReader<'d> {
-    /// Notes a name that the file uses.
-    pub(crate) fn uses_name(&mut self, node: &'d Node, name: Option<&String>, of: UsedType) {
-        if let Some(name) = name {
-            self.ros1.names.push(UsedName {
-                place: self.yaml.mistake(node, ""),
-                name: name.clone(),
-                of,
-            });
-        }
     }
 }

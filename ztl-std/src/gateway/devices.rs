@@ -112,14 +112,19 @@ impl Devices {
         let Endpoint::Bus { wait, .. } = endpoint else {
             return self.add_device(&mut map, name, endpoint.into());
         };
-        let line = SharedLine::spawn(name, endpoint.into(), wait, self.clone());
+        let (devices, bus) = (self.clone(), name.to_owned());
+        let add_node = move |name: &str, opener: Opener, status: &LineStatus| {
+            let added = devices.add_node(&bus, name, opener, status);
+            added.map_err(|error| error.to_string())
+        };
+        let line = SharedLine::spawn(name, endpoint.into(), wait, Box::new(add_node));
         let line = line.map_err(AddError::Thread)?;
         map.lines.insert(name.to_owned(), line);
         Ok(())
     }
 
     /// Adds a node that was found on the shared line `bus`, unless the line was removed meanwhile.
-    pub(super) fn add_node(
+    fn add_node(
         &self,
         bus: &str,
         name: &str,

@@ -21,6 +21,7 @@ mod reading_value;
 mod readings;
 mod report;
 mod ring;
+mod seat;
 mod updates;
 
 pub use devices::{AddError, Devices};

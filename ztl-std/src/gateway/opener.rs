@@ -4,8 +4,8 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::bus::Seat;
 use super::endpoint::{Endpoint, Line};
+use super::seat::Seat;
 
 /// Opens a device's line, as often as needed.
 #[derive(Clone)]

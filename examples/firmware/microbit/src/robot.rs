@@ -1,7 +1,7 @@
 //! The desk robot, as the image's `run` runs it.
 
 use board_support::board;
-use board_support::clock::{self, SysTick};
+use board_support::clock::SysTick;
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
@@ -9,7 +9,7 @@ use microbit::random;
 use microbit::uart::Uart;
 
 #[cfg(feature = "defmt")]
-defmt::timestamp!("{=u64:us}", clock::micros());
+defmt::timestamp!("{=u64:us}", board_support::clock::micros());
 
 /// Cycles per millisecond.
 const CYCLES: u32 = 16_000;

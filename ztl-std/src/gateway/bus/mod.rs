@@ -6,83 +6,19 @@ mod port;
 mod worker;
 
 use std::io;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ztl_link::BusNeeds;
 use ztl_link::bus::Bus;
 
 use super::device::LineEvent;
-use super::devices::Devices;
 use super::endpoint::{BAUD, Line};
 use super::opener::Opener;
 use super::report::DeviceReport;
+use super::seat::Seat;
 use port::Ports;
 use worker::Worker;
-
-/// A node's place on a shared line.
-#[derive(Debug, Default)]
-pub(super) struct Seat {
-    address: AtomicU8,
-    /// The name of its firmware, as a search has found it.
-    firmware: OnceLock<String>,
-    needs: Mutex<BusNeeds>,
-    board: Mutex<Board>,
-}
-
-/// What searches have found at a node's address.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Board {
-    /// The id of the board that is served.
-    pub(super) id: u64,
-    /// How many searches have ended, and whether the last one found this board alone at the address.
-    pub(super) searches: u64,
-    pub(super) alone: bool,
-    /// Why the node takes no tasks, although it still has some.
-    pub(super) conflict: Option<String>,
-}
-
-impl Seat {
-    /// The node's address.
-    pub(super) fn address(&self) -> u8 {
-        self.address.load(Ordering::Acquire)
-    }
-
-    fn set_address(&self, address: u8) {
-        self.address.store(address, Ordering::Release);
-    }
-
-    /// The name that its firmware must have. Another board at its address is not it.
-    pub(super) fn firmware(&self) -> Option<&str> {
-        self.firmware.get().map(String::as_str)
-    }
-
-    /// What searches have found.
-    pub(super) fn board(&self) -> Board {
-        self.locked_board().clone()
-    }
-
-    fn locked_board(&self) -> MutexGuard<'_, Board> {
-        self.board.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn on_search(&self, id: u64, alone: bool, conflict: Option<String>) {
-        let mut board = self.locked_board();
-        board.searches += 1;
-        (board.id, board.alone, board.conflict) = (id, alone, conflict);
-    }
-
-    fn needs(&self) -> BusNeeds {
-        *self.needs.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Sets what the node's session needs, before what it transmits.
-    pub(super) fn set_needs(&self, needs: BusNeeds) {
-        *self.needs.lock().unwrap_or_else(PoisonError::into_inner) = needs;
-    }
-}
 
 /// A message to a line's thread.
 enum Input {
@@ -114,6 +50,9 @@ impl LineStatus {
     }
 }
 
+/// Adds a node that was found as a device of this name. Returns why that is not possible.
+pub(super) type AddNode = dyn Fn(&str, Opener, &LineStatus) -> Result<(), String> + Send;
+
 /// A line's thread. Dropping it ends the thread when all ports are closed.
 #[derive(Debug)]
 pub(super) struct SharedLine {
@@ -125,12 +64,12 @@ pub(super) struct SharedLine {
 }
 
 impl SharedLine {
-    /// Starts the thread. It adds the nodes that it finds to `devices`, as `name.NODE`.
+    /// Starts the thread. It adds the nodes that it finds, as `name.NODE`.
     pub(super) fn spawn(
         name: &str,
         opener: Opener,
         wait: Duration,
-        devices: Devices,
+        add_node: Box<AddNode>,
     ) -> io::Result<Self> {
         let (inputs, inbox) = channel();
         let (url, status) = (opener.label.clone(), LineStatus::default());
@@ -141,7 +80,7 @@ impl SharedLine {
             bus,
             Ports::new(inputs.clone()),
             status.clone(),
-            devices,
+            add_node,
         );
         std::thread::Builder::new()
             .name(format!("ztl-bus-{name}"))

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use ztl_core::link::{ADDR_MOST, ADDR_NONE};
 use ztl_link::bus::Found;
 
-use super::Seat;
 use crate::gateway::config::name_mistake;
+use crate::gateway::seat::Seat;
 
 /// The most nodes of a line while the gateway runs, also those that are gone: a node that says another id at each search
 /// fills no memory.
@@ -91,7 +91,7 @@ impl Nodes {
                     changes.new.push(self.all.len());
                     let seat = Arc::<Seat>::default();
                     seat.set_address(address);
-                    let _ = seat.firmware.set(one.name.clone());
+                    seat.set_firmware(&one.name);
                     self.all.push(Node {
                         id: one.id,
                         firmware: one.name.clone(),

@@ -5,8 +5,9 @@ use std::io::{self, Read, Write};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, sync_channel};
 
-use super::{Input, Seat};
+use super::Input;
 use crate::gateway::endpoint::{Line, READ_TIMEOUT};
+use crate::gateway::seat::Seat;
 
 /// Most frames that wait for a device. Further ones are lost, as on any line.
 const FRAMES: usize = 64;

@@ -12,12 +12,12 @@ use ztl_link::bus::{Bus, BusEvent, Found};
 
 use super::nodes::{Node, Nodes};
 use super::port::Ports;
-use super::{Input, LineStatus, Seat};
+use super::{AddNode, Input, LineStatus};
 use crate::gateway::device::{LineEvent, run_line};
-use crate::gateway::devices::Devices;
 use crate::gateway::endpoint::{Line, READ_TIMEOUT};
 use crate::gateway::opener::Opener;
 use crate::gateway::rate_limited_log::{RateLimitedLog, Severity};
+use crate::gateway::seat::Seat;
 use crate::time::now;
 
 /// Pause before the line is opened again.
@@ -61,7 +61,7 @@ pub(super) struct Worker {
     unanswered: u32,
     retired: bool,
     status: LineStatus,
-    devices: Devices,
+    add_node: Box<AddNode>,
     log: RateLimitedLog,
 }
 
@@ -72,7 +72,7 @@ impl Worker {
         bus: Bus,
         ports: Ports,
         status: LineStatus,
-        devices: Devices,
+        add_node: Box<AddNode>,
     ) -> Self {
         Self {
             name: name.to_owned(),
@@ -88,7 +88,7 @@ impl Worker {
             unanswered: 0,
             retired: false,
             status,
-            devices,
+            add_node,
             log: RateLimitedLog::new(name, now()),
         }
     }
@@ -323,8 +323,7 @@ impl Worker {
             may_be_half_open: false,
             ..self.opener.clone()
         };
-        let status = &self.status;
-        if let Err(error) = self.devices.add_node(&self.name, &name, opener, status) {
+        if let Err(error) = (self.add_node)(&name, opener, &self.status) {
             tracing::warn!(target: crate::log_targets::GATEWAY, device = name, "Device '{name}' is not served: {error}");
         }
     }

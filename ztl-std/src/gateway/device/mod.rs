@@ -1,16 +1,10 @@
 //! A device: a thread with its session, its line and its tasks.
 
 mod backpressure;
-mod boards;
-mod handover;
 mod input;
 mod line_reader;
-mod own;
 mod parameters;
 mod status;
-mod stop;
-mod update_job;
-mod updates;
 mod worker;
 
 use std::io;
@@ -22,13 +16,12 @@ use std::thread::JoinHandle;
 use ztl_core::TaskId;
 use ztl_link::{Restored, Session};
 
-use boards::Boards;
 pub(super) use input::shown;
 use input::{DeviceRequest, Input};
 pub(super) use line_reader::{LineEvent, run_line};
-pub(super) use own::OwnTasksCell;
 use status::SharedStatus;
-use worker::Worker;
+pub(super) use worker::OwnTasksCell;
+use worker::{Boards, Worker};
 
 use super::journal::{DECIDED, DeviceJournal, JournalFile, UNWRITTEN, UnendedUpdate};
 use super::logs::DeviceLog;

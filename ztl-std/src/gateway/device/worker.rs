@@ -1,5 +1,12 @@
 //! What a device's thread does: runs the session, the line and the clients' tasks.
 
+mod boards;
+mod handover;
+mod own;
+mod stop;
+mod update_job;
+mod updates;
+
 use std::collections::HashMap;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -15,25 +22,26 @@ use ztl_core::{Instant, State, TaskId};
 
 use ztl_link::{LinkEvent, Session};
 
-use super::boards::Boards;
 use super::input::{DeviceRequest, Input};
 use super::line_reader::{LineEvent, run_line};
-use super::own::{EventLog, NextId, OwnTasksCell, STARTS};
 use super::parameters::Parameters;
 use super::status::SharedStatus;
-use super::updates::Updates;
-use crate::gateway::bus::Seat;
 use crate::gateway::endpoint::{READ_TIMEOUT, is_pause};
 use crate::gateway::journal::{DeviceJournal, JournalFile};
 use crate::gateway::logs::DeviceLog;
 use crate::gateway::opener::Opener;
 use crate::gateway::rate_limited_log::{RateLimitedLog, Severity};
 use crate::gateway::readings::Observers;
+use crate::gateway::seat::Seat;
 use crate::log_targets::GATEWAY;
 use crate::rate_limit::RateLimit;
 use crate::server::TaskReporter;
 use crate::task_request::TaskRequest;
 use crate::time::now;
+pub(super) use boards::Boards;
+pub(in crate::gateway) use own::OwnTasksCell;
+use own::{EventLog, NextId, STARTS};
+use updates::Updates;
 
 /// First and longest pause before a line is reopened. Looking for a port is cheap, and a person who plugs a
 /// device in wants it at once.
@@ -89,11 +97,11 @@ pub(super) struct Worker {
     pub(super) boards: Boards,
     pub(super) tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
     pub(super) own_tasks: OwnTasksCell,
-    pub(super) next_id: NextId,
+    next_id: NextId,
     /// Limits the tasks of the firmware.
     pub(super) starts: RateLimit,
     parameters: Parameters,
-    pub(super) updates: Updates,
+    updates: Updates,
     /// Tasks from before a restart that must be resumed before the line is opened.
     awaited: usize,
     /// Deadline for the tasks to stop, if the thread is to end.
@@ -105,7 +113,7 @@ pub(super) struct Worker {
     unused: Arc<AtomicBool>,
     status: SharedStatus,
     pub(super) observers: Observers,
-    pub(super) event_log: EventLog,
+    event_log: EventLog,
     firmware_log: DeviceLog,
 }
 

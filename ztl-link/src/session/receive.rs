@@ -10,12 +10,12 @@ use ztl_core::link::{
 };
 use ztl_core::{Instant, State, TaskId};
 
+use super::doubt::of_other;
+use super::send::frame_bytes;
+use super::{CommandKind, Phase, Session};
 use crate::device::{ComponentInfo, DeviceInfo};
-use crate::doubt::of_other;
 use crate::event::LinkEvent;
 use crate::journal::SessionJournal;
-use crate::send::frame_bytes;
-use crate::state::{CommandKind, Phase, Session};
 use crate::task::{Stage, Task};
 
 /// Pause before a new session with a device that answered nonsense.

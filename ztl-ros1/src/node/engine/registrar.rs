@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::engine::Engine;
+use super::Engine;
 use super::rpc::CallError;
 use crate::xmlrpc::Value;
 

@@ -4,9 +4,9 @@ use tracing::info;
 use ztl_core::TaskId;
 use ztl_link::Entry;
 
+use super::Worker;
 use super::update_job::UpdateJob;
 use super::updates::Running;
-use super::worker::Worker;
 use crate::gateway::journal::UnendedUpdate;
 use crate::gateway::updates::{Note, UPDATES};
 use crate::log_targets::GATEWAY;

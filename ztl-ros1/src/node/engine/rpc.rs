@@ -5,10 +5,10 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::engine::{Engine, Role};
-use super::net::ConnectionId;
-use super::net_error::NetError;
+use super::{Engine, Role};
 use crate::http;
+use crate::node::net::ConnectionId;
+use crate::node::net_error::NetError;
 use crate::uri::Address;
 use crate::xmlrpc::{self, Value};
 

@@ -7,8 +7,8 @@ use ztl_core::link::{
 };
 use ztl_core::{Instant, TaskId};
 
+use super::{CommandKind, InFlight, Phase, Session};
 use crate::journal::{Entry, Sent, SessionJournal};
-use crate::state::{CommandKind, InFlight, Phase, Session};
 use crate::task::Stage;
 
 /// Minimum pause before a command is repeated.

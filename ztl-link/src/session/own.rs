@@ -5,10 +5,10 @@ use std::time::Duration;
 use ztl_core::link::{Body, LinkId, Loss, NO_SEQ};
 use ztl_core::{Instant, TaskId};
 
+use super::Session;
+use super::send::frame_bytes;
 use crate::event::LinkEvent;
 use crate::journal::{Sent, SessionJournal};
-use crate::send::frame_bytes;
-use crate::state::Session;
 use crate::task::{Stage, Task};
 
 /// Pause before the device is asked again about a task [14.5].

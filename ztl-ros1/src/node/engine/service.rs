@@ -4,12 +4,12 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::engine::{Engine, Role};
-use super::fit::fits;
-use super::net::ConnectionId;
-use super::net_error::NetError;
 use super::rpc::CallError;
+use super::{Engine, Role};
 use crate::WireType;
+use crate::node::fit::fits;
+use crate::node::net::ConnectionId;
+use crate::node::net_error::NetError;
 use crate::tcpros::{FrameError, Frames, Header, LONGEST_HEADER, frame};
 use crate::uri::Address;
 use crate::xmlrpc::Value;

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::actions::Part;
-use super::engine::{Engine, Role};
-use super::fit::{TypeConflict, conflict, fits};
-use super::net::ConnectionId;
-use super::net_error::NetError;
 use super::publications::QUEUE;
 use super::rpc::{CallError, read_offer};
+use super::{Engine, Role};
 use crate::WireType;
+use crate::action::Part;
+use crate::node::fit::{TypeConflict, conflict, fits};
+use crate::node::net::ConnectionId;
+use crate::node::net_error::NetError;
 use crate::tcpros::{Frames, Header, LONGEST_HEADER};
 use crate::xmlrpc::Value;
 

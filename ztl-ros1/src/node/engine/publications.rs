@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::engine::{Engine, Role};
-use super::fit::{TypeConflict, conflict, fits};
-use super::net::ConnectionId;
-use super::net_error::NetError;
-use super::unacknowledged;
+use super::{Engine, Role};
 use crate::WireType;
-use crate::survey::is_ztl;
+use crate::graph::is_ztl;
+use crate::node::fit::{TypeConflict, conflict, fits};
+use crate::node::net::ConnectionId;
+use crate::node::net_error::NetError;
+use crate::node::unacknowledged;
 use crate::tcpros::{Frames, Header, LONGEST_HEADER, frame};
 
 /// Messages that wait for a slow subscriber; then the oldest is dropped.

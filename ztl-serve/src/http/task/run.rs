@@ -7,13 +7,14 @@ use std::time::{Duration, Instant};
 use tracing::warn;
 use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 
-use super::condition::Condition;
-use super::events::{Heard, Listening};
-use super::exchange::{Answer, LONGEST, NoAnswer, exchange};
-use super::request::{Filled, RequestTemplate};
-use super::shared::Shared;
-use super::task::{After, EndEvent, HttpTask, Progress};
+use super::{After, EndEvent, HttpTask, Progress};
 use crate::call::Call;
+use crate::http::condition::Condition;
+use crate::http::events::{Heard, Listening};
+use crate::http::exchange::{Answer, LONGEST, NoAnswer, exchange};
+use crate::http::request::{Filled, RequestTemplate};
+use crate::http::shared::Shared;
+use crate::http::thread::spawn;
 use crate::human::human_time;
 use crate::kind::{
     CANNOT_ABORT, Effect, Job, JobContext, Kind as _, Outcome, STOP_TIME, Start, StopReason,
@@ -57,16 +58,6 @@ pub(super) fn start(kind: Arc<HttpTask>, call: Arc<Call>, task: JobContext) -> S
         })),
         Err(reason) => Start::Ended(Outcome::Rejected(reason)),
     }
-}
-
-/// Runs this on a thread of its own.
-///
-/// # Errors
-/// The system has no more threads.
-pub(super) fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), String> {
-    let thread = std::thread::Builder::new().name(name.to_owned());
-    let spawned = thread.spawn(work).map(drop);
-    spawned.map_err(|error| format!("cannot start a thread: {error}"))
 }
 
 /// A task in progress.

@@ -5,9 +5,9 @@ use std::time::Duration;
 use ztl_core::link::{LINK_TIMEOUT, LinkId};
 use ztl_core::{Instant, State, TaskId};
 
+use super::{Phase, START_LIMIT, Session};
 use crate::event::LinkEvent;
 use crate::journal::{Restored, SessionJournal};
-use crate::state::{Phase, START_LIMIT, Session};
 use crate::task::{Stage, Task};
 
 /// Pause before an outcome that could not be written is retried.

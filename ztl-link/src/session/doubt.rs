@@ -4,9 +4,9 @@
 use ztl_core::link::{ADDR_ONLY_NODE, Body, Welcome};
 use ztl_core::{Instant, State, TaskId};
 
+use super::{CommandKind, Phase, Session};
 use crate::event::LinkEvent;
 use crate::journal::{Sent, SessionJournal};
-use crate::state::{CommandKind, Phase, Session};
 use crate::task::Task;
 
 /// Searches that must find the board alone at its address: the first one may have begun before the other board came.

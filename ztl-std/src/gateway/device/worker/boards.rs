@@ -1,13 +1,13 @@
 //! A node of a shared line: whether the board at its address is the one that it was.
 
-use super::worker::Worker;
-use crate::gateway::bus::Seat;
+use super::Worker;
 use crate::gateway::rate_limited_log::Severity;
+use crate::gateway::seat::Seat;
 use crate::time::now;
 
 /// What the device's thread knows of the boards at its address.
 #[derive(Debug, Default)]
-pub(super) struct Boards {
+pub(in crate::gateway::device) struct Boards {
     /// The boot that the session knows, and the id of its board. While tasks of an earlier boot may run: those of the earlier one.
     known: Option<(u32, u64)>,
     /// Whether the journal has tasks of several boards. No search can tell that all of them were reset.
@@ -20,7 +20,7 @@ pub(super) struct Boards {
 
 impl Boards {
     /// From the boots and boards in the journal to which tasks without an end were sent.
-    pub(super) fn of_journal(boards: &[(u32, u64)]) -> Self {
+    pub(in crate::gateway::device) fn of_journal(boards: &[(u32, u64)]) -> Self {
         let known = boards.first().copied();
         Self {
             known,

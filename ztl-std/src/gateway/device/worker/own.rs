@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use tracing::info;
 
-use super::input::{DeviceRequest, Input};
-use super::worker::Worker;
+use super::Worker;
+use crate::gateway::device::input::{DeviceRequest, Input};
 use crate::log_targets::GATEWAY;
 use crate::rate_limit::RateLimit;
 use crate::server::{OwnTasks, ReservedId};

@@ -4,7 +4,7 @@ use tracing::{info, warn};
 use ztl_core::link::Loss;
 use ztl_core::{Instant, TaskId};
 
-use super::worker::Worker;
+use super::Worker;
 use crate::log_targets::GATEWAY;
 use crate::time::now;
 

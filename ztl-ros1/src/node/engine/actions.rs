@@ -4,15 +4,15 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
-use super::engine::Engine;
-use super::fit::TypeConflict;
+use super::Engine;
 use super::publications::Manner;
 use super::rpc::CallError;
 use super::topics::Consumer;
-use crate::action::GoalEvent;
 use crate::action::machine::{Effect, GoalKey, Links, Machine};
 use crate::action::wire::{self, RosTime};
-use crate::survey;
+use crate::action::{GoalEvent, Part};
+use crate::graph;
+use crate::node::fit::TypeConflict;
 use crate::xmlrpc::Value;
 use crate::{ActionTypes, WireType};
 
@@ -29,18 +29,10 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// Called with the events of a goal.
 pub(crate) type OnEvent = Box<dyn FnMut(GoalEvent) + Send>;
 
-/// Topics of an action that are received.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Part {
-    Status,
-    Feedback,
-    Result,
-}
-
 /// An action, as its client sees it.
 pub(crate) struct Action {
     types: ActionTypes,
-    pub(super) machine: Machine,
+    pub(in crate::node) machine: Machine,
     owners: HashMap<GoalKey, OnEvent>,
     seq: u32,
 }
@@ -218,7 +210,7 @@ impl Engine {
     }
 
     /// Has the machine of an action do something, and does what it wants.
-    pub(super) fn with_action(
+    pub(in crate::node) fn with_action(
         &mut self,
         now: Instant,
         name: &Arc<str>,
@@ -287,7 +279,7 @@ impl Engine {
 
     fn reason(&self, name: &Arc<str>, types: Result<Value, CallError>) -> String {
         let types = match types {
-            Ok(types) => survey::pairs(&types),
+            Ok(types) => graph::pairs(&types),
             Err(error) => {
                 return format!("the ROS master {} does not answer: {error}", self.master);
             }
@@ -334,7 +326,7 @@ impl Engine {
         if let Some(obstacle) = status.and_then(|of| of.obstacles().next()) {
             return format!("the action server of {name} cannot be reached: {obstacle}");
         }
-        let there = survey::action_names(&types);
+        let there = graph::action_names(&types);
         match there.is_empty() {
             true => format!("no action server has the name {name}, and there are no others"),
             false => format!(

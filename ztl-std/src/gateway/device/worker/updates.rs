@@ -10,9 +10,9 @@ use ztl_link::{
     Entry, SessionJournal as _, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest,
 };
 
-use super::input::{DeviceRequest, Input};
+use super::Worker;
 use super::update_job::{Image, Next, Outcome, UpdateJob};
-use super::worker::Worker;
+use crate::gateway::device::input::{DeviceRequest, Input};
 use crate::gateway::updates::{
     LONGEST_IMAGE, LONGEST_PART, Note, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
     UpdateProblem, bytes_of,

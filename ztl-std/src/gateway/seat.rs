@@ -1,0 +1,73 @@
+//! Places on shared lines.
+
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+
+use ztl_link::BusNeeds;
+
+/// A node's place on a shared line.
+#[derive(Debug, Default)]
+pub(super) struct Seat {
+    address: AtomicU8,
+    /// The name of its firmware, as a search has found it.
+    firmware: OnceLock<String>,
+    needs: Mutex<BusNeeds>,
+    board: Mutex<Board>,
+}
+
+/// What searches have found at a node's address.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Board {
+    /// The id of the board that is served.
+    pub(super) id: u64,
+    /// How many searches have ended, and whether the last one found this board alone at the address.
+    pub(super) searches: u64,
+    pub(super) alone: bool,
+    /// Why the node takes no tasks, although it still has some.
+    pub(super) conflict: Option<String>,
+}
+
+impl Seat {
+    /// The node's address.
+    pub(super) fn address(&self) -> u8 {
+        self.address.load(Ordering::Acquire)
+    }
+
+    pub(super) fn set_address(&self, address: u8) {
+        self.address.store(address, Ordering::Release);
+    }
+
+    /// Sets the name of its firmware, once.
+    pub(super) fn set_firmware(&self, name: &str) {
+        let _ = self.firmware.set(name.to_owned());
+    }
+
+    /// The name that its firmware must have. Another board at its address is not it.
+    pub(super) fn firmware(&self) -> Option<&str> {
+        self.firmware.get().map(String::as_str)
+    }
+
+    /// What searches have found.
+    pub(super) fn board(&self) -> Board {
+        self.locked_board().clone()
+    }
+
+    fn locked_board(&self) -> MutexGuard<'_, Board> {
+        self.board.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn on_search(&self, id: u64, alone: bool, conflict: Option<String>) {
+        let mut board = self.locked_board();
+        board.searches += 1;
+        (board.id, board.alone, board.conflict) = (id, alone, conflict);
+    }
+
+    pub(super) fn needs(&self) -> BusNeeds {
+        *self.needs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sets what the node's session needs, before what it transmits.
+    pub(super) fn set_needs(&self, needs: BusNeeds) {
+        *self.needs.lock().unwrap_or_else(PoisonError::into_inner) = needs;
+    }
+}
