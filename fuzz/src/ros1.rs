@@ -5,7 +5,7 @@
 
 use peak_alloc::PeakAlloc;
 use ztl_ros1::message::Definitions;
-use ztl_ros1::xmlrpc;
+use ztl_ros1::xmlrpc::{self, Response};
 
 /// What a value may take besides 128 times its length.
 const BESIDES: usize = 64 << 10;
@@ -66,13 +66,15 @@ fn call(bytes: &[u8], allocator: &PeakAlloc) {
 
 fn response(bytes: &[u8], allocator: &PeakAlloc) {
     match bounded(bytes.len(), allocator, || xmlrpc::parse_response(bytes)) {
-        Ok(Ok(value)) => {
+        Ok(Response::Value(value)) => {
             let written = xmlrpc::response(&value);
             let again = xmlrpc::parse_response(written.as_bytes()).expect("a response");
-            let again = again.expect("no fault");
+            let Response::Value(again) = again else {
+                panic!("a fault: {again:?}");
+            };
             assert_eq!(xmlrpc::response(&again), written);
         }
-        Ok(Err(_)) => {}
+        Ok(Response::Fault(_)) => {}
         Err(error) => assert!(!error.to_string().is_empty()),
     }
 }

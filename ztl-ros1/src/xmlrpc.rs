@@ -69,6 +69,15 @@ impl From<&str> for Value {
     }
 }
 
+/// The answer to a call.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Response {
+    /// What the method returns.
+    Value(Value),
+    /// The text of a fault: the method was not carried out, or failed.
+    Fault(String),
+}
+
 /// Why a text is not a message of XML-RPC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReadError {
@@ -121,10 +130,11 @@ mod tests {
         let read = parse_call(text.as_bytes()).unwrap();
         assert_eq!(read, ("m.x".to_owned(), vec![sample(), "".into()]));
         let text = response(&sample());
-        assert_eq!(parse_response(text.as_bytes()).unwrap(), Ok(sample()));
+        let read = parse_response(text.as_bytes()).unwrap();
+        assert_eq!(read, Response::Value(sample()));
         let text = fault("no such method");
         let read = parse_response(text.as_bytes()).unwrap();
-        assert_eq!(read, Err("no such method".to_owned()));
+        assert_eq!(read, Response::Fault("no such method".to_owned()));
     }
 
     #[test]
@@ -135,7 +145,7 @@ mod tests {
         let values = [Value::Int(1), "".into(), Value::Nil, Value::Bool(false)];
         assert_eq!(
             parse_response(python.as_bytes()).unwrap(),
-            Ok(Value::Array(values.to_vec()))
+            Response::Value(Value::Array(values.to_vec()))
         );
         let roscpp = "<?xml version=\"1.0\"?>\r\n<methodCall><methodName>requestTopic</methodName>\r\n\
             <params><param><value>/me</value></param><param><value><i4>5</i4></value></param><param><value/></param>\

@@ -1,6 +1,6 @@
 //! Reads calls and responses: the part of XML that XML-RPC uses, without attributes and document types.
 
-use super::{DEPTH, ReadError, Value};
+use super::{DEPTH, ReadError, Response, Value};
 
 /// Reads a call: its method and parameters.
 ///
@@ -24,11 +24,11 @@ pub fn parse_call(bytes: &[u8]) -> Result<(String, Vec<Value>), ReadError> {
     Ok((method, params))
 }
 
-/// Reads a response: its value, or the text of a fault.
+/// Reads a response.
 ///
 /// # Errors
 /// Where the bytes are not a response.
-pub fn parse_response(bytes: &[u8]) -> Result<Result<Value, String>, ReadError> {
+pub fn parse_response(bytes: &[u8]) -> Result<Response, ReadError> {
     let mut reader = Reader::new(bytes)?;
     reader.open("methodResponse")?;
     if reader.opens("fault") {
@@ -38,7 +38,7 @@ pub fn parse_response(bytes: &[u8]) -> Result<Result<Value, String>, ReadError> 
             _ => None,
         };
         let text = text.and_then(|(_, text)| text.as_str()).unwrap_or_default();
-        return Ok(Err(text.to_owned()));
+        return Ok(Response::Fault(text.to_owned()));
     }
     reader.open("params")?;
     reader.open("param")?;
@@ -46,7 +46,7 @@ pub fn parse_response(bytes: &[u8]) -> Result<Result<Value, String>, ReadError> 
     reader.close("param")?;
     reader.close("params")?;
     reader.close("methodResponse")?;
-    Ok(Ok(value))
+    Ok(Response::Value(value))
 }
 
 struct Reader<'a> {

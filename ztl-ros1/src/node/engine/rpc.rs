@@ -10,7 +10,7 @@ use crate::http;
 use crate::node::net::ConnectionId;
 use crate::node::net_error::NetError;
 use crate::uri::Address;
-use crate::xmlrpc::{self, Value};
+use crate::xmlrpc::{self, Response, Value};
 
 /// The longest answer: the parameters of a large robot, in bytes.
 const LONGEST: usize = 16 * 1024 * 1024;
@@ -136,15 +136,15 @@ fn read(answer: Result<http::Message, String>, peer: String) -> Result<Value, Ca
         let status = message.status.unwrap_or_default();
         return Err(malformed(format!("HTTP status {status}")));
     }
-    let value = xmlrpc::parse_response(&message.body);
-    let value = value.map_err(|error| malformed(error.to_string()))?;
-    let value = value.map_err(|reason| CallError::Refused { reason })?;
-    let Value::Array(parts) = value else {
-        return Err(malformed("not a list of code, text and value".to_owned()));
+    let response = xmlrpc::parse_response(&message.body);
+    let parts = match response.map_err(|error| malformed(error.to_string()))? {
+        Response::Fault(reason) => return Err(CallError::Refused { reason }),
+        Response::Value(Value::Array(parts)) => <[Value; 3]>::try_from(parts).ok(),
+        Response::Value(_) => None,
     };
-    match <[Value; 3]>::try_from(parts) {
-        Ok([Value::Int(1), _, value]) => Ok(value),
-        Ok([Value::Int(_), Value::String(reason), _]) => Err(CallError::Refused { reason }),
+    match parts {
+        Some([Value::Int(1), _, value]) => Ok(value),
+        Some([Value::Int(_), Value::String(reason), _]) => Err(CallError::Refused { reason }),
         _ => Err(malformed("not a list of code, text and value".to_owned())),
     }
 }
