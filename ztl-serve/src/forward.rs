@@ -126,9 +126,7 @@ impl Forward {
                     return Outcome::Rejected(TriggerError::Request(error).to_string());
                 }
                 task.effect(Effect::Accept);
-                return Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}whether it was started: {error}"
-                ));
+                return Outcome::Unknown(format!("whether it was started: {error}"));
             }
         };
         task.effect(Effect::Accept);
@@ -162,7 +160,7 @@ impl Forward {
                     // The next answer may say more.
                     Err(RequestError::NotTold { .. }) => std::thread::sleep(PAUSE),
                     Err(error) if error.was_answered() => {
-                        return Outcome::Failed(format!("{UNKNOWN_OUTCOME}{to}: {error}"));
+                        return Outcome::Unknown(format!("{to}: {error}"));
                     }
                     _ => {}
                 },
@@ -170,7 +168,7 @@ impl Forward {
             if silent.is_some_and(|since| since.elapsed() >= KEEP) {
                 // Servers forget outcomes after this time.
                 let kept = human_time(KEEP);
-                return Outcome::Failed(format!("{UNKNOWN_OUTCOME}no answer from {to} for {kept}"));
+                return Outcome::Unknown(format!("no answer from {to} for {kept}"));
             }
             if abort_sent || !abort.load(Ordering::Relaxed) {
                 continue;

@@ -133,6 +133,8 @@ pub(crate) enum Effect {
 pub(crate) enum Outcome {
     Completed(String),
     Failed(String),
+    /// Reported as FAILED with a reason that says so: nobody can tell the final state.
+    Unknown(String),
     Aborted(String),
     Rejected(String),
 }

@@ -9,6 +9,7 @@ use std::time::Instant;
 use signal_hook::consts::SIGCHLD;
 use signal_hook::low_level::{pipe, unregister};
 use tracing::{debug, info, warn};
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_core::{TaskId, TaskSpec};
 use ztl_std::describe::CheckGoal;
 use ztl_std::server::TaskReporter;
@@ -305,6 +306,11 @@ impl Supervisor {
                 reporter.completed(text);
             }
             Outcome::Failed(text) => {
+                warn!(target: LOG, "Task {id}, {name}, has ended as FAILED: {text}");
+                reporter.failed(text);
+            }
+            Outcome::Unknown(text) => {
+                let text = format!("{UNKNOWN_OUTCOME}{text}");
                 warn!(target: LOG, "Task {id}, {name}, has ended as FAILED: {text}");
                 reporter.failed(text);
             }

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_naoqi::{Call as NaoqiCall, CallError, CallHandle, Cancel, Client, MetaObject, Value};
 use ztl_std::describe::GoalRule;
 use ztl_yaml::{Fields, Node, NodeValue};
@@ -405,9 +404,7 @@ impl CallJob {
             Err(CallError::Canceled) => Outcome::Aborted(aborted()),
             Err(CallError::Unknown(reason)) => {
                 let name = self.method.target.name();
-                Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}whether {name} was done: {reason}"
-                ))
+                Outcome::Unknown(format!("whether {name} was done: {reason}"))
             }
             // It has returned, so it was done.
             Err(error @ CallError::Unreadable(_)) => Outcome::Completed(error.to_string()),

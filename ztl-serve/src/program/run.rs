@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_std::describe::GoalValue;
 
 use super::launch::signal_name;
@@ -242,7 +241,7 @@ impl Run {
 
     fn outcome_by_itself(&self, status: Option<ExitStatus>) -> Outcome {
         let Some(status) = status else {
-            return Outcome::Failed(format!("{UNKNOWN_OUTCOME}its exit status was lost"));
+            return Outcome::Unknown("its exit status was lost".to_owned());
         };
         let how = match (status.code(), status.signal()) {
             (Some(0), _) => return self.result(),

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_ros1::message::ActionType;
 use ztl_ros1::{ActionTypes, EndState, GoalEnd, GoalEvent};
 use ztl_std::describe::GoalRule;
@@ -150,7 +149,7 @@ impl Action {
                 Outcome::Aborted("aborted before it began".to_owned())
             }
             EndState::NotSent => Outcome::Rejected(text),
-            EndState::Unknown => Outcome::Failed(format!("{UNKNOWN_OUTCOME}{text}")),
+            EndState::Unknown => Outcome::Unknown(text),
         }
     }
 }

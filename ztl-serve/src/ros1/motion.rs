@@ -2,8 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
-
 use super::audience::EXPLAIN;
 use crate::human::human_time;
 use crate::kind::{Outcome, StopReason};
@@ -202,22 +200,22 @@ impl Motion {
         };
         let failed = if let Some(joint) = missing {
             let silence = human_time(SILENCE);
-            Some(format!(
-                "{UNKNOWN_OUTCOME}no joint state of {joint} for {silence}; the controller was told to stop{}",
+            Some(Outcome::Unknown(format!(
+                "no joint state of {joint} for {silence}; the controller was told to stop{}",
                 why(unseen)
-            ))
+            )))
         } else if let Err(reason) = heard {
-            Some(format!("{UNKNOWN_OUTCOME}{reason}"))
+            Some(Outcome::Unknown(reason.to_owned()))
         } else if *until <= now {
             let limit = human_time(limit);
-            Some(format!(
+            Some(Outcome::Failed(format!(
                 "{joint} is {distance:.3} from its position after {limit}"
-            ))
+            )))
         } else {
             None
         };
-        if let Some(reason) = failed {
-            return self.begin_stop(now, Outcome::Failed(reason));
+        if let Some(outcome) = failed {
+            return self.begin_stop(now, outcome);
         }
         if distance <= tolerance {
             // What counts is when joint states arrived: one alone may be of a joint that passes.
@@ -291,13 +289,13 @@ impl Motion {
                 *rest = fresh;
             }
         }
-        let is_known = |outcome: &Outcome| !matches!(outcome, Outcome::Failed(reason) if reason.starts_with(UNKNOWN_OUTCOME));
+        let is_known = |outcome: &Outcome| !matches!(outcome, Outcome::Unknown(_));
         let ended = match (&*outcome, heard) {
             (known, Ok(_)) if is_still => known.clone(),
             (known, _) if !is_known(known) && (heard.is_err() || *until <= now) => known.clone(),
-            (_, Err(reason)) => Outcome::Failed(format!(
-                "{UNKNOWN_OUTCOME}the controller was told to stop, but {reason}"
-            )),
+            (_, Err(reason)) => {
+                Outcome::Unknown(format!("the controller was told to stop, but {reason}"))
+            }
             _ if *until > now => return,
             _ => {
                 let time = human_time(STOP_TIME);
@@ -308,9 +306,7 @@ impl Motion {
                     }
                     _ => format!("after {time} joint states do not show that the joints are still"),
                 };
-                Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}the controller was told to stop, and {reason}"
-                ))
+                Outcome::Unknown(format!("the controller was told to stop, and {reason}"))
             }
         };
         self.end(ended, actions);

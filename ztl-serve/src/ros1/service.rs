@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_ros1::message::{ServiceType, Value};
 use ztl_ros1::{ServiceError, WireType};
 use ztl_std::describe::GoalRule;
@@ -70,15 +69,17 @@ impl Service {
         let bytes = match answer {
             Ok(bytes) => bytes,
             Err(Refusal { reason, unknown }) => {
-                let unknown = if unknown { UNKNOWN_OUTCOME } else { "" };
-                return Outcome::Failed(format!("{unknown}{reason}"));
+                return match unknown {
+                    true => Outcome::Unknown(reason),
+                    false => Outcome::Failed(reason),
+                };
             }
         };
         let whole = ShownMessage::whole(&self.service.response);
         let shown = self.result.as_ref().unwrap_or(&whole);
         let text = match shown.text(&bytes) {
             Ok(text) => text,
-            Err(error) => return Outcome::Failed(format!("{UNKNOWN_OUTCOME}{error}")),
+            Err(error) => return Outcome::Unknown(error),
         };
         // By custom, a response with `success` says whether it was done, and `message` why not.
         let response = self.service.response.decode(&bytes).ok();

@@ -169,7 +169,10 @@ impl Source {
         }
         let how = match &outcome {
             Outcome::Completed(_) => "exit code 0",
-            Outcome::Failed(how) | Outcome::Rejected(how) | Outcome::Aborted(how) => how,
+            Outcome::Failed(how)
+            | Outcome::Unknown(how)
+            | Outcome::Rejected(how)
+            | Outcome::Aborted(how) => how,
         };
         let pause = human_time(self.pause);
         warn!(target: LOG, "Stream {topic} has ended, and begins again in {pause}: {how}");

@@ -111,9 +111,7 @@ impl Run {
                     false => "",
                 };
                 let name = request.name();
-                return Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}{aborted}whether {name} was done: {reason}"
-                ));
+                return Outcome::Unknown(format!("{aborted}whether {name} was done: {reason}"));
             }
         };
         let mut call = Call::clone(&self.call);
@@ -153,8 +151,8 @@ impl Run {
     fn certain(&self, outcome: Outcome) -> Outcome {
         match outcome {
             Outcome::Completed(text) if self.shared.may_be_aborted.load(Ordering::SeqCst) => {
-                Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}an abort was sent, which may have ended it early: {text}"
+                Outcome::Unknown(format!(
+                    "an abort was sent, which may have ended it early: {text}"
                 ))
             }
             outcome => outcome,
@@ -204,8 +202,8 @@ impl Run {
         {
             if let Err(reason) = condition.check(self.call()) {
                 let stopped = self.stopped();
-                return Outcome::Failed(format!(
-                    "{UNKNOWN_OUTCOME}nobody can tell when it is over, {stopped}: {reason}"
+                return Outcome::Unknown(format!(
+                    "nobody can tell when it is over, {stopped}: {reason}"
                 ));
             }
         }
@@ -235,8 +233,8 @@ impl Run {
                 Some(Heard::Closed(reason)) => {
                     // The robot may still do it.
                     let stopped = self.stopped();
-                    return Outcome::Failed(format!(
-                        "{UNKNOWN_OUTCOME}no more events of {name}, {stopped}: {reason}"
+                    return Outcome::Unknown(format!(
+                        "no more events of {name}, {stopped}: {reason}"
                     ));
                 }
                 Some(Heard::Open) | None => {}
@@ -307,8 +305,8 @@ impl Run {
                 // The robot may still do it.
                 let stopped = self.stopped();
                 return match silent {
-                    Some(reason) => Outcome::Failed(format!(
-                        "{UNKNOWN_OUTCOME}no answer about its progress within {limit}, {stopped}: {reason}"
+                    Some(reason) => Outcome::Unknown(format!(
+                        "no answer about its progress within {limit}, {stopped}: {reason}"
                     )),
                     None => Outcome::Failed(format!("not over within {limit}; {stopped}")),
                 };

@@ -95,7 +95,7 @@ fn each_end_of_a_goal_is_the_true_final_state() {
         (
             end(EndState::Unknown, "the server is gone", None),
             client,
-            Outcome::Failed("unknown: the server is gone".to_owned()),
+            Outcome::Unknown("the server is gone".to_owned()),
         ),
     ] {
         assert_eq!(said(end.clone(), asked), expected, "{end:?} {asked:?}");

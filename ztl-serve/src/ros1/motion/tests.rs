@@ -163,11 +163,8 @@ fn joints_are_still_when_states_after_the_acknowledged_stop_show_it() {
     // Old states, of a time when the joints may have moved, show nothing.
     let mut bench = aborted();
     bench.pass(STOP_TIME + SECOND, None);
-    let unknown = |reason: &str| {
-        Outcome::Failed(format!(
-            "unknown: the controller was told to stop, {reason}"
-        ))
-    };
+    let unknown =
+        |reason: &str| Outcome::Unknown(format!("the controller was told to stop, {reason}"));
     let reason = "and no states of all joints came within 3 s";
     assert_eq!(bench.end(), unknown(reason));
 
@@ -217,7 +214,7 @@ fn joints_that_go_on_after_the_stop_are_an_unknown_outcome() {
     for step in 0..180 {
         bench.pass(TICK, Some([f64::from(step) * 0.01, 0.0]));
     }
-    let Outcome::Failed(reason) = bench.end() else {
+    let Outcome::Unknown(reason) = bench.end() else {
         panic!("it moves");
     };
     assert!(
@@ -238,10 +235,10 @@ fn a_motion_that_takes_too_long_or_is_not_seen_is_stopped_and_fails() {
     let mut bench = Bench::new();
     bench.pass(TICK, Some([0.0, 0.0]));
     bench.pass(5 * SECOND, None);
-    let reason = "unknown: no joint state of a for 2 s; the controller was told to stop".to_owned();
+    let reason = "no joint state of a for 2 s; the controller was told to stop".to_owned();
     assert_eq!(
         bench.done().last(),
-        Some(&Action::End(Outcome::Failed(reason)))
+        Some(&Action::End(Outcome::Unknown(reason)))
     );
     let mut bench = Bench::new();
     bench.pass(SECOND, Some([1.0, f64::NAN]));
@@ -252,6 +249,6 @@ fn a_motion_that_takes_too_long_or_is_not_seen_is_stopped_and_fails() {
     );
     bench.is_heard = false;
     bench.pass(5 * SECOND, Some([0.0, 0.0]));
-    let reason = "unknown: the controller has left the topic".to_owned();
-    assert_eq!(bench.end(), Outcome::Failed(reason));
+    let reason = "the controller has left the topic".to_owned();
+    assert_eq!(bench.end(), Outcome::Unknown(reason));
 }

@@ -2,8 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
-
 use super::super::Event;
 use super::super::audience::{EXPLAIN, Heard, Outlet};
 use crate::human::human_time;
@@ -126,7 +124,7 @@ impl PublishJob {
             }
             None => return None,
         };
-        Some(Outcome::Failed(format!("{UNKNOWN_OUTCOME}{reason}")))
+        Some(Outcome::Unknown(reason))
     }
 
     /// Ends once the last message is acknowledged.
@@ -144,15 +142,14 @@ impl PublishJob {
         }
         *next = now + CONFIRM;
         let (until, outcome) = (*until, outcome.clone());
-        let is_unknown = |outcome: &Outcome| matches!(outcome, Outcome::Failed(reason) if reason.starts_with(UNKNOWN_OUTCOME));
         let heard = self.outlet.look(self.begun);
         let outcome = match self.lost(&heard) {
-            _ if is_unknown(&outcome) => outcome,
+            _ if matches!(outcome, Outcome::Unknown(_)) => outcome,
             Some(lost) => lost,
             None if heard.has_all => outcome,
             None if until > now => return,
-            None => Outcome::Failed(format!(
-                "{UNKNOWN_OUTCOME}a node that subscribes to {} has not acknowledged the last message",
+            None => Outcome::Unknown(format!(
+                "a node that subscribes to {} has not acknowledged the last message",
                 self.topic
             )),
         };

@@ -166,8 +166,8 @@ fn a_task_needs_a_subscriber_at_its_beginning_and_to_its_end() {
     bench.pass(300 * MS);
     bench.topic.is_heard.store(false, Ordering::Relaxed);
     bench.pass(1000 * MS);
-    let reason = "unknown: no node subscribes to /cmd_vel any more".to_owned();
-    assert_eq!(bench.ended, Some(Outcome::Failed(reason)));
+    let reason = "no node subscribes to /cmd_vel any more".to_owned();
+    assert_eq!(bench.ended, Some(Outcome::Unknown(reason)));
     assert!(bench.sent().ends_with(&[STOP; 5]), "{:?}", bench.sent());
     let mut bench = Bench::new(DRIVE, None, false);
     bench.stop(StopReason::Client);
@@ -198,15 +198,14 @@ fn a_task_ends_as_completed_only_after_its_last_message_is_acknowledged() {
         let mut bench = Bench::new(repeat, Some(200 * MS), true);
         bench.topic.is_behind.store(true, Ordering::Relaxed);
         bench.pass(3000 * MS);
-        let reason =
-            "unknown: a node that subscribes to /cmd_vel has not acknowledged the last message";
-        assert_eq!(bench.ended, Some(Outcome::Failed(reason.to_owned())));
+        let reason = "a node that subscribes to /cmd_vel has not acknowledged the last message";
+        assert_eq!(bench.ended, Some(Outcome::Unknown(reason.to_owned())));
     }
 }
 
 #[test]
 fn a_node_that_was_disconnected_makes_the_outcome_unknown_also_of_an_abort() {
-    let lost = Outcome::Failed("unknown: /base was disconnected".to_owned());
+    let lost = Outcome::Unknown("/base was disconnected".to_owned());
     let mut bench = Bench::new(DRIVE, None, true);
     bench.pass(100 * MS);
     bench.topic.is_lost.store(true, Ordering::Relaxed);
