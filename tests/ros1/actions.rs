@@ -83,13 +83,25 @@ fn a_goal_that_another_client_preempts_is_told_as_preempted() {
 }
 
 #[test]
-fn a_lost_result_leaves_the_true_state() {
+fn a_result_that_a_proxy_loses_leaves_the_true_state() {
     let master = Master::shared();
-    let name = unique("lossy");
-    let _robot = master.action(&name, &name);
+    let [real, name] = [unique("real"), unique("lossy")];
+    let _robot = master.action(&real, &real);
+    let proxy = master.robot(&["proxy", &name, &real, &name]);
     let node = master.node();
     let action = connected(&node, &name);
-    Running::send(&action, 6).ends(EndState::Succeeded, "done", None);
+    let running = Running::send(&action, 1);
+    running.accepted();
+    running.ends(EndState::Succeeded, "done", None);
+    proxy.wait_for("lost 10");
+    Running::send(&action, 2).ends(EndState::Aborted, "broken", None);
+    proxy.wait_for("lost 20");
+    Running::send(&action, 3).ends(EndState::Rejected, "no", None);
+    let cancelled = Running::send(&action, 4);
+    cancelled.accepted();
+    cancelled.goal.cancel();
+    cancelled.ends(EndState::Preempted, "stopped", None);
+    proxy.wait_for("lost -1");
 }
 
 #[test]
@@ -102,7 +114,7 @@ fn a_goal_that_the_server_never_shows_has_an_unknown_outcome() {
     let end = Running::send(&action, 7).end();
     assert_eq!(end.state, EndState::Unknown);
     assert!(
-        end.text.contains("did not acknowledge the goal"),
+        end.text.contains("has not shown the goal in time"),
         "{}",
         end.text
     );
@@ -181,7 +193,7 @@ fn a_second_server_is_noticed_also_when_a_stream_used_the_status_before() {
         "actionlib_msgs/GoalStatusArray",
         "8b2b82f13216d0a8ea88bd3af735e619",
     );
-    let _stream = node.subscribe(&topic, status.clone(), move |sender, _| {
+    let _stream = node.subscribe(&topic, status.clone(), false, move |sender, _| {
         let _ = told.send(sender.to_owned());
     });
     let action = connected(&node, &name);

@@ -125,7 +125,7 @@ fn a_thousand_named_publishers_take_few_threads_and_the_true_one_is_heard() {
     });
     let (uri, _) = ports(&node, &topic);
     let (told, heard) = channel();
-    let _subscription = node.subscribe(&topic, string(), move |_, _| {
+    let _subscription = node.subscribe(&topic, string(), false, move |_, _| {
         let _ = told.send(());
     });
     let names: Vec<Value> = (0..1000)

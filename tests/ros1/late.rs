@@ -1,7 +1,7 @@
 //! Commands that would arrive late, after the network or the subscriber was away, and goals of a server that was killed.
 
 use std::io::{ErrorKind, Read as _, Write as _};
-use std::net::TcpListener;
+use std::net::{TcpListener, TcpStream};
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
@@ -18,7 +18,13 @@ use crate::serve::Robot;
 /// Has a message wait for a subscriber that reads nothing.
 fn behind(publisher: &ztl_ros1::Publisher) {
     publisher.publish(text(&"x".repeat(16 << 20)));
-    let is_behind = || publisher.audience().nodes.iter().any(|node| !node.has_all);
+    let is_behind = || {
+        publisher
+            .audience(false)
+            .nodes
+            .iter()
+            .any(|node| !node.has_all)
+    };
     wait("the message waits", is_behind);
 }
 
@@ -35,7 +41,7 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
     // These are replaced by the newest, and come too late.
     (0..10).for_each(|number| publisher.publish(text(&format!("late {number}"))));
     wait("it is disconnected", || publisher.subscribers().is_empty());
-    let lost = publisher.audience().lost;
+    let lost = publisher.audience(false).lost;
     assert_eq!(lost.len(), 1);
     assert_eq!(lost[0].node, "/slow");
     assert!(lost[0].reason.contains("has not acknowledged"), "{lost:?}");
@@ -49,8 +55,17 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
     publisher.explain(Some("/slow"), move |text| drop(told.send(text)));
     let reason = reason.recv_timeout(PATIENCE).unwrap();
     assert!(reason.starts_with("/slow was disconnected: "), "{reason}");
+    // It only connects: no master could tell it that this topic is there.
+    let part = "The ROS master no longer knows that it subscribes: start /slow again";
+    assert!(reason.contains(part), "{reason}");
     let _again = listen(&node, node.name(), &topic, "/slow");
-    let all = || publisher.audience().nodes.iter().all(|node| node.has_all);
+    let all = || {
+        publisher
+            .audience(false)
+            .nodes
+            .iter()
+            .all(|node| node.has_all)
+    };
     wait("it has all", || publisher.subscribers().len() == 1 && all());
 }
 
@@ -67,7 +82,7 @@ fn a_node_that_is_disconnected_has_never_acknowledged_all() {
         behind(&publisher);
         // The system or the node closes the connection, whichever looks first.
         let lost = until("it is lost", PATIENCE * 2, || {
-            let audience = publisher.audience();
+            let audience = publisher.audience(false);
             assert!(audience.nodes.iter().all(|node| !node.has_all));
             audience.nodes.is_empty().then_some(audience.lost)
         });
@@ -179,7 +194,8 @@ fn a_task_whose_subscriber_takes_nothing_more_is_unknown_and_nothing_of_it_arriv
     // What its machine had taken: the messages of less than half a second.
     assert!(late.len() < 60 * 52, "{} bytes", late.len());
 
-    // When it is back, it is stopped first.
+    // When it is back, it is stopped first, also if a task that it did not hear has begun and ended meanwhile.
+    assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
     let mut back = listen(&asker, &node, &topic, "/slow");
     let mut twist = [0; 52];
     back.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -190,6 +206,47 @@ fn a_task_whose_subscriber_takes_nothing_more_is_unknown_and_nothing_of_it_arriv
     // The file names the node that counts, so another one stops nothing.
     let _slow = listen(&asker, &node, &topic, "/slow");
     assert_eq!(robot.run("bound", ""), Ok((Completed, "True".to_owned())));
+}
+
+/// Resets the connection, as a firewall or a machine that restarts does.
+fn reset(stream: TcpStream) {
+    rustix::net::sockopt::set_socket_linger(&stream, Some(Duration::ZERO)).unwrap();
+    drop(stream);
+}
+
+#[test]
+fn a_node_whose_connection_is_reset_during_a_task_makes_its_outcome_unknown_and_is_stopped_first() {
+    let robot = Robot::new(
+        "scopes: {/test: {p: {
+            drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, for: 60 s, dead-man: 20 s, message: {linear: {x: 0.5}}, stop: {}},
+            pose: {ros1-trajectory: /NAME/command, joint-states: /NAME/joint_states, joints: [elbow], poses: {far: [200]}}}}}",
+    );
+    let asker = Master::shared().node();
+    let mut remote = robot.remote();
+    // An empty trajectory has a header and two lists.
+    for (component, goal, topic, begun, stop) in [
+        ("drive", "", "cmd_vel", "twist 0.5", vec![0; 48]),
+        ("pose", "far", "command", "trajectory", vec![0; 24]),
+    ] {
+        let topic = format!("/{}/{topic}", robot.name);
+        let node = publisher_of(&asker, &topic);
+        let task = until("the robot is connected", PATIENCE, || {
+            let started = remote.trigger("p", component, goal).ok()?;
+            started.id.number()
+        });
+        robot.node.wait_for(begun);
+        let slow = listen(&asker, &node, &topic, "/slow");
+        reset(slow);
+        let (state, text) = end(&mut remote, task);
+        assert_eq!(state, Failed);
+        let part = "unknown: /slow was disconnected: the connection of 127.0.0.1:";
+        assert!(text.starts_with(part), "{text}");
+        let mut back = listen(&asker, &node, &topic, "/slow");
+        let mut first = vec![0xff; stop.len() + 4];
+        back.set_read_timeout(Some(PATIENCE)).unwrap();
+        back.read_exact(&mut first).unwrap();
+        assert_eq!(first, frame(&stop));
+    }
 }
 
 #[test]
@@ -206,7 +263,10 @@ fn a_killed_server_leaves_no_late_command() {
         let id = start(&mut remote, "p", "drive", "{speed: 0.5, seconds: 60}");
         let before = count();
         // On a busy machine, the slow one may be disconnected before.
-        while remote.status(id).expect("a status").state == Accepted {
+        while remote
+            .status(id)
+            .is_ok_and(|status| status.state == Accepted)
+        {
             // More than the slow one has room for.
             if count() > before + 150 {
                 return Some(slow);
@@ -245,6 +305,40 @@ fn a_cancel_that_is_acknowledged_late_is_not_discarded() {
     let mut cancel = vec![0; u32::from_le_bytes(length) as usize];
     slow.read_exact(&mut cancel).unwrap();
     assert!(cancel.len() > 16_000);
+}
+
+#[test]
+fn a_cancel_that_waits_does_not_wait_when_its_server_can_be_reached() {
+    let master = Master::shared();
+    // Goals have long names then, and one cancel is more than the slow connection has room for.
+    let server_name = unique("cut");
+    let name = unique(&"x".repeat(16_000));
+    let mut server = master.action(&server_name, &name);
+    let node = master.node();
+    let action = connected(&node, &name);
+    // A connection that the server knows nothing of, as after a cut.
+    let slow = listen(
+        &node,
+        node.name(),
+        &format!("/{name}/cancel"),
+        &format!("/{server_name}"),
+    );
+    let running = Running::send(&action, 8);
+    running.accepted();
+    running.goal.cancel();
+    let reset = until("the connection is closed", PATIENCE, || {
+        // Nothing is read, so that nothing more is acknowledged.
+        rustix::net::sockopt::socket_error(&slow).unwrap().err()
+    });
+    assert_eq!(reset, rustix::io::Errno::CONNRESET);
+    let _back = listen(
+        &node,
+        node.name(),
+        &format!("/{name}/cancel"),
+        &format!("/{server_name}"),
+    );
+    server.write_line("finish");
+    running.ends(EndState::Succeeded, "told", Some(7));
 }
 
 #[test]

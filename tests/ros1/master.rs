@@ -29,7 +29,7 @@ fn a_master_that_was_killed_and_restarted_gets_everything_again() {
     let node = master.node();
     let publisher = node.publisher("/robot/in", string(), true).unwrap();
     publisher.publish(text("kept"));
-    let _subscription = node.subscribe("/robot/out", string(), |_, _| {});
+    let _subscription = node.subscribe("/robot/out", string(), false, |_, _| {});
     let mut robot = master.action("arm", "/arm");
     let action = connected(&node, "/arm");
     let running = Running::send(&action, 4);
@@ -90,7 +90,7 @@ fn a_node_that_stops_unregisters() {
     let topic = unique("/left");
     let name = node.name().to_owned();
     let publisher = node.publisher(&topic, string(), false).unwrap();
-    let subscription = node.subscribe(&topic, string(), |_, _| {}).unwrap();
+    let subscription = node.subscribe(&topic, string(), false, |_, _| {}).unwrap();
     wait("both are registered", || {
         registered(&watcher, &topic, &name) == 2
     });

@@ -2,6 +2,7 @@
 
 robot.py action NAME TOPIC...   serves actionlib/Test under each topic; the goal says what it does
 robot.py topics NAME            publishes, subscribes, serves a service
+robot.py proxy NAME REAL TOPIC  passes on the messages of the action REAL under TOPIC, but loses each result
 """
 
 import os
@@ -11,7 +12,10 @@ import time
 
 import actionlib
 import rospy
-from actionlib.msg import TestAction, TestFeedback, TestResult
+from actionlib.msg import (
+    TestAction, TestActionFeedback, TestActionGoal, TestActionResult, TestFeedback, TestResult,
+)
+from actionlib_msgs.msg import GoalID, GoalStatusArray
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
 from std_srvs.srv import Trigger, TriggerResponse
@@ -23,13 +27,12 @@ def say(*words):
 
 class Action:
     """Goals: 1 succeeds, 2 aborts, 3 is rejected, 4 gives feedback and runs until it is cancelled or told,
-    5 waits and is recalled, 6 loses its result, 7 is never seen;
+    5 waits and is recalled, 7 is never seen, 8 ignores cancels and runs until it is told;
     1000 and more give as many feedbacks, one a millisecond, and run as 4 does."""
 
     def __init__(self, topic):
         self.held = {}
         self.server = actionlib.ActionServer(topic, TestAction, self.on_goal, self.on_cancel, auto_start=False)
-        self.publish_result = self.server.publish_result
         receive = self.server.internal_goal_callback
         self.server.internal_goal_callback = lambda goal: goal.goal.goal == 7 or receive(goal)
         self.server.start()
@@ -38,18 +41,17 @@ class Action:
         goal = handle.get_goal().goal
         say("goal", goal)
         result = TestResult(result=goal * 10)
-        self.server.publish_result = (lambda *_: None) if goal == 6 else self.publish_result
         if goal == 3:
             handle.set_rejected(result, "no")
             return
-        if goal in (4, 5) or goal >= 1000:
+        if goal in (4, 5, 8) or goal >= 1000:
             # First, since a command may follow as soon as it is accepted.
             self.held[handle.get_goal_id().id] = handle
         if goal != 5:
             handle.set_accepted("yes")
         if goal == 4:
             handle.publish_feedback(TestFeedback(feedback=5))
-        if goal in (1, 6):
+        if goal == 1:
             handle.set_succeeded(result, "done")
         elif goal == 2:
             handle.set_aborted(result, "broken")
@@ -65,6 +67,8 @@ class Action:
 
     def on_cancel(self, handle):
         say("cancel", handle.get_goal_id().id)
+        if handle.get_goal().goal == 8:
+            return
         self.held.pop(handle.get_goal_id().id, None)
         handle.set_canceled(TestResult(result=-1), "stopped")
 
@@ -75,6 +79,24 @@ class Action:
             elif word == "preempt":
                 handle.set_canceled(TestResult(result=8), "by another")
         self.held.clear()
+
+
+class Proxy:
+    def __init__(self, real, topic):
+        for part in ("goal", "cancel"):
+            self.forward(f"/{topic}/{part}", f"/{real}/{part}")
+        for part in ("status", "feedback"):
+            self.forward(f"/{real}/{part}", f"/{topic}/{part}")
+        # The type is known without a message.
+        self.result = rospy.Publisher(f"/{topic}/result", TestActionResult, queue_size=10)
+        rospy.Subscriber(f"/{real}/result", TestActionResult, lambda result: say("lost", result.result.result))
+
+    def forward(self, source, target):
+        kind = {
+            "goal": TestActionGoal, "cancel": GoalID, "status": GoalStatusArray, "feedback": TestActionFeedback,
+        }[source.rsplit("/", 1)[1]]
+        to = rospy.Publisher(target, kind, queue_size=100)
+        rospy.Subscriber(source, kind, to.publish)
 
 
 class Topics:
@@ -109,7 +131,12 @@ class Topics:
 def main():
     kind, name, *rest = sys.argv[1:]
     rospy.init_node(name, disable_signals=True, disable_rosout=True)
-    node = [Action(topic) for topic in rest][0] if kind == "action" else Topics(name)
+    if kind == "action":
+        node = [Action(topic) for topic in rest][0]
+    elif kind == "proxy":
+        node = Proxy(*rest)
+    else:
+        node = Topics(name)
     say("ready")
     for line in sys.stdin:
         node.command(*line.split())

@@ -37,16 +37,21 @@ fn messages_go_both_ways() {
     robot.wait_for("heard second");
     assert_eq!(publisher.subscribers(), [format!("/{name}")]);
     let (told, heard) = channel();
-    let own = node.subscribe(&format!("/{name}/in"), string(), move |_, content| {
-        let _ = told.send(content.to_vec());
-    });
+    let own = node.subscribe(
+        &format!("/{name}/in"),
+        string(),
+        false,
+        move |_, content| {
+            let _ = told.send(content.to_vec());
+        },
+    );
     assert_eq!(heard.recv_timeout(PATIENCE), Ok(text("second")));
     assert_eq!(publisher.subscribers(), [format!("/{name}")]);
     drop(own.unwrap());
 
     let (told, heard) = channel();
     let topic = format!("/{name}/out");
-    let subscription = node.subscribe(&topic, string(), move |from, content| {
+    let subscription = node.subscribe(&topic, string(), false, move |from, content| {
         let _ = told.send((from.to_owned(), content.to_vec()));
     });
     let mut last = "";
@@ -184,13 +189,23 @@ fn a_node_that_floods_keeps_no_other_waiting() {
     let mut robot = master.robot(&["topics", &calm]);
     let node = master.node();
     let (count, counted) = channel();
-    let _flood = node.subscribe(&format!("/{flood}/out"), string(), move |_, content| {
-        let _ = count.send(content.len());
-    });
+    let _flood = node.subscribe(
+        &format!("/{flood}/out"),
+        string(),
+        false,
+        move |_, content| {
+            let _ = count.send(content.len());
+        },
+    );
     let (told, heard) = channel();
-    let _calm = node.subscribe(&format!("/{calm}/out"), string(), move |from, content| {
-        let _ = told.send((from.to_owned(), content.to_vec()));
-    });
+    let _calm = node.subscribe(
+        &format!("/{calm}/out"),
+        string(),
+        false,
+        move |from, content| {
+            let _ = told.send((from.to_owned(), content.to_vec()));
+        },
+    );
     flooding.write_line("flood");
     counted.recv_timeout(PATIENCE).expect("the flood");
     let mut last = String::new();
@@ -212,11 +227,34 @@ fn a_second_subscription_gets_the_latched_message_too() {
     let subscribe = || {
         let (told, heard) = channel();
         let on_message = move |_: &str, bytes: &[u8]| drop(told.send(bytes.to_vec()));
-        let subscription = node.subscribe(&topic, string(), on_message).unwrap();
+        let subscription = node.subscribe(&topic, string(), false, on_message).unwrap();
         (subscription, heard)
     };
     let (_one, first) = subscribe();
     assert_eq!(first.recv_timeout(PATIENCE), Ok(text("kept")));
     let (_other, second) = subscribe();
     assert_eq!(second.recv_timeout(PATIENCE), Ok(text("kept")));
+}
+
+#[test]
+fn a_silent_connection_is_replaced_where_messages_come_all_the_time() {
+    let master = Master::shared();
+    let publishing = master.node();
+    let topic = unique("/steady");
+    let publisher = publishing.publisher(&topic, string(), true).unwrap();
+    publisher.publish(text("kept"));
+    // A new connection brings the kept message again.
+    let subscribe = |steady: bool| {
+        let node = master.node();
+        let (told, heard) = channel();
+        let on_message = move |_: &str, bytes: &[u8]| drop(told.send(bytes.to_vec()));
+        let subscription = node.subscribe(&topic, string(), steady, on_message);
+        (node, subscription.unwrap(), heard)
+    };
+    let (_node, _steady, steady) = subscribe(true);
+    let (_other, _rare, rare) = subscribe(false);
+    for heard in [&steady, &rare, &steady, &steady] {
+        assert_eq!(heard.recv_timeout(PATIENCE), Ok(text("kept")));
+    }
+    assert_eq!(rare.try_recv(), Err(TryRecvError::Empty));
 }

@@ -209,8 +209,26 @@ impl Machine {
         if (&links.goal, &links.cancel) != (&self.links.goal, &self.links.cancel) {
             self.settling = Some(now + SETTLE);
         }
-        self.links = links;
+        let before = std::mem::replace(&mut self.links, links);
+        self.cancel_again(now, &before.cancel, effects);
         self.send_waiting(now, effects);
+    }
+
+    /// Sends cancels to a node that has just connected for them: it may have missed some. `before`: the nodes that were connected.
+    fn cancel_again(&mut self, now: Instant, before: &[Arc<str>], effects: &mut Vec<Effect>) {
+        let links = &self.links;
+        let is_new = |node: &Arc<str>| links.cancel.contains(node) && !before.contains(node);
+        for goal in self.goals.values_mut() {
+            if goal.cancel_at.is_some() && goal.may_repeat_cancel() && is_new(&goal.server) {
+                goal.cancel_at = Some(now + CANCEL_AGAIN);
+                let id = goal.id.clone();
+                effects.push(Effect::SendCancel { id });
+            }
+        }
+        if links.cancel.iter().any(is_new) {
+            let ids = self.orphans.keys().cloned();
+            effects.extend(ids.map(|id| Effect::SendCancel { id }));
+        }
     }
 
     /// A message of the topic `status` has arrived from this node.
@@ -370,7 +388,7 @@ impl Machine {
                 }
                 Phase::Sent { until } if *until <= now => {
                     let text = format!(
-                        "the action server {server} did not acknowledge the goal; a cancel was sent"
+                        "the action server {server} has not shown the goal in time; a cancel was sent"
                     );
                     let id = goal.id.clone();
                     effects.push(Effect::SendCancel { id });

@@ -82,7 +82,11 @@ impl Engine {
             "shutdown" => {
                 // Its owner decides when it ends.
                 let (by, reason) = (text(0), text(1));
-                tracing::warn!("ignored a request of {by} to stop the ROS node: {reason}");
+                if !std::mem::replace(&mut self.is_shutdown_told, true) {
+                    tracing::warn!(
+                        "ignored a request of {by} to stop the ROS node, and will not say so again: {reason}"
+                    );
+                }
                 Value::Int(0)
             }
             _ => return xmlrpc::fault(&format!("unknown method '{method}'")),

@@ -31,20 +31,22 @@ pub(super) struct Connection {
 impl Connection {
     pub(super) fn failure(&self, error: &io::Error) -> NetError {
         let peer = self.peer.to_string();
-        // The system has waited for what it sent to be acknowledged. It may say why the network lost it.
-        let is_cut = match error.kind() {
-            io::ErrorKind::TimedOut => true,
-            io::ErrorKind::HostUnreachable | io::ErrorKind::NetworkUnreachable => self.accepted,
-            _ => false,
-        };
-        if is_cut && self.outbox.has_limit() {
-            return NetError::Silent { peer };
+        let (kind, error) = (error.kind(), plain(error));
+        match kind {
+            // The system has waited for what it sent to be acknowledged.
+            io::ErrorKind::TimedOut if self.accepted || self.outbox.has_limit() => {
+                NetError::Silent { peer }
+            }
+            // It may say why the network lost it.
+            io::ErrorKind::HostUnreachable | io::ErrorKind::NetworkUnreachable if self.accepted => {
+                NetError::Silent { peer }
+            }
+            io::ErrorKind::ConnectionRefused => NetError::Refused { peer },
+            // The other end had closed it before.
+            io::ErrorKind::BrokenPipe => NetError::Closed { peer },
+            _ if self.accepted => NetError::Broken { peer, error },
+            _ => NetError::Failed { peer, error },
         }
-        if error.kind() == io::ErrorKind::ConnectionRefused {
-            return NetError::Refused { peer };
-        }
-        let error = plain(error);
-        NetError::Failed { peer, error }
     }
 
     /// Whether everything was sent, and acknowledged if that is limited.

@@ -71,6 +71,8 @@ pub(crate) struct Engine {
     pub(crate) relinked: Vec<Arc<str>>,
     pub(crate) next_id: u32,
     pub(crate) stopping: Option<Instant>,
+    /// The log has said that a request to stop was ignored.
+    pub(crate) is_shutdown_told: bool,
     jobs: Receiver<Job>,
     /// The way to this thread, for threads that look up names.
     pub(crate) mailbox: super::Mailbox,
@@ -110,6 +112,7 @@ impl Engine {
             relinked: Vec::new(),
             next_id: 0,
             stopping: None,
+            is_shutdown_told: false,
             jobs,
             wake: mailbox.wake(),
             mailbox,
@@ -137,6 +140,7 @@ impl Engine {
             self.handle_events(now);
             self.retry_sources(now);
             self.time_actions(now);
+            self.replace_silent(now);
         }
         // Then its owner asks, and learns of connections that have failed.
         self.do_jobs(now);

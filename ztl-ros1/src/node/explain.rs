@@ -50,10 +50,6 @@ impl Engine {
             until: now + LIMIT,
             then,
         };
-        let publication = self.publications.get(&question.topic);
-        if let Some(reason) = publication.and_then(|of| of.loss(question.wanted.as_deref())) {
-            return (question.then)(reason);
-        }
         let params = [self.name[..].into()];
         let master = self.master.clone();
         let found = move |engine: &mut Self, now: Instant, answer| {
@@ -86,14 +82,18 @@ impl Engine {
 
     /// The master says who subscribes to what.
     fn on_state(&mut self, now: Instant, question: Question, answer: Result<Value, CallError>) {
-        let state = match answer {
-            Ok(state) => state,
-            Err(error) => {
+        let topic = &question.topic;
+        let publication = self.publications.get(topic);
+        let loss = publication.and_then(|of| of.loss(question.wanted.as_deref()));
+        let state = match (answer, loss) {
+            (Ok(state), _) => state,
+            // The network may be cut.
+            (Err(_), Some(loss)) => return (question.then)(loss.may_return()),
+            (Err(error), None) => {
                 let reason = format!("the ROS master {} does not answer: {error}", self.master);
                 return (question.then)(reason);
             }
         };
-        let topic = &question.topic;
         let subscribed = state.as_array().and_then(|parts| parts.get(1)?.as_array());
         let mut rows = subscribed.unwrap_or_default().iter();
         let nodes = rows.find_map(|row| match row.as_array()? {
@@ -102,8 +102,14 @@ impl Engine {
         });
         let mut nodes = nodes.unwrap_or_default();
         nodes.retain(|node| !is_ztl(node));
+        if let Some(loss) = loss {
+            let reason = match nodes.contains(&loss.node) {
+                true => loss.may_return(),
+                false => loss.must_be_restarted(),
+            };
+            return (question.then)(reason);
+        }
         let mut concerned = nodes.iter().filter(|node| question.concerns(node));
-        let publication = self.publications.get(topic);
         let known = publication.and_then(|of| concerned.clone().find_map(|node| of.obstacle(node)));
         if let Some(reason) = known {
             return (question.then)(reason);

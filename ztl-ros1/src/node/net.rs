@@ -15,7 +15,7 @@ use super::connection::Connection;
 use super::net_error::{NetError, plain};
 use super::outbox::{Outbox, is_later};
 use super::sockets;
-use super::unacknowledged::{self, Ends};
+use super::unacknowledged::{self, Ends, Missing};
 use crate::uri::Address;
 
 /// Bytes that are read from a connection in one turn, so that a node that floods keeps no other waiting.
@@ -48,7 +48,7 @@ pub(crate) enum Listener {
     Tcpros,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct ConnectionId(usize);
 
 /// What happened to a connection.
@@ -252,11 +252,7 @@ impl Net {
         }
         self.next = next;
         for (id, error) in late {
-            if let Some(stream) = self.connections.get(&id).and_then(|of| of.stream.as_ref()) {
-                // What waits is too late.
-                sockets::discard_at_close(stream);
-            }
-            self.fail(id, error);
+            self.discard(id, error);
         }
         for id in settled {
             let peer = self.peer(id);
@@ -314,6 +310,24 @@ impl Net {
     ) -> bool {
         let connection = self.connections.get_mut(&id);
         connection.is_some_and(|connection| connection.is_settled(table))
+    }
+
+    /// Whether the system tells that the other end has not acknowledged something.
+    pub(crate) fn has_unacknowledged(
+        &self,
+        id: ConnectionId,
+        table: &mut unacknowledged::Table,
+    ) -> bool {
+        let ends = self.connections.get(&id).and_then(|of| of.ends);
+        ends.is_some_and(|ends| matches!(table.bytes(ends), Missing::Bytes(1..)))
+    }
+
+    /// Closes a connection of which all that waits is too late.
+    pub(crate) fn discard(&mut self, id: ConnectionId, error: NetError) {
+        if let Some(stream) = self.connections.get(&id).and_then(|of| of.stream.as_ref()) {
+            sockets::discard_at_close(stream);
+        }
+        self.fail(id, error);
     }
 
     /// Whether nothing must be sent or acknowledged any more on connections with a limit.

@@ -28,8 +28,20 @@ pub enum NetError {
         /// The error of the system.
         error: String,
     },
+    /// A connection that the other end has opened was reset, and the system has discarded what waited.
+    Broken {
+        /// The other end.
+        peer: String,
+        /// The error of the system.
+        error: String,
+    },
     /// It has acknowledged nothing for too long: the network is cut, or the node hangs.
     Silent {
+        /// The other end.
+        peer: String,
+    },
+    /// This node has closed it, because it has acknowledged nothing since the network was cut, and can be reached again.
+    Stale {
         /// The other end.
         peer: String,
     },
@@ -56,9 +68,15 @@ impl fmt::Display for NetError {
             Self::Closed { peer } => write!(f, "{peer} has closed the connection"),
             Self::Refused { peer } => write!(f, "no connection to {peer}: connection refused"),
             Self::Failed { peer, error } => write!(f, "no connection to {peer}: {error}"),
+            Self::Broken { peer, error } => write!(f, "the connection of {peer} failed: {error}"),
             Self::Silent { peer } => {
-                write!(f, "{peer} has not acknowledged what was sent to it in time")
+                write!(f, "{peer} has not acknowledged in time what was sent to it")
             }
+            Self::Stale { peer } => write!(
+                f,
+                "{peer} can be reached again, but has not acknowledged what was sent during a cut; that is sent again when it \
+                 has connected again"
+            ),
             Self::Crowded { peer } => {
                 write!(
                     f,

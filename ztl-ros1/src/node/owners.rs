@@ -40,7 +40,7 @@ impl Engine {
         let params = [self.name[..].into()];
         let answered = move |engine: &mut Self, now: Instant, answer: Result<Value, CallError>| {
             if let Err(CallError::Net(NetError::Refused { .. })) = answer {
-                tracing::warn!("cancels a goal of {action}: {node}, which sent it, was killed");
+                tracing::warn!("cancels a goal of {action}: {node}, which sent it, has ended");
                 engine.with_action(now, &action, |action, _| action.machine.adopt(now, id));
             }
         };

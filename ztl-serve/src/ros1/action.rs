@@ -138,7 +138,7 @@ impl Action {
         match state {
             EndState::Succeeded => Outcome::Completed(match result {
                 Some(result) => result,
-                None => format!("SUCCEEDED, and its result was lost: {text}"),
+                None => format!("SUCCEEDED, but the result was lost: {text}"),
             }),
             EndState::Aborted => Outcome::Failed(said("the action server has aborted the goal")),
             EndState::Preempted | EndState::Recalled => Outcome::Aborted(said(&preempted)),

@@ -22,7 +22,7 @@ pub(super) struct Heard {
     pub(super) nodes: Vec<String>,
     /// Whether they have acknowledged all messages.
     pub(super) has_all: bool,
-    /// Which was disconnected because it has not acknowledged a message in time, and why.
+    /// Which was disconnected, and why: it has not acknowledged a message in time, or the connection was reset.
     pub(super) lost: Option<String>,
 }
 
@@ -30,8 +30,8 @@ pub(super) struct Heard {
 pub(super) trait Outlet: Send + Sync {
     fn publish(&self, bytes: Vec<u8>);
 
-    /// Which nodes receive it, and which were lost since then.
-    fn look(&self, since: Instant) -> Heard;
+    /// Which nodes receive it, and which were lost since the task began to publish, if it has.
+    fn look(&self, since: Option<Instant>) -> Heard;
 
     /// Sends this to the nodes that count and were lost since then, first when they connect again.
     fn publish_when_back(&self, since: Instant, bytes: Vec<u8>);
@@ -60,19 +60,20 @@ impl Outlet for Wire {
     }
 
     fn publish_when_back(&self, since: Instant, bytes: Vec<u8>) {
-        let mut lost = self.publisher.audience().lost;
+        let mut lost = self.publisher.audience(false).lost;
         lost.retain(|loss| loss.at >= since && self.counts(&loss.node));
         let nodes = lost.into_iter().map(|loss| loss.node);
         self.publisher.publish_when_back(nodes.collect(), bytes);
     }
 
-    fn look(&self, since: Instant) -> Heard {
+    fn look(&self, since: Option<Instant>) -> Heard {
         let counts = |node: &str| self.counts(node);
-        let audience = self.publisher.audience();
+        let audience = self.publisher.audience(since.is_some());
         let mut nodes = audience.nodes;
         nodes.retain(|listener| counts(&listener.node));
         let mut lost = audience.lost.into_iter();
-        let lost = lost.find(|loss| loss.at >= since && counts(&loss.node));
+        let is_since = |at: Instant| since.is_some_and(|since| at >= since);
+        let lost = lost.find(|loss| is_since(loss.at) && counts(&loss.node));
         Heard {
             has_all: nodes.iter().all(|listener| listener.has_all),
             nodes: nodes.into_iter().map(|listener| listener.node).collect(),

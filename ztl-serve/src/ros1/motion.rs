@@ -201,7 +201,7 @@ impl Motion {
         let failed = if let Some(joint) = missing {
             let silence = human_time(SILENCE);
             Some(Outcome::Unknown(format!(
-                "no joint state of {joint} for {silence}; the controller was told to stop{}",
+                "no joint state of {joint} for {silence}{}",
                 why(unseen)
             )))
         } else if let Err(reason) = heard {
@@ -289,10 +289,20 @@ impl Motion {
                 *rest = fresh;
             }
         }
-        let is_known = |outcome: &Outcome| !matches!(outcome, Outcome::Unknown(_));
+        let is_over = heard.is_err() || *until <= now;
         let ended = match (&*outcome, heard) {
+            (Outcome::Unknown(text), Ok(_)) if is_still => Outcome::Unknown(format!(
+                "{text}; the controller was told to stop, and the joints are still"
+            )),
             (known, Ok(_)) if is_still => known.clone(),
-            (known, _) if !is_known(known) && (heard.is_err() || *until <= now) => known.clone(),
+            (Outcome::Unknown(text), _) if is_over => Outcome::Unknown(match (told, heard) {
+                (Some(_), _) => format!("{text}; the controller was told to stop"),
+                (None, Err(reason)) if reason == text => reason.to_owned(),
+                (None, Err(reason)) => format!("{text}; the controller was not stopped: {reason}"),
+                (None, Ok(_)) => {
+                    format!("{text}; the controller has not acknowledged that it must stop")
+                }
+            }),
             (_, Err(reason)) => {
                 Outcome::Unknown(format!("the controller was told to stop, but {reason}"))
             }

@@ -249,7 +249,7 @@ fn missing_parameter(node: &RosNode, name: &str) -> Option<Mistake> {
     let names = names.iter().filter_map(Value::as_str);
     let help = match closest(name, names) {
         Some(known) => format!("did you mean '{known}'?"),
-        None => "it may be set later: a task asks anew".to_owned(),
+        None => "it may be set later, since each task reads it again".to_owned(),
     };
     Some((format!("the parameter {name} is not set"), help))
 }

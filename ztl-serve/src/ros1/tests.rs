@@ -232,6 +232,14 @@ fn wrong_types_names_and_keys_are_mistakes() {
             "2:32: 'Twist' is not a type, as geometry_msgs/Twist",
         ),
         (
+            "{ros1-publish: /cmd_vel, type: geometry_msgs/msg/Twist}",
+            "2:32: 'geometry_msgs/msg/Twist' is not a type, as geometry_msgs/Twist; in ROS 1, it is geometry_msgs/Twist",
+        ),
+        (
+            "{ros1-action: /move, type: control_msgs/action/PointHead}",
+            "2:28: 'control_msgs/action/PointHead' is not a type, as geometry_msgs/Twist; in ROS 1, it is control_msgs/PointHeadAction",
+        ),
+        (
             "{ros1-publish: /cmd vel, type: geometry_msgs/Twist}",
             "2:16: '/cmd vel' is not a name in ROS, as /cmd_vel",
         ),

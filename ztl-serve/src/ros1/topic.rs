@@ -76,7 +76,7 @@ impl Topic {
                     );
                 }
             };
-            let subscription = node?.subscribe(&self.name, wire, on_message);
+            let subscription = node?.subscribe(&self.name, wire, false, on_message);
             subscription.map_err(|error| error.to_string())
         };
         let topic = Arc::clone(self);

@@ -423,7 +423,12 @@ impl Controller {
                 hear(Instant::now(), &state, &joints, &mut seen);
             }
         };
-        let subscription = node.subscribe(&self.joint_states, wire(&self.joint_state), on_message);
+        let subscription = node.subscribe(
+            &self.joint_states,
+            wire(&self.joint_state),
+            true,
+            on_message,
+        );
         let made = Arc::new(Link {
             publisher,
             seen,
@@ -499,7 +504,7 @@ impl Kind for Controller {
                     subscriber: self.subscriber.clone(),
                     task,
                 },
-                begun: Instant::now(),
+                begun: None,
                 link,
                 bytes,
                 stop,
@@ -514,8 +519,8 @@ impl Kind for Controller {
 struct MotionJob {
     motion: Motion,
     outlet: Wire,
-    /// When the motion began.
-    begun: Instant,
+    /// When the motion began, if it has.
+    begun: Option<Instant>,
     link: Arc<Link>,
     /// The trajectory, and the empty one.
     bytes: Vec<u8>,
@@ -568,14 +573,20 @@ impl MotionJob {
         for action in actions {
             match action {
                 Action::Begin => {
-                    self.begun = Instant::now();
+                    self.begun = Some(Instant::now());
                     self.outlet.publish(self.bytes.clone());
                     effects.push(Effect::Accept);
                 }
                 Action::Stop => self.outlet.publish(self.stop.clone()),
                 Action::Explain => self.outlet.explain(),
                 Action::Progress(text) => effects.push(Effect::Progress(text)),
-                Action::End(outcome) => effects.push(Effect::End(outcome)),
+                Action::End(outcome) => {
+                    // A controller that was disconnected may still follow the trajectory.
+                    if let (Some(begun), Outcome::Unknown(_)) = (self.begun, &outcome) {
+                        self.outlet.publish_when_back(begun, self.stop.clone());
+                    }
+                    effects.push(Effect::End(outcome));
+                }
             }
         }
     }

@@ -95,9 +95,22 @@ impl<'d> ConfigReader<'d> {
                 None => unknown_package(),
             }
         });
+        let help = help.or_else(|| as_in_ros2(text));
         self.yaml.wrong_with(node, error.to_string(), help);
         None
     }
+}
+
+/// What helps if the type is written as in ROS 2, with the kind of definition in its middle.
+fn as_in_ros2(text: &str) -> Option<String> {
+    let mut parts = text.split('/');
+    let (package, kind, name) = (parts.next()?, parts.next()?, parts.next()?);
+    let ending = match kind {
+        "msg" | "srv" => "",
+        "action" => "Action",
+        _ => return None,
+    };
+    Some(format!("in ROS 1, it is {package}/{name}{ending}"))
 }
 
 /// What has a type with this name.

@@ -141,7 +141,7 @@ fn clock(node: &Node, survey: &Survey) -> Option<Finding> {
         }
     };
     let _subscription = node
-        .subscribe(&format!("{action}/status"), wire, on_message)
+        .subscribe(&format!("{action}/status"), wire, false, on_message)
         .ok()?;
     let Ok(ahead) = heard.recv_timeout(HEARD) else {
         let text = format!("no status of {action} within 2 s, so its clock is unknown");

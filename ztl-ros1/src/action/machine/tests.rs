@@ -338,7 +338,7 @@ fn a_goal_that_the_server_never_shows_is_unknown_and_cancelled() {
         lab.pass(Duration::from_secs(1));
         lab.status("/arm", &[]);
     }
-    let text = "the action server /arm did not acknowledge the goal; a cancel was sent";
+    let text = "the action server /arm has not shown the goal in time; a cancel was sent";
     lab.expect(&[cancel_sent(), ended(EndState::Unknown, text, None)]);
     // It arrives after all.
     lab.status("/arm", &[status(Status::Active)]);
@@ -435,4 +435,31 @@ fn what_is_remembered_of_unknown_goals_is_bounded() {
     assert_eq!(lab.machine.orphans.len(), MOST_ORPHANS);
     lab.pass(ORPHAN);
     assert!(lab.machine.orphans.is_empty());
+}
+
+#[test]
+fn a_node_that_connects_again_for_cancels_gets_those_that_it_may_have_missed() {
+    let without = Links {
+        cancel: Vec::new(),
+        ..all("/arm")
+    };
+    let mut lab = Lab::active();
+    lab.links(without.clone());
+    lab.links(all("/arm"));
+    lab.expect(&[]);
+    lab.cancel();
+    lab.expect(&[cancel_sent()]);
+    lab.links(without.clone());
+    lab.expect(&[]);
+    lab.links(all("/arm"));
+    lab.expect(&[cancel_sent()]);
+    lab.links(all("/arm"));
+    lab.expect(&[]);
+    lab.pass(SILENCE_OPEN);
+    lab.effects.clear();
+    // Its outcome is unknown now.
+    assert!(lab.machine.goals.is_empty());
+    lab.links(without);
+    lab.links(all("/arm"));
+    lab.expect(&[cancel_sent()]);
 }

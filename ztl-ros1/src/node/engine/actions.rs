@@ -35,6 +35,10 @@ pub(crate) struct Action {
     pub(in crate::node) machine: Machine,
     owners: HashMap<GoalKey, OnEvent>,
     seq: u32,
+    /// When to look whether cancels are acknowledged.
+    pub(in crate::node) cancels_due: Option<Instant>,
+    /// The log has said that a message is malformed.
+    is_malformed_told: bool,
 }
 
 /// The clock of ROS.
@@ -50,7 +54,7 @@ pub(crate) struct Clock {
 
 impl Clock {
     /// Whether it is simulated and stands still.
-    fn is_paused(&self, now: Instant) -> bool {
+    pub(in crate::node) fn is_paused(&self, now: Instant) -> bool {
         let moves = self.moved.is_some_and(|at| now < at + PAUSE);
         self.simulated.is_some() && !moves
     }
@@ -68,7 +72,7 @@ impl Clock {
 }
 
 /// A topic of an action.
-fn topic(action: &str, part: &str) -> Arc<str> {
+pub(in crate::node) fn topic(action: &str, part: &str) -> Arc<str> {
     Arc::from(format!("{action}/{part}"))
 }
 
@@ -114,6 +118,8 @@ impl Engine {
             machine: Machine::new(format!("{}{name}", self.name)),
             owners: HashMap::new(),
             seq: 0,
+            cancels_due: None,
+            is_malformed_told: false,
         };
         self.actions.insert(Arc::clone(name), action);
         Ok(())
@@ -148,7 +154,8 @@ impl Engine {
         caller: &str,
         content: &[u8],
     ) {
-        self.with_action(now, name, |Action { machine, .. }, effects| {
+        self.with_action(now, name, |action, effects| {
+            let machine = &mut action.machine;
             let read = match part {
                 Part::Status => wire::parse_status(content)
                     .map(|statuses| machine.handle_status(now, caller, &statuses, effects)),
@@ -159,8 +166,10 @@ impl Engine {
                     machine.handle_result(now, caller, &status, content, effects);
                 }),
             };
-            if read.is_none() {
-                tracing::warn!("malformed {part:?} of the action {name} from {caller}");
+            if read.is_none() && !std::mem::replace(&mut action.is_malformed_told, true) {
+                tracing::warn!(
+                    "ignored a malformed {part:?} of the action {name} from {caller}, and will not say so again"
+                );
             }
         });
     }
@@ -206,6 +215,7 @@ impl Engine {
                 }
                 action.machine.handle_timeout(now, effects);
             });
+            self.watch_cancels(now, &name);
         }
     }
 
@@ -239,7 +249,10 @@ impl Engine {
                 let message = wire::goal(action.seq, self.clock.now(), &id, &content);
                 self.publish(&topic(name, "goal"), &message);
             }
-            Effect::SendCancel { id } => self.publish(&topic(name, "cancel"), &wire::cancel(&id)),
+            Effect::SendCancel { id } => {
+                self.watch_cancels_later(now, name);
+                self.publish(&topic(name, "cancel"), &wire::cancel(&id));
+            }
             Effect::Event(key, event @ GoalEvent::Ended(_)) => {
                 if let Some(mut on_event) = action.owners.remove(&key) {
                     on_event(event);

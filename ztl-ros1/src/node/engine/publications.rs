@@ -19,12 +19,17 @@ pub(crate) const QUEUE: usize = 64;
 /// The longest text of another node that is shown.
 const LONGEST_SHOWN: usize = 512;
 
-/// How often a topic that has lost a node is registered anew: while the node's machine may not know it.
+/// How often a topic that has lost a node is registered again: while the node's machine may not know it.
 const RENEWALS: u32 = 30;
+const RENEWALS_AFTER_RESET: u32 = 3;
 const RENEWAL: Duration = Duration::from_secs(10);
 
-/// Nodes that are remembered because they were lost or refused.
+/// Nodes that are remembered because they were lost or refused, and how long those that were lost.
 const MOST_REMEMBERED: usize = 64;
+const REMEMBERED: Duration = Duration::from_secs(3600);
+
+/// How often the log says that a node was disconnected.
+const TOLD: Duration = Duration::from_secs(60);
 
 /// How messages of a topic are sent.
 #[derive(Debug, Clone, Copy, Default)]
@@ -42,7 +47,8 @@ pub(crate) struct Manner {
 pub struct Audience {
     /// The nodes that are connected, without those of `ztl`, which move no robot.
     pub nodes: Vec<Listener>,
-    /// Nodes that were disconnected: they have not acknowledged a message in time, or there are too many connections.
+    /// Nodes that were disconnected: they have not acknowledged a message in time, the connection was reset, or there are too
+    /// many connections.
     pub lost: Vec<Loss>,
 }
 
@@ -64,25 +70,27 @@ pub struct Loss {
     pub at: Instant,
     /// Why.
     pub reason: String,
+    /// Whether it has connected again.
+    pub(crate) is_back: bool,
 }
 
 /// A topic that the node publishes.
 pub(crate) struct Publication {
     pub(crate) ty: WireType,
     pub(crate) registered: bool,
-    /// How often it is still to be registered anew, and when next: nodes that were disconnected connect again.
+    /// How often it is still to be registered again, and when next: nodes that were disconnected connect again.
     renewals: (u32, Option<Instant>),
     /// Nodes that receive it.
     pub(crate) subscribers: BTreeMap<ConnectionId, Arc<str>>,
     manner: Manner,
-    /// When a message was published.
-    published: Option<Instant>,
+    /// When a message was published, or a task looked who receives it.
+    used: Option<Instant>,
     last: Option<Arc<[u8]>>,
     /// How many owners it has.
     owners: usize,
     action: Option<Arc<str>>,
     lost: Vec<Loss>,
-    /// Nodes that get a message first when they connect again, unless something is published before.
+    /// Nodes that get a message first when they connect again.
     owed: Vec<(String, Arc<[u8]>)>,
     /// Nodes that were refused, and why.
     refused: Vec<(String, String)>,
@@ -118,7 +126,7 @@ impl Engine {
             renewals: (0, None),
             subscribers: BTreeMap::new(),
             manner,
-            published: None,
+            used: None,
             last: None,
             owners: 1,
             action,
@@ -153,8 +161,7 @@ impl Engine {
             return;
         };
         let message: Arc<[u8]> = Arc::from(frame(content));
-        publication.published = Some(Instant::now());
-        publication.owed.clear();
+        publication.used = Some(Instant::now());
         let most = if publication.manner.newest { 1 } else { QUEUE };
         for id in publication.subscribers.keys() {
             self.net.send(*id, Arc::clone(&message), most);
@@ -176,8 +183,12 @@ impl Engine {
             }
         }
         let is_there = |node: &String| publication.subscribers.values().any(|of| **of == **node);
-        let away = nodes.into_iter().filter(|node| !is_there(node));
-        publication.owed = away.map(|node| (node, Arc::clone(&message))).collect();
+        let away: Vec<String> = nodes.into_iter().filter(|node| !is_there(node)).collect();
+        publication.owed.retain(|(node, _)| !away.contains(node));
+        let owed = away.into_iter().map(|node| (node, Arc::clone(&message)));
+        publication.owed.extend(owed);
+        let surplus = publication.owed.len().saturating_sub(MOST_REMEMBERED);
+        publication.owed.drain(..surplus);
     }
 
     pub(crate) fn on_subscriber_bytes(
@@ -255,6 +266,9 @@ impl Engine {
             self.net.send(id, Arc::clone(last), QUEUE);
         }
         publication.refused.retain(|(node, _)| node != caller);
+        let lost = publication.lost.iter_mut();
+        lost.filter(|loss| loss.node == caller)
+            .for_each(|loss| loss.is_back = true);
         publication.subscribers.insert(id, Arc::from(caller));
         self.relinked.extend(publication.action.clone());
         Ok(topic)
@@ -268,24 +282,23 @@ impl Engine {
         let Some(node) = publication.subscribers.remove(&id) else {
             return;
         };
-        let is_silent = matches!(error, NetError::Silent { .. });
-        if is_silent || matches!(error, NetError::Crowded { .. }) {
-            let reason = error.to_string();
-            // A crowd does not fill the log.
-            if is_silent || publication.lost.len() < MOST_REMEMBERED {
-                tracing::warn!(
-                    "disconnected {node} from {topic}, and discarded what waited for it: {reason}"
-                );
-            }
-            publication.lose(&node, reason);
+        use NetError::{Broken, Crowded, Silent, Stale};
+        if matches!(
+            error,
+            Silent { .. } | Crowded { .. } | Broken { .. } | Stale { .. }
+        ) {
+            publication.lose(topic, &node, error);
         }
     }
 
-    /// Who receives a topic.
-    pub(crate) fn audience(&mut self, topic: &str) -> Audience {
-        let Some(publication) = self.publications.get(topic) else {
+    /// Who receives a topic. `in_use`: a task relies on those that are connected.
+    pub(crate) fn audience(&mut self, topic: &str, in_use: bool) -> Audience {
+        let Some(publication) = self.publications.get_mut(topic) else {
             return Audience::default();
         };
+        if in_use {
+            publication.used = Some(Instant::now());
+        }
         let mut table = unacknowledged::Table::default();
         let others = publication.subscribers.iter();
         let others = others.filter(|(_, node)| !is_ztl(node));
@@ -319,25 +332,43 @@ impl Publication {
         self.refused.push((node, error));
     }
 
-    fn lose(&mut self, node: &str, reason: String) {
+    /// A node was disconnected.
+    fn lose(&mut self, topic: &str, node: &str, error: &NetError) {
+        let now = Instant::now();
+        self.lost.retain(|loss| now < loss.at + REMEMBERED);
+        let before = self.lost.iter().find(|loss| loss.node == node);
+        // A node that comes and goes does not fill the log, nor do many.
+        let is_told = match before {
+            Some(before) => now < before.at + TOLD,
+            None => self.lost.len() >= MOST_REMEMBERED,
+        };
+        if !is_told {
+            tracing::warn!("disconnected {node} from {topic}: {error}");
+        }
         self.lost.retain(|loss| loss.node != node);
         self.lost.truncate(MOST_REMEMBERED - 1);
         self.lost.push(Loss {
             node: node.to_owned(),
-            at: Instant::now(),
-            reason,
+            at: now,
+            reason: error.to_string(),
+            is_back: false,
         });
-        self.renewals = (RENEWALS, Some(Instant::now()));
+        // Where the connection was reset, the node's machine most likely knows it.
+        let (count, at) = match error {
+            NetError::Broken { .. } => (RENEWALS_AFTER_RESET, now + RENEWAL),
+            _ => (RENEWALS, now),
+        };
+        self.renewals = (self.renewals.0.max(count), Some(at));
     }
 
-    /// When to register the topic anew, if a node was lost. Others that are connected connect again, too, so it happens only
-    /// while nothing is published to them. A node in C++ connects again at the first time, one in Python after its own end of
+    /// When to register the topic again, if a node was lost. Others that are connected connect again, too, so it happens only
+    /// while nothing is published to them and no task relies on them. A node in C++ connects again at the first time, one in Python after its own end of
     /// the connection has been closed.
     pub(crate) fn renewal(&self) -> Option<Instant> {
         let (left, at) = self.renewals;
         let at = match self.subscribers.is_empty() {
             true => at,
-            false => at.max(self.published.map(|published| published + RENEWAL)),
+            false => at.max(self.used.map(|used| used + RENEWAL)),
         };
         let is_useful = left > 0 && self.losses().next().is_some();
         is_useful.then_some(at?)
@@ -351,8 +382,7 @@ impl Publication {
 
     /// Nodes that were disconnected and are not connected again.
     fn losses(&self) -> impl Iterator<Item = &Loss> {
-        let is_there = |node: &str| self.subscribers.values().any(|known| **known == *node);
-        self.lost.iter().filter(move |loss| !is_there(&loss.node))
+        self.lost.iter().filter(|loss| !loss.is_back)
     }
 
     /// Why a node does not receive the topic, as far as this node knows.
@@ -361,18 +391,33 @@ impl Publication {
         let refused = refused.find(|(known, _)| known == node);
         let refused = refused
             .map(|(node, error)| format!("{node} has another definition of the type: {error}"));
-        refused.or_else(|| self.loss(Some(node)))
+        refused.or_else(|| self.loss(Some(node)).map(Loss::may_return))
     }
 
-    /// Why a node, or any, was disconnected.
-    pub(crate) fn loss(&self, node: Option<&str>) -> Option<String> {
+    /// A node, or this one, that was disconnected and is not connected again.
+    pub(crate) fn loss(&self, node: Option<&str>) -> Option<&Loss> {
         let mut losses = self.losses();
-        let Loss { node, reason, .. } =
-            losses.find(|loss| node.is_none_or(|node| node == loss.node))?;
-        Some(format!(
+        losses.find(|loss| node.is_none_or(|node| node == loss.node))
+    }
+}
+
+impl Loss {
+    /// The reason, if the node may connect again by itself.
+    pub(crate) fn may_return(&self) -> String {
+        let Self { node, reason, .. } = self;
+        format!(
             "{node} was disconnected: {reason}. It connects again when its network is back, after up to two minutes, or when it \
              is restarted"
-        ))
+        )
+    }
+
+    /// The reason, if the master does not name the node as a subscriber.
+    pub(crate) fn must_be_restarted(&self) -> String {
+        let Self { node, reason, .. } = self;
+        format!(
+            "{node} was disconnected: {reason}. The ROS master no longer knows that it subscribes: start {node} again, since it \
+             has ended, or the master was restarted"
+        )
     }
 }
 
@@ -381,4 +426,50 @@ fn shown(text: &str) -> String {
     text.get(..text.floor_char_boundary(LONGEST_SHOWN))
         .unwrap_or_default()
         .to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_topic_that_has_lost_a_node_is_registered_again_only_while_no_task_relies_on_the_others() {
+        let mut publication = Publication {
+            ty: crate::action::wire::cancel_type(),
+            registered: true,
+            renewals: (0, None),
+            subscribers: BTreeMap::new(),
+            manner: Manner::default(),
+            used: None,
+            last: None,
+            owners: 1,
+            action: None,
+            lost: Vec::new(),
+            owed: Vec::new(),
+            refused: Vec::new(),
+        };
+        let peer = "base:1".to_owned();
+        publication.lose(
+            "/drive",
+            "/base",
+            &NetError::Broken {
+                peer: peer.clone(),
+                error: "connection reset by peer".to_owned(),
+            },
+        );
+        let later = Instant::now() + RENEWAL / 2;
+        assert!(publication.renewal().is_some_and(|at| at > later));
+        publication.lose("/drive", "/base", &NetError::Silent { peer });
+        let now = Instant::now();
+        assert!(publication.renewal().is_some_and(|at| at <= now));
+        publication
+            .subscribers
+            .insert(ConnectionId::default(), Arc::from("/rosbag"));
+        assert!(publication.renewal().is_some_and(|at| at <= now));
+        publication.used = Some(now);
+        assert_eq!(publication.renewal(), Some(now + RENEWAL));
+        publication.lost[0].is_back = true;
+        assert_eq!(publication.renewal(), None);
+        assert_eq!(publication.loss(None), None);
+    }
 }

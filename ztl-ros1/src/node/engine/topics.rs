@@ -39,11 +39,14 @@ pub(crate) struct Subscription {
     /// Publishers by the addresses of their APIs.
     publishers: BTreeMap<String, Publisher>,
     action: Option<Arc<str>>,
+    /// The log has said that there are too many publishers.
+    is_crowd_told: bool,
 }
 
 /// Who gets the messages of a topic.
 pub(crate) enum Consumer {
-    Owner(OnMessage),
+    /// Whether messages come all the time.
+    Owner(OnMessage, bool),
     Action(Arc<str>, Part),
     Clock,
 }
@@ -77,6 +80,8 @@ pub(crate) struct Source {
     latching: bool,
     /// That message, for new consumers here.
     last: Option<Vec<u8>>,
+    /// When the last message arrived, or the connection was made.
+    pub(in crate::node) heard: Instant,
 }
 
 impl Subscription {
@@ -94,6 +99,37 @@ impl Subscription {
             .values()
             .filter_map(|of| of.caller().cloned())
             .collect()
+    }
+
+    /// The connections over which messages come.
+    pub(crate) fn open(&self) -> impl Iterator<Item = ConnectionId> + use<'_> {
+        let all = self.publishers.values();
+        all.filter_map(|of| match of.state {
+            State::Open(id, _) => Some(id),
+            _ => None,
+        })
+    }
+
+    /// Whether messages come all the time.
+    pub(crate) fn is_steady(&self) -> bool {
+        self.is_status()
+            || self
+                .consumers
+                .iter()
+                .any(|(_, consumer)| matches!(consumer, Consumer::Owner(_, true) | Consumer::Clock))
+    }
+
+    /// Whether it is the status of an action.
+    pub(crate) fn is_status(&self) -> bool {
+        let mut consumers = self.consumers.iter();
+        consumers.any(|(_, consumer)| matches!(consumer, Consumer::Action(_, Part::Status)))
+    }
+
+    /// The address of the API of a node that is connected.
+    pub(crate) fn uri_of(&self, node: &str) -> Option<&str> {
+        let is_it = |of: &Publisher| of.caller().is_some_and(|caller| **caller == *node);
+        let mut all = self.publishers.iter();
+        all.find_map(|(uri, of)| is_it(of).then_some(uri.as_str()))
     }
 
     /// Whether a publisher was neither reached nor found unreachable yet.
@@ -160,7 +196,8 @@ impl Engine {
             for publisher in subscription.publishers.values() {
                 if let State::Open(id, caller) = &publisher.state
                     && let Some(Role::Source(source)) = self.roles.get(id)
-                    && let (Some(last), Consumer::Owner(on_message)) = (&source.last, &mut consumer)
+                    && let (Some(last), Consumer::Owner(on_message, _)) =
+                        (&source.last, &mut consumer)
                 {
                     on_message(caller, last);
                 }
@@ -175,6 +212,7 @@ impl Engine {
             consumers: vec![(id, consumer)],
             publishers: BTreeMap::new(),
             action,
+            is_crowd_told: false,
         };
         self.subscriptions.insert(Arc::clone(topic), subscription);
         Ok(())
@@ -231,8 +269,11 @@ impl Engine {
                 subscription.publishers.insert(uri.clone(), publisher);
             }
         }
-        if uris.len() > MOST_PUBLISHERS {
-            tracing::warn!("{topic} has many publishers: only {MOST_PUBLISHERS} are received");
+        let is_crowd = uris.len() > MOST_PUBLISHERS;
+        if is_crowd && !std::mem::replace(&mut subscription.is_crowd_told, true) {
+            tracing::warn!(
+                "{topic} has more than {MOST_PUBLISHERS} publishers: messages of the others are not received"
+            );
         }
         self.relinked.extend(subscription.action.clone());
         self.retry_sources(now);
@@ -316,6 +357,7 @@ impl Engine {
                     caller: None,
                     latching: false,
                     last: None,
+                    heard: now,
                 };
                 self.roles.insert(id, Role::Source(source));
             }
@@ -339,6 +381,7 @@ impl Engine {
             let error = match (source.frames.poll_frame(most), &source.caller) {
                 (Ok(None), _) => return Some(Role::Source(source)),
                 (Ok(Some(content)), Some(caller)) => {
+                    source.heard = now;
                     self.deliver(now, &source.topic, caller, content);
                     source.last = source.latching.then(|| content.to_vec());
                     continue;
@@ -353,6 +396,7 @@ impl Engine {
                         Ok((caller, latching)) => {
                             source.caller = Some(caller);
                             source.latching = latching;
+                            source.heard = now;
                             continue;
                         }
                         Err(error) => error,
@@ -412,6 +456,11 @@ impl Engine {
         self.on_no_source(now, &source.topic, &source.uri, error.to_string(), cause);
     }
 
+    /// This node has closed the connection, and connects again.
+    pub(crate) fn on_source_lost(&mut self, now: Instant, source: &Source, reason: String) {
+        self.on_no_source(now, &source.topic, &source.uri, reason, Cause::Passing);
+    }
+
     /// There is no connection to this publisher.
     fn on_no_source(&mut self, now: Instant, topic: &str, uri: &str, error: String, cause: Cause) {
         let Some(subscription) = self.subscriptions.get_mut(topic) else {
@@ -446,7 +495,7 @@ impl Engine {
         let mut consumers = std::mem::take(&mut subscription.consumers);
         for (_, consumer) in &mut consumers {
             match consumer {
-                Consumer::Owner(on_message) => on_message(caller, content),
+                Consumer::Owner(on_message, _) => on_message(caller, content),
                 Consumer::Action(action, part) => {
                     self.on_action_message(now, action, *part, caller, content);
                 }

@@ -45,7 +45,7 @@ fn each_end_of_a_goal_is_the_true_final_state() {
         (
             end(EndState::Succeeded, "no result came", None),
             None,
-            Outcome::Completed("SUCCEEDED, and its result was lost: no result came".to_owned()),
+            Outcome::Completed("SUCCEEDED, but the result was lost: no result came".to_owned()),
         ),
         (
             end(EndState::Aborted, "", Some(1)),

@@ -252,3 +252,32 @@ fn a_motion_that_takes_too_long_or_is_not_seen_is_stopped_and_fails() {
     let reason = "the controller has left the topic".to_owned();
     assert_eq!(bench.end(), Outcome::Unknown(reason));
 }
+
+#[test]
+fn a_motion_that_is_not_seen_says_whether_the_controller_was_told_to_stop() {
+    let unseen = |acknowledges: bool, is_heard: bool, places: Option<[f64; 2]>| {
+        let mut bench = Bench::new();
+        bench.pass(TICK, Some([0.0, 0.0]));
+        bench.pass(2 * SECOND, None);
+        (bench.acknowledges, bench.is_heard) = (acknowledges, is_heard);
+        bench.pass(4 * SECOND, places);
+        match bench.end() {
+            Outcome::Unknown(reason) => reason,
+            other => panic!("{other:?}"),
+        }
+    };
+    let reason = |then: &str| format!("no joint state of a for 2 s; the controller {then}");
+    assert_eq!(unseen(true, true, None), reason("was told to stop"));
+    assert_eq!(
+        unseen(true, true, Some([0.5, 0.5])),
+        reason("was told to stop, and the joints are still")
+    );
+    assert_eq!(
+        unseen(false, true, None),
+        reason("has not acknowledged that it must stop")
+    );
+    assert_eq!(
+        unseen(true, false, None),
+        reason("was not stopped: the controller has left the topic")
+    );
+}

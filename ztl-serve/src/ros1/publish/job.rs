@@ -85,12 +85,12 @@ impl PublishJob {
     fn begin(&mut self, now: Instant, effects: &mut Vec<Effect>) {
         effects.push(Effect::Accept);
         self.begun = now;
-        let mut nodes = self.outlet.look(now).nodes;
+        let mut nodes = self.outlet.look(None).nodes;
         nodes.dedup();
         if nodes.len() > 1 {
             let (topic, nodes) = (&self.topic, nodes.join(", "));
             tracing::info!(
-                "{topic} goes to {nodes}; `subscriber` names the one that must receive it"
+                "{topic} goes to {nodes}, and all must receive it; if only one must, name it in the file with `subscriber`"
             );
         }
         self.outlet.publish(self.plan.message.clone());
@@ -142,7 +142,7 @@ impl PublishJob {
         }
         *next = now + CONFIRM;
         let (until, outcome) = (*until, outcome.clone());
-        let heard = self.outlet.look(self.begun);
+        let heard = self.outlet.look(Some(self.begun));
         let outcome = match self.lost(&heard) {
             _ if matches!(outcome, Outcome::Unknown(_)) => outcome,
             Some(lost) => lost,
@@ -193,7 +193,7 @@ impl PublishJob {
             // A message that goes out late is not made up for.
             *next = (*next + interval).max(now + interval / 2);
         }
-        if is_look && let Some(outcome) = self.lost(&self.outlet.look(self.begun)) {
+        if is_look && let Some(outcome) = self.lost(&self.outlet.look(Some(self.begun))) {
             self.begin_stop(now, outcome);
         }
     }
@@ -246,7 +246,7 @@ impl Job for PublishJob {
         {
             *next = now + LOOK;
             let is_over = *until <= now;
-            if !self.outlet.look(now).nodes.is_empty() {
+            if !self.outlet.look(None).nodes.is_empty() {
                 self.begin(now, effects);
             } else if is_over {
                 let until = now + EXPLAIN;

@@ -20,7 +20,7 @@ impl Outlet for Arc<FakeTopic> {
         self.sent.lock().expect("no panic").push(bytes);
     }
 
-    fn look(&self, _: Instant) -> Heard {
+    fn look(&self, _: Option<Instant>) -> Heard {
         let is_there = self.is_heard.load(Ordering::Relaxed);
         let lost = self.is_lost.load(Ordering::Relaxed);
         Heard {
