@@ -19,7 +19,7 @@ use crate::random;
 use crate::seal::{Request, Shared, agent_of};
 use crate::seldom::{Seldom, brief};
 use crate::session::{ZenohError, key, verdict};
-use crate::wire::{RobotInfo, Verdict, fresh, is_abort};
+use crate::wire::{AgentQuery, RobotInfo, Verdict, fresh, is_abort};
 
 /// How long a question may act after it was sent, by the robot's clock.
 const VALID_MS: u64 = 2500;
@@ -129,7 +129,8 @@ impl Caller {
         on_end: impl FnMut() + Send + Sync + 'static,
     ) -> Result<(), ZenohError> {
         // Routers and links pass it on before what waits there.
-        let priority = match request.what == "stop" || is_abort(request.body) {
+        let is_urgent = request.what == AgentQuery::Stop.name() || is_abort(request.body);
+        let priority = match is_urgent {
             true => Priority::RealTime,
             false => Priority::DEFAULT,
         };
@@ -150,8 +151,10 @@ impl Caller {
                 callback,
                 drop: on_end,
             };
-            // "Express": neither the question nor its answer waits for a batch.
-            let query = self.session.get(selector).priority(priority).express(true);
+            let query = self.session.get(selector).priority(priority);
+            // "Express": neither the question nor its answer waits for a batch. Without consolidation, the answer does not wait
+            // for the end of the query, which follows it through all routers.
+            let query = query.express(true).consolidation(ConsolidationMode::None);
             let query = query.payload(request.body).timeout(limit);
             return query.with(handler).wait();
         };
@@ -228,7 +231,7 @@ impl Caller {
     pub fn ask_all(
         &self,
         agents: &[(String, String)],
-        what: &str,
+        what: AgentQuery,
         body: &[u8],
         limit: Duration,
     ) -> Vec<Option<Verdict>> {
@@ -238,7 +241,7 @@ impl Caller {
             };
             let request = Request {
                 robot,
-                what,
+                what: what.name(),
                 parameters,
                 who: "ztl-fleet",
                 body,
@@ -284,7 +287,7 @@ impl Caller {
     /// What agents say of their robots.
     #[must_use]
     pub fn infos(&self, agents: &[(String, String)], limit: Duration) -> Vec<Option<RobotInfo>> {
-        let all = self.ask_all(agents, "info", b"", limit);
+        let all = self.ask_all(agents, AgentQuery::Info, b"", limit);
         let read = |verdict: Option<Verdict>| match verdict {
             Some(Verdict::Answer(body)) => serde_json::from_slice(&body).ok(),
             _ => None,

@@ -28,7 +28,7 @@ use crate::random;
 use crate::seal;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError, key};
-use crate::wire::{RobotInfo, Verdict};
+use crate::wire::{AgentQuery, RobotInfo, Verdict};
 use asked::{Asked, Clients, Seen};
 use requests::Rules;
 use server::ServerState;
@@ -259,27 +259,18 @@ impl Shared {
 
     /// Declares what the agent answers.
     fn offer(self: &Arc<Self>, session: &Session) -> Result<(), ZenohError> {
-        type Answerer = fn(&Arc<Shared>, Query);
-        let plain: [(&str, Answerer); 5] = [
-            ("request", |shared, query| {
-                shared.on_request(Asked::plain(query))
-            }),
-            ("outcome", |shared, query| {
-                shared.on_outcome(Asked::plain(query))
-            }),
-            ("info", |shared, query| shared.on_info(Asked::plain(query))),
-            ("stop", |shared, query| shared.on_stop(Asked::plain(query))),
-            ("streams", |shared, query| {
-                shared.on_streams(&Asked::plain(query));
-            }),
-        ];
-        let sealed: [(&str, Answerer); 1] = [("sealed", Shared::on_sealed)];
-        let offered = match self.config.identity {
-            None => &plain[..],
-            Some(_) => &sealed[..],
+        type Answerer = Box<dyn Fn(&Arc<Shared>, Query) + Send + Sync>;
+        let plain = |what: AgentQuery| -> (&str, Answerer) {
+            let answer = move |shared: &Arc<Self>, query| shared.answer(what, Asked::plain(query));
+            (what.name(), Box::new(answer))
         };
-        let claim: (&str, Answerer) = ("claim", Shared::on_claim);
-        for &(what, answer) in offered.iter().chain([&claim]) {
+        let mut offered: Vec<(&str, Answerer)> = match self.config.identity {
+            None => AgentQuery::ALL.map(plain).into(),
+            Some(_) => vec![("sealed", Box::new(Self::on_sealed))],
+        };
+        offered.push(("claim", Box::new(Self::on_claim)));
+        for (what, answer) in offered {
+            let answer = Arc::new(answer);
             let weak = Arc::downgrade(self);
             let key = key(&self.config.name, &self.id, what);
             let queryable = session.declare_queryable(key).complete(true);
@@ -287,7 +278,7 @@ impl Shared {
                 let Some(shared) = weak.upgrade() else {
                     return;
                 };
-                let refused = query.clone();
+                let (refused, answer) = (query.clone(), Arc::clone(&answer));
                 if !shared.spawn_busy(move |shared| answer(shared, query)) {
                     // An earlier copy may have acted. (A client with a key believes a sealed answer only.)
                     let reason = Verdict::Unknown(TOO_MANY.to_owned()).to_string();
@@ -299,11 +290,20 @@ impl Shared {
         Ok(())
     }
 
-    fn on_info(self: &Arc<Self>, asked: Asked) {
+    fn answer(self: &Arc<Self>, what: AgentQuery, asked: Asked) {
+        match what {
+            AgentQuery::Request => self.on_request(asked),
+            AgentQuery::Outcome => self.on_outcome(asked),
+            AgentQuery::Info => self.on_info(&asked),
+            AgentQuery::Stop => self.on_stop(&asked),
+            AgentQuery::Streams => self.on_streams(&asked),
+        }
+    }
+
+    fn on_info(self: &Arc<Self>, asked: &Asked) {
         let mut info = self.info();
-        info.scopes
-            .retain(|scope| self.may_use(&asked, Some(scope)));
-        if !self.may_use(&asked, None) {
+        info.scopes.retain(|scope| self.may_use(asked, Some(scope)));
+        if !self.may_use(asked, None) {
             info.server = None;
         }
         if let Ok(body) = serde_json::to_vec(&info) {

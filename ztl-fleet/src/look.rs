@@ -11,7 +11,7 @@ use ztl_fleet::caller::Caller;
 use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::join::Stopped;
 use ztl_fleet::session;
-use ztl_fleet::wire::{RobotInfo, Verdict};
+use ztl_fleet::wire::{AgentQuery, RobotInfo, Verdict};
 use ztl_std::time::rfc3339;
 use ztl_std::{Description, RemoteId, State};
 
@@ -123,20 +123,20 @@ impl Select {
         let mut good = true;
         for found in &all {
             let name = &found.name;
-            let (state, more) = match &found.agent {
-                None => ("not there", String::new()),
-                Some((agent, None)) => ("does not answer", format!("agent {agent}")),
+            let (is_ready, state, more) = match &found.agent {
+                None => (false, "not there", String::new()),
+                Some((agent, None)) => (false, "does not answer", format!("agent {agent}")),
                 Some((_, Some(info))) => match &info.problem {
                     None => {
                         let scopes = info.scopes.join(" ");
                         let streams = if info.streams { "  streams" } else { "" };
                         let since = wall(info.since);
-                        ("ready", format!("{scopes}  since {since}{streams}"))
+                        (true, "ready", format!("{scopes}  since {since}{streams}"))
                     }
-                    Some(problem) => ("not ready", problem.clone()),
+                    Some(problem) => (false, "not ready", problem.clone()),
                 },
             };
-            good &= state == "ready";
+            good &= is_ready;
             line(format_args!("{name}  {state}  {more}"))?;
         }
         Ok(code(good))
@@ -189,7 +189,7 @@ impl Select {
         let end = Instant::now() + STOPPING;
         loop {
             let body = format!("{own};3;{id};abort command");
-            let answer = ask(&caller, &all, "request", body.as_bytes(), LIMIT);
+            let answer = ask(&caller, &all, AgentQuery::Request, body.as_bytes(), LIMIT);
             let answer = answer.into_iter().flatten().next();
             let told = answer.as_deref().and_then(|body| Message::parse(body).ok());
             let about = told.filter(|told| told.scope == own && told.id == id.to_string());
@@ -223,20 +223,20 @@ impl Select {
             Some(_) => caller.infos(agents, LIMIT),
         })?;
         let mut good = true;
-        let answers = ask(&caller, &all, "stop", b"", STOPPING);
+        let answers = ask(&caller, &all, AgentQuery::Stop, b"", STOPPING);
         for (found, answer) in all.iter().zip(answers) {
             let name = &found.name;
             let told = answer.and_then(|body| serde_json::from_slice::<Stopped>(&body).ok());
-            let said = match (&found.agent, told) {
-                (None, _) => "was not there".to_owned(),
-                (Some(_), None) => "not reached: it did not confirm".to_owned(),
+            let (has_confirmed, said) = match (&found.agent, told) {
+                (None, _) => (false, "was not there".to_owned()),
+                (Some(_), None) => (false, "not reached: it did not confirm".to_owned()),
                 (Some(_), Some(told)) => match (&told.running[..], told.unknown) {
-                    ([], None) => format!("stopped: {} tasks", told.stopped.len()),
-                    ([], Some(why)) => format!("not confirmed: {why}"),
-                    (running, _) => format!("still running: {}", running.join(", ")),
+                    ([], None) => (true, format!("stopped: {} tasks", told.stopped.len())),
+                    ([], Some(why)) => (false, format!("not confirmed: {why}")),
+                    (running, _) => (false, format!("still running: {}", running.join(", "))),
                 },
             };
-            good &= said.starts_with("stopped");
+            good &= has_confirmed;
             line(format_args!("{name}  {said}"))?;
         }
         Ok(code(good))
@@ -271,7 +271,7 @@ pub(crate) struct Tasks {
 pub(crate) fn tasks(caller: &Caller, all: &[Found]) -> Vec<Option<Tasks>> {
     let told = |question: &str| {
         let question = format!("$ztl;2;-1;{question}");
-        ask(caller, all, "request", question.as_bytes(), LIMIT)
+        ask(caller, all, AgentQuery::Request, question.as_bytes(), LIMIT)
     };
     let pairs = told("tasks").into_iter().zip(told("probe"));
     pairs
@@ -316,7 +316,7 @@ fn listed(body: &[u8]) -> Option<Tasks> {
 fn ask(
     caller: &Caller,
     all: &[Found],
-    what: &str,
+    what: AgentQuery,
     payload: &[u8],
     limit: Duration,
 ) -> Vec<Option<Vec<u8>>> {

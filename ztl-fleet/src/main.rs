@@ -4,6 +4,7 @@
 
 mod demo;
 mod look;
+mod panics;
 mod signals;
 mod watch;
 
@@ -27,11 +28,11 @@ use ztl_yaml::Diagnostics;
 #[command(name = "ztl-fleet", version, arg_required_else_help = true)]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: FleetCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum FleetCommand {
     /// Join a fleet beside a robot's server
     Join(File),
     /// Serve the robots of a fleet to ZTL clients: /NAME/scope
@@ -90,9 +91,10 @@ const MISCONFIGURED: u8 = 2;
 const LOOK: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
+    panics::end_process();
     let command = Cli::parse().command;
     let level = match &command {
-        Command::Demo(demo) => demo.level(),
+        FleetCommand::Demo(demo) => demo.level(),
         _ => LevelFilter::INFO,
     };
     tracing_subscriber::fmt()
@@ -100,7 +102,9 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .with_ansi(false)
         .init();
-    match run(command) {
+    let done = run(command);
+    panics::forget();
+    match done {
         Ok(code) => code,
         Err(error) => {
             let mut stderr = std::io::stderr();
@@ -115,9 +119,9 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: Command) -> Done {
+fn run(command: FleetCommand) -> Done {
     match command {
-        Command::Join(File { file, check }) => {
+        FleetCommand::Join(File { file, check }) => {
             let config = AgentConfig::load(&file)?;
             if check {
                 return fine(&file);
@@ -133,7 +137,7 @@ fn run(command: Command) -> Done {
                 }
             }
         }
-        Command::Endpoint {
+        FleetCommand::Endpoint {
             file: File { file, check },
             port,
             publish,
@@ -169,7 +173,7 @@ fn run(command: Command) -> Done {
             serving.run()?;
             Ok(signal.try_recv().map_or(ExitCode::SUCCESS, signals::code))
         }
-        Command::Router(File { file, check }) => {
+        FleetCommand::Router(File { file, check }) => {
             let links = Links::load_router(&file)?;
             if check {
                 return fine(&file);
@@ -181,12 +185,12 @@ fn run(command: Command) -> Done {
             session.close().wait()?;
             Ok(signals::code(signal))
         }
-        Command::Ls(select) => select.ls(),
-        Command::Ps(select) => select.ps(),
-        Command::Demo(demo) => demo.run(),
-        Command::Watch(select) => select.watch(),
-        Command::Abort { select, scope, id } => select.abort(&scope, &id),
-        Command::StopAll(select) => select.stop_all(),
+        FleetCommand::Ls(select) => select.ls(),
+        FleetCommand::Ps(select) => select.ps(),
+        FleetCommand::Demo(demo) => demo.run(),
+        FleetCommand::Watch(select) => select.watch(),
+        FleetCommand::Abort { select, scope, id } => select.abort(&scope, &id),
+        FleetCommand::StopAll(select) => select.stop_all(),
     }
 }
 

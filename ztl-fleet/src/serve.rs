@@ -7,6 +7,7 @@ mod turns;
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tracing::{info, warn};
@@ -21,7 +22,7 @@ use crate::random;
 use crate::seal::Request;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError};
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict, fresh, is_abort};
+use crate::wire::{AgentQuery, InitId, InitRules, RobotInfo, Verdict, fresh, is_abort};
 use arrivals::{Arrivals, Known};
 use events::{Event, Turn};
 use streams::Bound;
@@ -88,13 +89,18 @@ impl Serving {
     /// Serves until it is stopped.
     ///
     /// # Errors
-    /// The system's or Zenoh's.
+    /// The system's or Zenoh's; also if the publisher of the streams has ended.
     pub fn run(self) -> Result<(), ZenohError> {
         let events = Arc::new(Events::new());
         let presence = Arc::clone(&events);
+        let has_no_publisher = Arc::new(AtomicBool::new(false));
         let streams = self.streams.map(|streams| {
             let (caller, access) = (self.caller.clone(), self.access.clone());
-            streams.start(caller, access)
+            let (ended, answers) = (Arc::clone(&has_no_publisher), self.server.answers());
+            streams.start(caller, access, move || {
+                ended.store(true, Ordering::SeqCst);
+                answers.stop();
+            })
         });
         session::watch_presence(self.caller.session(), "*", move |robot, agent, is_there| {
             presence.put_presence((robot.to_owned(), agent.to_owned()), is_there);
@@ -123,7 +129,10 @@ impl Serving {
             let is_abort = is_abort(body);
             events.put_request(&origin, request, is_abort);
         })?;
-        Ok(())
+        match has_no_publisher.load(Ordering::SeqCst) {
+            true => Err("the publisher of the robots' streams has ended".into()),
+            false => Ok(()),
+        }
     }
 }
 
@@ -319,16 +328,16 @@ impl Loop {
                 if rules.is_some() && envelope.is_some_and(|envelope| envelope.early_end) {
                     early = ";early=1";
                 }
-                ("request", rules.or(plain), body)
+                (AgentQuery::Request, rules.or(plain), body)
             }
-            Ask::Outcome(rules) => ("outcome", Some(rules), Vec::new()),
+            Ask::Outcome(rules) => (AgentQuery::Outcome, Some(rules), Vec::new()),
         };
         let parameters = rules.map_or_else(|| fresh(boot, until_ms), |rules| rules.to_parameters());
         let who = self.machine.request_of(query);
         let who = who.and_then(|request| self.who.get(&request));
         let request = Request {
             robot,
-            what,
+            what: what.name(),
             parameters: &(parameters + early),
             who: who.map_or("anybody", String::as_str),
             body: &body,
@@ -356,7 +365,7 @@ impl Loop {
         };
         let request = Request {
             robot,
-            what: "info",
+            what: AgentQuery::Info.name(),
             parameters: "",
             who: "ztl-fleet",
             body: b"",

@@ -5,7 +5,7 @@
 //! numbers: a gap is a number of missed messages. They belong to a *session*, which the agent draws at random. An endpoint
 //! takes messages only of the session that the agent has told it, and with rising numbers, so that a recording says nothing.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -45,7 +45,7 @@ pub struct Want {
     /// The session that the agent has told last.
     #[serde(default)]
     pub session: Option<String>,
-    /// How the topics begin; empty to end.
+    /// How the topics begin; empty to end. One may have further lines: exceptions, which begin so, too.
     pub topics: Vec<String>,
     /// The highest number that has arrived.
     #[serde(default)]
@@ -159,29 +159,62 @@ pub fn topics_of(begin: &[u8], robot: &str) -> Vec<String> {
         }
         Err(_) => return Vec::new(),
     };
+    if rest.contains('\n') {
+        // Exceptions follow a line feed. No topic of this project has one.
+        return Vec::new();
+    }
     // Readings of a gateway do not begin with a slash.
     vec![format!("/{rest}"), rest.to_owned()]
 }
 
-/// The parts of what begins so that belong to these scopes.
-pub fn within(begin: &[u8], scopes: impl Iterator<Item = String>) -> Vec<String> {
-    let part = |scope: String| {
-        let root = scope + "/";
-        if root.as_bytes().starts_with(begin) {
-            return Some(root);
+/// What of these topics somebody may hear who may use these scopes, and not those that are hidden. Where a hidden scope is below
+/// one that may be used, it becomes an exception of the topic ([`Want::topics`]).
+#[must_use]
+pub fn within(topics: &[String], allowed: &[&str], hidden: &[&str]) -> Vec<String> {
+    let mut all = Vec::new();
+    for (topic, scope) in topics
+        .iter()
+        .flat_map(|topic| allowed.iter().map(move |scope| (topic, scope)))
+    {
+        let mut lines = topic.split('\n');
+        let begin = lines.next().unwrap_or_default();
+        let root = format!("{scope}/");
+        let begin = match () {
+            () if begin.starts_with(&root) => begin,
+            () if root.starts_with(begin) => &root,
+            () => continue,
+        };
+        let hidden = hidden.iter().map(|hidden| format!("{hidden}/"));
+        let hidden = hidden.filter(|hidden| hidden.starts_with(&root));
+        let exceptions: BTreeSet<String> = hidden.chain(lines.map(str::to_owned)).collect();
+        if exceptions
+            .iter()
+            .any(|other| begin.starts_with(other.as_str()))
+        {
+            continue;
         }
-        let is_below = begin.starts_with(root.as_bytes());
-        is_below.then(|| String::from_utf8_lossy(begin).into_owned())
-    };
-    scopes.filter_map(part).collect()
+        let below = exceptions.iter().filter(|other| other.starts_with(begin));
+        let lines = std::iter::once(begin).chain(below.map(String::as_str));
+        all.push(lines.collect::<Vec<_>>().join("\n"));
+    }
+    uncovered(all)
+}
+
+/// The same topics without those that others cover.
+fn uncovered(mut topics: Vec<String>) -> Vec<String> {
+    topics.sort();
+    // What begins with another one comes after it; so does the same topic with more exceptions.
+    topics.dedup_by(|topic, before| match topic.strip_prefix(before.as_str()) {
+        Some(rest) => !before.contains('\n') || rest.is_empty() || rest.starts_with('\n'),
+        None => false,
+    });
+    topics
 }
 
 /// The same topics without those that others cover; everything if there are too many.
 #[must_use]
-pub fn fewest(mut topics: Vec<String>) -> Vec<String> {
-    topics.sort();
-    // What begins with another one comes after it.
-    topics.dedup_by(|topic, before| topic.starts_with(before.as_str()));
+pub fn fewest(topics: Vec<String>) -> Vec<String> {
+    let topics = uncovered(topics);
     match topics.len() > MOST_TOPICS {
         true => vec![String::new()],
         false => topics,
@@ -191,8 +224,11 @@ pub fn fewest(mut topics: Vec<String>) -> Vec<String> {
 /// Whether a topic is among those that begin so.
 #[must_use]
 pub fn is_wanted(topic: &str, topics: &[String]) -> bool {
-    let mut topics = topics.iter();
-    topics.any(|begin| topic.starts_with(begin.as_str()))
+    topics.iter().any(|wanted| {
+        let mut lines = wanted.split('\n');
+        let begins = lines.next().is_some_and(|begin| topic.starts_with(begin));
+        begins && !lines.any(|exception| topic.starts_with(exception))
+    })
 }
 
 /// An agent's end: what it passes on to one endpoint.

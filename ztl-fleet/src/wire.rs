@@ -12,6 +12,50 @@ pub const ROOT: &str = "ztl";
 /// Longest time for which an INIT may be valid, in milliseconds.
 pub const LONGEST_VALID_MS: u64 = 60_000;
 
+/// What an agent can be asked: the last chunk of the key of a query, or a line of a sealed one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AgentQuery {
+    /// Passes a request on to the robot's server.
+    Request,
+    /// What became of an INIT.
+    Outcome,
+    /// What the robot is.
+    Info,
+    /// Ends all tasks.
+    Stop,
+    /// Asks for messages of the robot's publisher.
+    Streams,
+}
+
+impl AgentQuery {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Request,
+        Self::Outcome,
+        Self::Info,
+        Self::Stop,
+        Self::Streams,
+    ];
+
+    /// Its name on the wire.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Request => "request",
+            Self::Outcome => "outcome",
+            Self::Info => "info",
+            Self::Stop => "stop",
+            Self::Streams => "streams",
+        }
+    }
+
+    /// Reads a name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|query| query.name() == name)
+    }
+}
+
 /// Identifies an INIT: its client, and the client's number for it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct InitId {

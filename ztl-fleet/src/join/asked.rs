@@ -14,7 +14,7 @@ use crate::config::Identity;
 use crate::random;
 use crate::seal::{self, Nonce, OVERHEAD, Request};
 use crate::seldom::brief;
-use crate::wire::{Verdict, fresh_until};
+use crate::wire::{AgentQuery, Verdict, fresh_until};
 
 /// Most nonces that are remembered.
 const MOST_SEEN: usize = 100_000;
@@ -101,13 +101,9 @@ impl Shared {
     /// A sealed query.
     pub(super) fn on_sealed(self: &Arc<Self>, query: Query) {
         match self.open(&query) {
-            Ok((what, asked)) => match what.as_str() {
-                "request" => self.on_request(asked),
-                "outcome" => self.on_outcome(asked),
-                "info" => self.on_info(asked),
-                "stop" => self.on_stop(asked),
-                "streams" => self.on_streams(&asked),
-                _ => asked.reply(&Verdict::NotStarted(format!("'{what}' is not known"))),
+            Ok((what, asked)) => match AgentQuery::from_name(&what) {
+                Some(known) => self.answer(known, asked),
+                None => asked.reply(&Verdict::NotStarted(format!("'{what}' is not known"))),
             },
             Err(mistake) => {
                 if self.told.refusals.may() {

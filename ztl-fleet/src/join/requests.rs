@@ -54,8 +54,8 @@ impl Shared {
         }
         let code = message.code().ok().and_then(|code| code.value());
         let is_abort = is_abort(&asked.body);
-        let place = (!is_abort).then(|| Place::take(&self.waiting));
-        if matches!(place, Some(None)) {
+        let slot = (!is_abort).then(|| ServerSlot::take(&self.waiting));
+        if matches!(slot, Some(None)) {
             return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
         }
         if code == Some(1) {
@@ -91,7 +91,7 @@ impl Shared {
 
     /// What became of an INIT.
     pub(super) fn on_outcome(self: &Arc<Self>, asked: Asked) {
-        let Some(_place) = Place::take(&self.waiting) else {
+        let Some(_slot) = ServerSlot::take(&self.waiting) else {
             return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
         };
         match InitRules::parse(&asked.parameters) {
@@ -176,18 +176,18 @@ impl Shared {
     }
 }
 
-/// The place of a query that may wait for the robot's server.
-struct Place<'a>(&'a AtomicUsize);
+/// Lets a query wait for the robot's server, as one of at most [`MOST_WAITING`].
+struct ServerSlot<'a>(&'a AtomicUsize);
 
-impl<'a> Place<'a> {
+impl<'a> ServerSlot<'a> {
     fn take(taken: &'a AtomicUsize) -> Option<Self> {
-        let place = Self(taken);
+        let slot = Self(taken);
         // It is given back if there was none.
-        (taken.fetch_add(1, Ordering::SeqCst) < MOST_WAITING).then_some(place)
+        (taken.fetch_add(1, Ordering::SeqCst) < MOST_WAITING).then_some(slot)
     }
 }
 
-impl Drop for Place<'_> {
+impl Drop for ServerSlot<'_> {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::SeqCst);
     }

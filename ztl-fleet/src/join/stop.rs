@@ -65,12 +65,12 @@ impl Shared {
         self.started.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn on_stop(self: &Arc<Self>, asked: Asked) {
-        if !self.may_use(&asked, None) {
+    pub(super) fn on_stop(self: &Arc<Self>, asked: &Asked) {
+        if !self.may_use(asked, None) {
             let reason = "the robot's 'client-keys' do not allow this";
             return asked.reply(&Verdict::NotStarted(reason.to_owned()));
         }
-        if self.refuse_stale(&asked) {
+        if self.refuse_stale(asked) {
             return;
         }
         info!(target: "fleet", "All tasks are stopped by {}.", asked.who());
@@ -99,8 +99,15 @@ impl Shared {
             // All at once: no task waits for another one to stop.
             std::thread::scope(|threads| {
                 for (scope, id) in &running {
-                    let body = format!("{scope};3;{id};abort command");
-                    threads.spawn(move || self.client.ask(None, body.as_bytes(), LIMIT));
+                    let abort = move || {
+                        let body = format!("{scope};3;{id};abort command");
+                        // Whether it has ended is asked afterwards.
+                        let _ = self.client.ask(None, body.as_bytes(), LIMIT);
+                    };
+                    let thread = std::thread::Builder::new().name("ztl-fleet-stop".to_owned());
+                    if thread.spawn_scoped(threads, abort).is_err() {
+                        abort();
+                    }
                 }
             });
             std::thread::sleep(PAUSE);

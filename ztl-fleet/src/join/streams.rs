@@ -19,8 +19,7 @@ use crate::random;
 use crate::seal;
 use crate::session::key;
 use crate::streams::{
-    Granted, Head, LEASE, LONGEST, LONGEST_TOPIC, MOST_TOPICS, Outgoing, Want, fewest, scope_of,
-    within,
+    Granted, Head, LEASE, LONGEST, LONGEST_TOPIC, MOST_TOPICS, Outgoing, Want, scope_of, within,
 };
 use crate::wire::{Verdict, from_hex, hex};
 
@@ -222,10 +221,10 @@ impl Shared {
         if identity.may_use_all(key) {
             return topics.to_vec();
         }
-        let scopes = scopes.iter().filter(|scope| identity.may_use(key, scope));
-        let scopes: Vec<&String> = scopes.collect();
-        let within = |topic: &String| within(topic.as_bytes(), scopes.iter().copied().cloned());
-        fewest(topics.iter().flat_map(within).collect())
+        let scopes = scopes.iter().map(String::as_str);
+        let (allowed, hidden): (Vec<&str>, Vec<&str>) =
+            scopes.partition(|scope| identity.may_use(key, scope));
+        within(topics, &allowed, &hidden)
     }
 }
 

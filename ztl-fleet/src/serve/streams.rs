@@ -1,6 +1,6 @@
 //! Streams of the robots, published at the endpoint. They have a thread and a port of their own: they delay no request.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Bound::{Included, Unbounded};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ use crate::seal::Request;
 use crate::seldom::{Seldom, brief};
 use crate::session::{ZenohError, parts};
 use crate::streams::{Granted, Head, Incoming, RENEW, fewest, is_wanted, topics_of, within};
-use crate::wire::{ROOT, Verdict, fresh, hex};
+use crate::wire::{AgentQuery, ROOT, Verdict, fresh, hex};
 
 /// How long to wait for an agent's answer.
 const LIMIT: Duration = Duration::from_secs(2);
@@ -54,8 +54,7 @@ struct Relay {
 struct Robot {
     known: Known,
     is_there: bool,
-    /// How the endpoint's topics begin that somebody wants, and the robot's own.
-    begins: BTreeSet<Vec<u8>>,
+    /// How its topics begin that somebody wants.
     topics: Vec<String>,
     incoming: Incoming,
     /// The question under way.
@@ -83,8 +82,13 @@ impl Bound {
         self.publisher.endpoint()
     }
 
-    /// Publishes on a thread of its own, until the process ends.
-    pub(super) fn start(self, caller: Caller, access: Access) -> Result<Arc<Arrivals>, ZenohError> {
+    /// Publishes on a thread of its own, until the process ends. `on_end` is called if it cannot go on.
+    pub(super) fn start(
+        self,
+        caller: Caller,
+        access: Access,
+        on_end: impl FnOnce() + Send + 'static,
+    ) -> Result<Arc<Arrivals>, ZenohError> {
         let Self {
             publisher,
             arrivals,
@@ -113,14 +117,18 @@ impl Bound {
             told: Seldom::default(),
         };
         let thread = std::thread::Builder::new().name("ztl-fleet-streams".to_owned());
-        drop(thread.spawn(move || relay.run())?);
+        drop(thread.spawn(move || {
+            relay.run();
+            on_end();
+        })?);
         Ok(arrivals)
     }
 }
 
 impl Relay {
+    /// Runs until nothing can be published any more.
     fn run(mut self) {
-        loop {
+        while !self.publisher.has_ended() {
             let due = self.robots.values().filter_map(Robot::due).min();
             let mut limit = due.map_or(RENEW, |due| due.saturating_duration_since(Instant::now()));
             let has_room = self.publisher.has_room();
@@ -181,7 +189,6 @@ impl Relay {
             let robot = Robot {
                 known,
                 is_there: true,
-                begins: BTreeSet::new(),
                 topics: Vec::new(),
                 incoming: Incoming::default(),
                 asking: None,
@@ -222,7 +229,7 @@ impl Relay {
 
     /// Finds out what is wanted, of one robot or of all.
     fn choose(&mut self, only: Option<&str>) {
-        let mut begins: BTreeMap<String, BTreeSet<Vec<u8>>> = BTreeMap::new();
+        let mut topics: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for WantedTopic { key, begin } in &self.wanted {
             let key = key.as_ref();
             let mut chunks = begin.splitn(3, |byte| *byte == b'/');
@@ -241,8 +248,8 @@ impl Relay {
             for (known, robot) in robots {
                 let fits = rest.is_none() || known == name;
                 if fits && only.is_none_or(|only| only == known) {
-                    let begins = begins.entry(known.clone()).or_default();
-                    begins.extend(self.allowed(key, known, robot, begin));
+                    let topics = topics.entry(known.clone()).or_default();
+                    topics.extend(self.allowed(key, known, robot, begin));
                 }
             }
         }
@@ -251,8 +258,8 @@ impl Relay {
             None => self.robots.keys().cloned().collect(),
         };
         for name in names {
-            let begins = begins.remove(&name).unwrap_or_default();
-            self.set_begins(&name, begins);
+            let topics = topics.remove(&name).unwrap_or_default();
+            self.set_topics(&name, topics);
         }
         self.has_changed = true;
     }
@@ -264,33 +271,37 @@ impl Relay {
         name: &str,
         robot: &Robot,
         begin: &[u8],
-    ) -> Vec<Vec<u8>> {
-        let may_use = |scope: &str| key.is_none_or(|key| self.access.may_use(key, scope));
-        if may_use(&format!("/{name}")) {
-            return vec![begin.to_vec()];
+    ) -> Vec<String> {
+        let topics = topics_of(begin, name);
+        let may_use = |scope: &str| {
+            let scope = format!("/{name}{scope}");
+            key.is_none_or(|key| self.access.may_use(key, &scope))
+        };
+        if may_use("") {
+            return topics;
         }
-        let scopes = robot.known.scopes.iter();
-        let scopes = scopes.map(|scope| format!("/{name}{scope}"));
-        let allowed = within(begin, scopes.filter(|scope| may_use(scope)));
-        allowed.into_iter().map(String::into_bytes).collect()
+        let scopes = robot.known.scopes.iter().map(String::as_str);
+        let (allowed, hidden): (Vec<&str>, Vec<&str>) = scopes.partition(|scope| may_use(scope));
+        within(&topics, &allowed, &hidden)
     }
 
-    fn set_begins(&mut self, name: &str, begins: BTreeSet<Vec<u8>>) {
+    fn set_topics(&mut self, name: &str, topics: Vec<String>) {
         let Some(robot) = self.robots.get_mut(name) else {
             return;
         };
-        if robot.begins == begins {
+        let topics = fewest(topics);
+        if robot.topics == topics {
             return;
         }
-        let topics = begins.iter().flat_map(|begin| topics_of(begin, name));
-        robot.topics = fewest(topics.collect());
-        robot.begins = begins;
+        robot.topics = topics;
         robot.due = Instant::now();
-        let root = format!("/{name}/").into_bytes();
-        let kept = robot.begins.clone();
+        let root = format!("/{name}");
+        let kept = robot.topics.clone();
         self.publisher.forget(move |topic| {
             // Nobody keeps these up to date from now on.
-            topic.starts_with(&root) && !kept.iter().any(|begin| topic.starts_with(begin))
+            let of_robot = topic.strip_prefix(root.as_bytes());
+            let of_robot = of_robot.filter(|topic| topic.starts_with(b"/"));
+            of_robot.is_some_and(|topic| !is_wanted(&String::from_utf8_lossy(topic), &kept))
         });
         if robot.topics.is_empty() {
             if robot.is_there {
@@ -328,7 +339,7 @@ impl Relay {
         let until = clock_ms.saturating_add(since).saturating_add(VALID_MS);
         let request = Request {
             robot: name,
-            what: "streams",
+            what: AgentQuery::Streams.name(),
             parameters: &fresh(boot, until),
             who: "ztl-fleet",
             body: &body,

@@ -290,19 +290,48 @@ fn messages_round_trip_and_odd_ones_say_nothing() {
 #[test]
 fn of_topics_that_begin_so_only_the_part_in_these_scopes_is_left() {
     let parts = |begin: &str| {
-        let scopes = ["/lab", "/arm/left"].map(str::to_owned);
-        within(begin.as_bytes(), scopes.into_iter()).join(" ")
+        let parts = within(
+            &[begin.to_owned()],
+            &["/lab", "/arm/left", "/arm/left/hand/thumb"],
+            &["/arm", "/arm/left/hand", "/arm/left/eye", "/labor"],
+        );
+        parts.join(" ").replace('\n', " except ")
     };
+    let left = "/arm/left/ except /arm/left/eye/ except /arm/left/hand/";
+    let thumb = "/arm/left/hand/thumb/";
     for (begin, left) in [
-        ("", "/lab/ /arm/left/"),
+        ("", format!("{left} {thumb} /lab/").as_str()),
+        ("/arm/", &format!("{left} {thumb}")),
+        (
+            "/arm/left/h",
+            &format!("/arm/left/h except /arm/left/hand/ {thumb}"),
+        ),
+        ("/arm/left/hand/", thumb),
+        ("/arm/left/hand/x", ""),
+        ("/arm/left/pose", "/arm/left/pose"),
+        // Exceptions stay.
+        ("/lab/\n/lab/a/", "/lab/ except /lab/a/"),
+        ("/lab/a/b\n/lab/a/", ""),
+        ("/\n/lab/a/\n/arm/", "/lab/ except /lab/a/"),
         ("/l", "/lab/"),
         ("/lab", "/lab/"),
         ("/lab/", "/lab/"),
         ("/lab/po", "/lab/po"),
         ("/labor", ""),
-        ("/arm/", "/arm/left/"),
         ("lab/", ""),
     ] {
         assert_eq!(parts(begin), left, "{begin}");
     }
+    let topics = ["/lab/\n/lab/a/\n/lab/b/".to_owned()];
+    assert!(is_wanted("/lab/pose", &topics));
+    for other in ["/lab/a/x", "/lab/b/", "/other"] {
+        assert!(!is_wanted(other, &topics), "{other}");
+    }
+    // Exceptions of one topic do not cover those of another.
+    let owned = |all: &[&str]| all.iter().map(|&topic| topic.to_owned()).collect();
+    let both = owned(&["/lab/\n/lab/a/", "/lab/\n/lab/a/b/"]);
+    assert_eq!(fewest(Vec::clone(&both)), both);
+    let more = owned(&["/lab/\n/lab/a/", "/lab/\n/lab/a/\n/lab/b/"]);
+    assert_eq!(fewest(more), ["/lab/\n/lab/a/"]);
+    assert_eq!(fewest(owned(&["/lab/", "/lab/\n/lab/a/"])), ["/lab/"]);
 }

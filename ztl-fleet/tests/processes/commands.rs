@@ -7,7 +7,7 @@ use zenoh::Wait as _;
 use ztl_fleet::caller::Caller;
 use ztl_fleet::config::Links;
 use ztl_fleet::session::{self, key};
-use ztl_fleet::wire::Verdict;
+use ztl_fleet::wire::{AgentQuery, Verdict};
 use ztl_std::State;
 use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, reserve_port, start, until};
 
@@ -125,7 +125,7 @@ fn a_robot_that_does_not_answer_delays_no_question_to_another() {
         (known.unwrap().iter().count() == tokens.len()).then_some(())
     });
     let agents = ["arm", "leg"].map(|robot| (robot.to_owned(), AGENT.to_owned()));
-    let told = Caller::plain(asker).ask_all(&agents, "stop", b"", 2 * PATIENCE);
+    let told = Caller::plain(asker).ask_all(&agents, AgentQuery::Stop, b"", 2 * PATIENCE);
     let answer = Some(Verdict::Answer(b"{}".to_vec()));
     assert_eq!(told, [answer.clone(), answer]);
     answers.join().unwrap();

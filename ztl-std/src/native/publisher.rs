@@ -19,7 +19,7 @@ use ztl_zmtp::Pub;
 
 pub(crate) use self::message::{PubMessage, Unheard};
 use self::subscriber::{BEHIND, Subscriber, has_room};
-pub(crate) use self::subscriber::{MISSED, STATE};
+pub(crate) use self::subscriber::{EXCEPT, MISSED, STATE};
 use super::peers::{PeerId, Peers, Rules};
 use super::sockets::Endpoint;
 use crate::keys::PublicKey;
@@ -190,6 +190,12 @@ impl PubSocket {
     /// Where it listens, with the port that was chosen.
     pub(crate) fn endpoint(&self) -> &str {
         &self.endpoint
+    }
+
+    /// Whether its thread has ended, which it does only at a fault.
+    pub(crate) fn has_ended(&self) -> bool {
+        let thread = self.thread.as_ref();
+        thread.is_none_or(JoinHandle::is_finished)
     }
 
     /// How many peers have subscribed.
@@ -401,11 +407,9 @@ impl Worker {
                     }
                     continue;
                 }
-                if *begins == 1 && self.topics >= ALL_TOPICS {
-                    continue;
-                }
                 let before = subscriber.bytes;
-                let is_new = subscriber.change(*begins == 1, topic);
+                let has_room = self.topics < ALL_TOPICS;
+                let is_new = subscriber.change(*begins == 1, topic, has_room);
                 self.topics = self.topics + subscriber.bytes - before;
                 if is_new {
                     let newest = self.newest.range(topic.to_vec()..);

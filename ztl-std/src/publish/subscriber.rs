@@ -270,7 +270,9 @@ impl Subscriber {
         let ended = self.begins.iter().filter(|begin| !begins.contains(begin));
         // Nothing is missed between the two.
         let added = added.map(|begin| ask(b"\x01", begin));
-        let changes: Vec<_> = added.chain(ended.map(|begin| ask(b"\0", begin))).collect();
+        // What limits others comes before them, and ends after them.
+        let ended = ended.rev().map(|begin| ask(b"\0", begin));
+        let changes: Vec<_> = added.chain(ended).collect();
         for change in changes {
             self.dialer.send_frame(&change);
         }

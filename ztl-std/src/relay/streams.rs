@@ -4,7 +4,7 @@ use std::io;
 use std::time::Duration;
 
 use crate::keys::{KeyPair, PublicKey};
-use crate::native::publisher::{PubMessage, PubSocket, Unheard};
+use crate::native::publisher::{EXCEPT, PubMessage, PubSocket, Unheard};
 use crate::publish::{Heard, Subscriber};
 use crate::server::{Access, BindError, CurrentAccess, Limits, rules, to_bind};
 
@@ -54,6 +54,12 @@ impl RelayPublisher {
     #[must_use]
     pub fn endpoint(&self) -> &str {
         self.socket.endpoint()
+    }
+
+    /// Whether its thread has ended, so that nothing is published any more; the log says why.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.socket.has_ended()
     }
 
     /// Whether there is much room for messages that wait to be sent.
@@ -110,10 +116,22 @@ impl RelaySubscriber {
         Ok(Self(subscriber))
     }
 
-    /// Subscribes to the topics that begin so, instead of all before.
-    pub fn set_topics(&mut self, begins: &[String]) {
-        let begins = begins.iter().map(|begin| begin.as_bytes().to_vec());
-        self.0.set_begins(begins.collect());
+    /// Subscribes to the topics that begin so, instead of all before. After a line feed, one may have exceptions: how topics begin
+    /// that it does not bring, a line each. Publishers of this crate know exceptions.
+    pub fn set_topics(&mut self, topics: &[String]) {
+        let (mut exceptions, mut begins) = (Vec::new(), Vec::new());
+        for topic in topics {
+            let mut lines = topic.split('\n');
+            let begin = lines.next().unwrap_or_default();
+            // The same topic without exceptions brings everything.
+            if begin == topic || !topics.iter().any(|other| other == begin) {
+                let exception = |line| format!("{EXCEPT}{begin}\n{line}").into_bytes();
+                exceptions.extend(lines.map(exception));
+            }
+            begins.push(begin.as_bytes().to_vec());
+        }
+        exceptions.append(&mut begins);
+        self.0.set_begins(exceptions);
     }
 
     /// Asks for the newest states again, which a publisher of this crate sends.

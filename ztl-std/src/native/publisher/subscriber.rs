@@ -1,6 +1,7 @@
 //! One subscriber of a publisher.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::ops::Bound;
 
 use ztl_zmtp::Pub;
 
@@ -23,6 +24,8 @@ const RESERVED: &[u8] = b"$ztl/";
 pub(crate) const MISSED: &str = "$ztl/missed";
 /// Tells a subscriber that the next message is a state.
 pub(crate) const STATE: &str = "$ztl/state";
+/// Before a topic, a line feed and how others begin: the subscription to this topic does not bring those.
+pub(crate) const EXCEPT: &str = "$ztl/except/";
 
 /// Whether a subscriber's connection can take a message.
 pub(super) fn has_room(peers: &Peers<Pub>, peer: PeerId, message: &PubMessage) -> bool {
@@ -38,6 +41,8 @@ pub(super) struct Subscriber {
     topics: BTreeMap<Vec<u8>, usize>,
     /// Bytes that these take, roughly.
     pub(super) bytes: usize,
+    /// Whether there was no room for a subscription. It may have limited the following ones.
+    is_full: bool,
     pub(super) queue: VecDeque<PubMessage>,
     /// Bytes in `queue`.
     pub(super) held: usize,
@@ -53,10 +58,11 @@ pub(super) struct Subscriber {
 }
 
 impl Subscriber {
-    /// Begins or ends a subscription. Returns whether a topic is new.
-    pub(super) fn change(&mut self, begins: bool, topic: &[u8]) -> bool {
+    /// Begins or ends a subscription. Returns whether a topic is new. `has_room`: whether all subscribers leave room for it.
+    pub(super) fn change(&mut self, begins: bool, topic: &[u8], has_room: bool) -> bool {
         if begins {
-            if self.bytes + topic.len() + ENTRY > TOPICS {
+            self.is_full |= !has_room || self.bytes + topic.len() + ENTRY > TOPICS;
+            if self.is_full {
                 return false;
             }
             self.bytes += topic.len() + ENTRY;
@@ -65,6 +71,7 @@ impl Subscriber {
             return *count == 1;
         }
         if let Some(count) = self.topics.get_mut(topic) {
+            self.is_full = false;
             self.bytes -= topic.len() + ENTRY;
             *count -= 1;
             if *count == 0 {
@@ -117,7 +124,8 @@ impl Subscriber {
         peers.put_shared(peer, &message.wire);
     }
 
-    /// Whether a topic begins with one of its topics. It has fewer beginnings than a subscriber may have topics.
+    /// Whether a topic begins with one of its topics that has no exception for it. It has fewer beginnings than a subscriber may
+    /// have topics.
     fn wants(&self, topic: &[u8]) -> bool {
         let shortest = if topic.starts_with(RESERVED) {
             RESERVED.len()
@@ -126,9 +134,19 @@ impl Subscriber {
         };
         let begins = |length| {
             let begin = topic.get(..length);
-            begin.is_some_and(|begin| self.topics.contains_key(begin))
+            begin
+                .is_some_and(|begin| self.topics.contains_key(begin) && !self.excepts(begin, topic))
         };
         (shortest..=topic.len()).any(begins)
+    }
+
+    /// Whether one of its topics does not bring another topic, which begins with it.
+    fn excepts(&self, begin: &[u8], topic: &[u8]) -> bool {
+        let root = [EXCEPT.as_bytes(), begin, b"\n"].concat();
+        let from = (Bound::Included(root.as_slice()), Bound::Unbounded);
+        let exceptions = self.topics.range::<[u8], _>(from);
+        let exceptions = exceptions.map_while(|(known, _)| known.strip_prefix(root.as_slice()));
+        { exceptions }.any(|exception| topic.starts_with(exception))
     }
 
     /// Whether a message of this topic waits.

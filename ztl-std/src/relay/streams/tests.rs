@@ -50,6 +50,51 @@ fn a_relay_learns_what_is_a_state_and_gets_the_newest_ones_again() {
 }
 
 #[test]
+fn a_topic_with_an_exception_does_not_bring_nor_watch_it() {
+    let publisher = Publisher::bind("tcp://127.0.0.1:*", "/lab").unwrap();
+    let hidden = publisher.under("/lab/priv");
+    let (sender, watched) = channel();
+    hidden.watch("/x", move |is_watched| drop(sender.send(is_watched)));
+    hidden.publish_bytes("/x", b"1", true);
+    publisher.publish_bytes("/pose", b"2", true);
+    let mut relay = RelaySubscriber::connect(publisher.endpoint(), None).unwrap();
+    relay.set_topics(&text(&["/lab/\n/lab/q/\n/lab/priv/", "/other"]));
+    assert_eq!(next(&mut relay), told("/lab/pose", b"2", true));
+    for _ in 0..2 {
+        hidden.publish_bytes("/x", b"3", false);
+        publisher.publish_bytes("/word", b"4", true);
+        // A new subscription brings the newest states again.
+        let mut heard = std::iter::from_fn(|| Some(next(&mut relay).0));
+        let hidden = heard.find(|topic| topic != "/lab/pose");
+        assert_eq!(hidden.as_deref(), Some("/lab/word"));
+        // Nor after it was taken back and asked for again.
+        relay.set_topics(&text(&["/other"]));
+        relay.set_topics(&text(&["/lab\n/lab/priv/", "/other"]));
+    }
+    assert!(watched.try_recv().is_err(), "the exception is watched");
+    // Another topic brings it.
+    relay.set_topics(&text(&["/lab\n/lab/priv/", "/lab/p"]));
+    assert!(watched.recv_timeout(LIMIT).unwrap());
+    let mut heard = std::iter::from_fn(|| Some(next(&mut relay)));
+    assert!(heard.any(|heard| heard == told("/lab/priv/x", b"1", true)));
+}
+
+#[test]
+fn a_publisher_whose_thread_has_ended_says_so() {
+    let changed = |_: Vec<WantedTopic>| panic!("this is a test");
+    let everybody = Access::everybody();
+    let publisher =
+        RelayPublisher::bind("tcp://127.0.0.1:*", everybody, Limits::default(), changed);
+    let publisher = publisher.unwrap();
+    // It is told at once that nobody subscribes to anything.
+    let begun = std::time::Instant::now();
+    while !publisher.has_ended() {
+        assert!(begun.elapsed() < LIMIT);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
 fn a_state_in_a_long_queue_is_told_as_one() {
     let publisher = Publisher::bind("tcp://127.0.0.1:*", "/lab").unwrap();
     let mut relay = RelaySubscriber::connect(publisher.endpoint(), None).unwrap();
