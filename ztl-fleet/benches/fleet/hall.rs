@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use ztl_std::RemoteTask;
+use ztl_std::keys::KeyPair;
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, reserve_port, until};
 
 pub(crate) fn fleet(words: &[&str], file: &Path) -> Command {
@@ -68,6 +70,68 @@ impl Routers {
         let count = self.addresses.len();
         let all = (0..count).map(|step| self.addresses[(first + step) % count].as_str());
         format!("[{}]", all.collect::<Vec<_>>().join(", "))
+    }
+}
+
+/// A robot `arm` at the last of some routers, and an endpoint at the first one.
+pub(crate) struct Pair {
+    /// The endpoint's ports, for tasks and for subscribers.
+    pub(crate) port: u16,
+    pub(crate) publishes: Option<u16>,
+    /// Killed when they are dropped.
+    _processes: Vec<Process>,
+}
+
+impl Pair {
+    /// A fleet of that name; with a publisher of the robot, and with keys.
+    pub(crate) fn start(
+        scratch: &Scratch,
+        name: &str,
+        server: &Server,
+        publisher: Option<&str>,
+        routers: usize,
+        keys: bool,
+    ) -> Self {
+        let routers_of = Routers::start(scratch, routers);
+        let (first, last) = (&routers_of.addresses[0], &routers_of.addresses[routers - 1]);
+        let mut agent = format!(
+            "name: arm\nserver: {}\nrouters: {last}\nstate: {name}\n",
+            server.endpoint()
+        );
+        let mut endpoint = format!("port: 0\nrouters: {first}\n");
+        if let Some(publisher) = publisher {
+            agent += &format!("publish: {publisher}\n");
+            endpoint += "publish: 0\n";
+        }
+        if keys {
+            for key in ["arm", "desk"] {
+                let pair = KeyPair::generate();
+                pair.write(&scratch.path(key)).expect("to write");
+            }
+            agent += "fleet-key: arm.key_secret\nclient-keys: desk.key\n";
+            endpoint += "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
+        }
+        let agent = start(scratch, "join", &format!("{name}-agent.yaml"), &agent);
+        let endpoint = start(scratch, "endpoint", &format!("{name}.yaml"), &endpoint);
+        let port = endpoint.wait_for_port("Serving ");
+        let mut remote = connect_to(&format!("tcp://127.0.0.1:{port}"), "/arm/test");
+        until("the robot is served", PATIENCE, || {
+            let scopes = remote.describe().ok()??.scopes;
+            scopes.contains_key("/arm/test").then_some(())
+        });
+        let publishes = publisher.map(|_| endpoint.wait_for_port("Publishing "));
+        let mut processes = routers_of.processes;
+        processes.extend([agent, endpoint]);
+        Self {
+            port,
+            publishes,
+            _processes: processes,
+        }
+    }
+
+    /// A client of the robot.
+    pub(crate) fn client(&self) -> RemoteTask {
+        connect_to(&format!("tcp://127.0.0.1:{}", self.port), "/arm/test")
     }
 }
 

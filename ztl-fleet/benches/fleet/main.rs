@@ -1,5 +1,6 @@
 //! Figures of a fleet of real processes on one machine: whether all robots are there in time, the memory of each part, what
-//! routing adds to a task, what the loss of a router costs, and how soon all robots have stopped. `cargo xtask bench fleet` runs
+//! routing adds to a task and to a stream, how soon an ABORT beside streams arrives, what the loss of a router costs, and how soon
+//! all robots have stopped. `cargo xtask bench fleet` runs
 //! it.
 //!
 //! The table in `docs/fleet.md` has the figures that must hold. A routed task and a direct one are measured in turn, so that other
@@ -20,14 +21,16 @@ mod many;
 mod memory;
 mod reconnects;
 mod routed;
+mod streams;
 
 use std::time::Duration;
 
 /// Something that can be measured.
 type Part = fn();
 
-const PARTS: [(&str, Part); 3] = [
+const PARTS: [(&str, Part); 4] = [
     ("routed", routed::measure),
+    ("streams", streams::measure),
     ("many", many::measure),
     ("reconnects", reconnects::measure),
 ];

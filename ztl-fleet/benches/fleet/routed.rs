@@ -2,11 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use ztl_std::keys::KeyPair;
 use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{LIMIT, PATIENCE, Process, Scratch, Server, connect, connect_to, until};
+use ztl_tests::lab::{LIMIT, Scratch, Server, connect};
 
-use crate::hall::{Routers, start};
+use crate::hall::Pair;
 use crate::{ms, quantile};
 
 /// Tasks of each kind.
@@ -17,8 +16,7 @@ struct Way {
     remote: RemoteTask,
     /// In microseconds: of the whole task, and of its INIT and of a STATUS alone.
     times: [Vec<i64>; 3],
-    /// Killed when they are dropped.
-    _processes: Vec<Process>,
+    _pair: Pair,
 }
 
 fn time(act: impl FnOnce()) -> i64 {
@@ -42,40 +40,14 @@ fn run(remote: &mut RemoteTask) -> [i64; 3] {
     [task, init, status]
 }
 
-/// A robot at the last router, and an endpoint at the first one.
+/// A fleet with so many routers between robot and endpoint.
 fn way(scratch: &Scratch, name: &'static str, server: &Server, routers: usize, keys: bool) -> Way {
-    let routers_of = Routers::start(scratch, routers);
-    let (first, last) = (&routers_of.addresses[0], &routers_of.addresses[routers - 1]);
-    let mut texts = [
-        format!(
-            "name: arm\nserver: {}\nrouters: {last}\nstate: {name}\n",
-            server.endpoint()
-        ),
-        format!("port: 0\nrouters: {first}\n"),
-    ];
-    if keys {
-        for key in ["arm", "desk"] {
-            let pair = KeyPair::generate();
-            pair.write(&scratch.path(key)).expect("to write");
-        }
-        texts[0] += "fleet-key: arm.key_secret\nclient-keys: desk.key\n";
-        texts[1] += "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
-    }
-    let agent = start(scratch, "join", &format!("{name}-agent.yaml"), &texts[0]);
-    let endpoint = start(scratch, "endpoint", &format!("{name}.yaml"), &texts[1]);
-    let port = endpoint.wait_for_port("Serving ");
-    let mut remote = connect_to(&format!("tcp://127.0.0.1:{port}"), "/arm/test");
-    until("the robot is served", PATIENCE, || {
-        let scopes = remote.describe().ok()??.scopes;
-        scopes.contains_key("/arm/test").then_some(())
-    });
-    let mut processes = routers_of.processes;
-    processes.extend([agent, endpoint]);
+    let pair = Pair::start(scratch, name, server, None, routers, keys);
     Way {
         name,
-        remote,
+        remote: pair.client(),
         times: Default::default(),
-        _processes: processes,
+        _pair: pair,
     }
 }
 

@@ -15,6 +15,7 @@ mod identity;
 mod line;
 mod pictures;
 mod scene;
+mod stream_rules;
 mod streams;
 #[path = "../../../tests/web/client.rs"]
 #[expect(dead_code, reason = "the tests of the web console use the rest")]

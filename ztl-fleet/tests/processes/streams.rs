@@ -18,10 +18,10 @@ use crate::{Fleet, fleet, python};
 /// A request takes no longer, whatever flows beside it.
 const SOON: Duration = Duration::from_millis(500);
 /// How long a test waits for one message before it looks at something else.
-const TURN: Duration = Duration::from_millis(20);
+pub(crate) const TURN: Duration = Duration::from_millis(20);
 
 /// A fleet whose endpoint publishes, and whose robot has a publisher in this process.
-struct Streaming {
+pub(crate) struct Streaming {
     fleet: Fleet,
     _server: Server,
     publisher: Publisher,
@@ -38,7 +38,7 @@ impl Streaming {
     }
 
     /// A fleet whose endpoint publishes; with more lines in its file.
-    fn fleet(scratch: Scratch, more: &str) -> Fleet {
+    pub(crate) fn fleet(scratch: Scratch, more: &str) -> Fleet {
         Fleet::with(scratch, &format!("publish: 0\n{more}"))
     }
 
@@ -90,19 +90,19 @@ impl Streaming {
     }
 }
 
-fn next_within(subscriber: &mut Subscriber, limit: Duration) -> Option<Heard> {
+pub(crate) fn next_within(subscriber: &mut Subscriber, limit: Duration) -> Option<Heard> {
     subscriber.next_within(limit).unwrap()
 }
 
 /// The number in a message of this path.
-fn number(heard: &Heard, path: &str) -> Option<i64> {
+pub(crate) fn number(heard: &Heard, path: &str) -> Option<i64> {
     let is_it = heard.topic == format!("/arm/test{path}");
     is_it.then(|| heard.value().unwrap().value().as_f64().unwrap() as i64)
 }
 
 /// The next number of this path.
 #[track_caller]
-fn next(subscriber: &mut Subscriber, path: &str) -> i64 {
+pub(crate) fn next(subscriber: &mut Subscriber, path: &str) -> i64 {
     until(&format!("a message {path}"), PATIENCE, || {
         number(&next_within(subscriber, TURN)?, path)
     })
@@ -318,7 +318,7 @@ fn a_python_program_without_our_code_reads_a_stream() {
 }
 
 /// Keys of a robot, an endpoint and a client.
-fn keys(scratch: &Scratch) -> [KeyPair; 4] {
+pub(crate) fn keys(scratch: &Scratch) -> [KeyPair; 4] {
     ["arm", "desk", "anna", "other"].map(|name| {
         let pair = KeyPair::generate();
         pair.write(&scratch.path(name)).unwrap();
@@ -326,7 +326,7 @@ fn keys(scratch: &Scratch) -> [KeyPair; 4] {
     })
 }
 
-const DESK: &str = "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
+pub(crate) const DESK: &str = "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
 
 #[test]
 fn neither_a_forged_nor_a_recorded_message_is_heard() {
