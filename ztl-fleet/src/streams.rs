@@ -26,8 +26,9 @@ const LOST: Duration = Duration::from_secs(2);
 pub const RENEW: Duration = Duration::from_secs(1);
 /// Part of the window after which an endpoint asks earlier.
 const PART: usize = 4;
-/// Work of a message at both ends, as if it had so many bytes more.
-const WORK: usize = 512;
+/// Work of a message at both ends and at routers, as if it had so many bytes more: so no flood of small messages keeps requests
+/// waiting behind them for long.
+const WORK: usize = 4096;
 /// How long an agent passes messages on after it was asked.
 pub const LEASE: Duration = Duration::from_secs(5);
 /// Most topics that are asked for. For more, everything is.

@@ -13,9 +13,9 @@ use crate::{ms, quantile};
 /// Messages whose latency is measured, and the pause between two.
 const MESSAGES: usize = 2000;
 const PAUSE: Duration = Duration::from_millis(2);
-/// How long a flood lasts, and the pause after which nothing more of it comes.
+/// How long a flood lasts, and the pause after which nothing more of it comes: longer than lost messages hold up others.
 const FLOOD: Duration = Duration::from_secs(5);
-const QUIET: Duration = Duration::from_secs(2);
+const QUIET: Duration = Duration::from_secs(4);
 /// Sizes of messages in bytes.
 const SIZES: [usize; 3] = [100, 10_000, 300_000];
 /// ABORTs of each kind.
@@ -81,19 +81,21 @@ impl Flow {
 
 pub(crate) fn measure() {
     let scratch = Scratch::new();
-    for (name, routers, keys) in [
+    let flows = [
         ("one-router-streams", 1, false),
         ("two-routers-streams", 2, false),
         ("sealed-streams", 2, true),
-    ] {
-        let flow = Flow::start(&scratch, name, routers, keys);
-        latency(&flow);
+    ];
+    let flows = flows.map(|(name, routers, keys)| Flow::start(&scratch, name, routers, keys));
+    for flow in &flows {
+        latency(flow);
+    }
+    for flow in &flows {
         for size in SIZES {
-            rate(&flow, size);
+            rate(flow, size);
         }
-        aborts(&flow, None);
-        for size in SIZES {
-            aborts(&flow, Some(size));
+        for flood in std::iter::once(None).chain(SIZES.map(Some)) {
+            aborts(flow, flood);
         }
     }
 }
