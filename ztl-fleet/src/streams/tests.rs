@@ -92,6 +92,25 @@ fn an_agent_sends_no_more_than_its_window_until_it_is_heard_or_lost() {
 }
 
 #[test]
+fn few_small_messages_are_on_their_way_at_once_since_requests_wait_behind_them() {
+    let mut end = Outgoing::default();
+    // A line that carries anything at once has the longest window.
+    for now in 0..100 {
+        while end.may_send(at(now)) {
+            end.send(at(now), 100);
+        }
+        end.on_heard(at(now), end.sent());
+    }
+    assert_eq!(end.window(), WINDOWS.1);
+    let before = end.sent();
+    while end.may_send(at(100)) {
+        end.send(at(100), 100);
+    }
+    let count = end.sent() - before;
+    assert!((900..1100).contains(&count), "{count}");
+}
+
+#[test]
 fn the_window_fits_what_the_line_carries_at_once() {
     /// Milliseconds, and the bytes that wait on the line after that time.
     fn flood(bytes_per_ms: usize, pause: u64) -> (Outgoing, usize) {

@@ -54,7 +54,7 @@ fn a_topic_with_an_exception_does_not_bring_nor_watch_it() {
     let publisher = Publisher::bind("tcp://127.0.0.1:*", "/lab").unwrap();
     let hidden = publisher.under("/lab/priv");
     let (sender, watched) = channel();
-    hidden.watch("/x", move |is_watched| drop(sender.send(is_watched)));
+    hidden.watch("/x", move |is_watched| sender.send(is_watched).unwrap());
     hidden.publish_bytes("/x", b"1", true);
     publisher.publish_bytes("/pose", b"2", true);
     let mut relay = RelaySubscriber::connect(publisher.endpoint(), None).unwrap();
