@@ -4,100 +4,25 @@
 //! numbers are relative to the first one of their session that appears, task ids to the first one, and session numbers are
 //! replaced by their order of appearance. An idle link then returns to an earlier state, and the number of reachable states
 //! is finite.
+//!
+//! What is overwritten before it is read again is left out. [`exactly`](Fingerprint::exactly) keeps it, so that a test can
+//! compare states that differ only in that.
+
+mod fields;
 
 use std::fmt::{self, Debug, Write};
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::LinkId;
+use ztl_core::link::{LINK_TIMEOUT, LinkId};
 
-/// Times further in the past are equal: no timer looks back that far.
-const PAST: Duration = Duration::from_millis(2600);
-/// Times further in the future are equal.
-const FUTURE: Duration = Duration::from_secs(60);
+use fields::{
+    ANSWERED, APART, CLOCK, CLOCK_MS, DEADLINE, DUE, FAILURES, FAR, FIRST, FUTURE, HEARD, HIGHEST,
+    INSTANT, LINK_ID, MANY_FAILURES, NODE_CLOCKS, OVERWRITTEN, PAST, PHASE, REPLACED, RUNNING,
+    SEED, SEQ, SESSIONS, SKIPPED, STAGE, UNANSWERED, step, word,
+};
 
-/// Fields without influence on the behaviour: derived from others, statistics, or for readings, which the model has not.
-const SKIPPED: [u64; 9] = [
-    name("ending"),
-    name("decoder"),
-    name("bytes"),
-    name("counters"),
-    name("random"),
-    name("frame_out"),
-    name("readings_at"),
-    name("turnaround"),
-    name("round_trips"),
-];
-
-/// Frames that a bus keeps as bytes. Whoever skips them adds them in another form.
-pub const BUS_FRAMES: [u64; 2] = [name("sent"), name("unasked")];
-
-/// How often in a row something has failed. Larger numbers are equal.
-const FAILURES: [u64; 2] = [name("garbled"), name("silent")];
-const MANY_FAILURES: u64 = 12;
-
-const SEQ: u64 = name("seq");
-const CLOCK: u64 = name("clock");
-const NODE_CLOCKS: [u64; 2] = [name("clock_ms"), name("before_ms")];
-const SESSIONS: [u64; 4] = [
-    name("session"),
-    name("hello"),
-    name("replaced"),
-    name("replaces"),
-];
-/// Times at which something is due: how long ago does not matter.
-const DUE: [u64; 12] = [
-    name("ask_at"),
-    name("awake_due"),
-    name("begun_due"),
-    name("due"),
-    name("event_due"),
-    name("not_before"),
-    name("quiet_at"),
-    name("receiving"),
-    name("repeat"),
-    name("safety_wake"),
-    name("until"),
-    name("wake"),
-];
-const INSTANT: u64 = name("Instant");
-/// Ids of tasks on the link. Only their differences matter.
-const LINK_ID: u64 = name("LinkId");
-const HIGHEST: u64 = name("highest");
-/// Larger differences are equal: no scenario has that many tasks.
-const APART: i64 = 9;
-
-/// Larger differences between the sequence numbers of a session are equal.
-const FAR: u64 = 9;
-/// Smaller sequence numbers differ, because a delayed `Hello` opens a session again and its numbers begin again.
-const FIRST: u64 = 3;
-/// Sequence numbers from here on differ, because the gateway opens a new session after 255.
-pub const NEARLY_ALL: u8 = 250;
-
-const SEED: u64 = 0xcbf2_9ce4_8422_2325;
-const PRIME: u64 = 0x9e37_79b9_7f4a_7c15;
-
-const fn step(hash: u64, number: u64) -> u64 {
-    (hash.rotate_left(23) ^ number).wrapping_mul(PRIME)
-}
-
-const fn name(text: &str) -> u64 {
-    word(SEED, text.as_bytes())
-}
-
-/// Hashes a piece of a word, eight bytes at a time.
-const fn word(mut hash: u64, bytes: &[u8]) -> u64 {
-    let (mut eight, mut place) = (0, 0);
-    while place < bytes.len() {
-        eight = eight << 8 | bytes[place] as u64;
-        place += 1;
-        if place % 8 == 0 || place == bytes.len() {
-            hash = step(hash, eight);
-            eight = 0;
-        }
-    }
-    hash
-}
+pub use fields::{BUS_FRAMES, NEARLY_ALL};
 
 /// The origin of times.
 #[derive(Debug, Clone, Copy)]
@@ -106,6 +31,19 @@ pub struct Origin {
     pub now: Instant,
     /// Now, on the node's clock.
     pub node: Instant,
+}
+
+/// What decides which fields of a session will be read.
+#[derive(Debug, Default)]
+struct InSession {
+    /// Whether some of its tasks may run.
+    busy: bool,
+    /// Whether its `Hello` is not answered, or not sent.
+    unanswered: bool,
+    /// The deadline of a task whose stage follows.
+    deadline: Option<u64>,
+    /// The deadlines of tasks that run.
+    deadlines: Vec<u64>,
 }
 
 /// Hashes the canonical form of `Debug` output.
@@ -120,9 +58,15 @@ pub struct Fingerprint {
     current: usize,
     /// The first task id, to which the others are relative.
     link: Option<u64>,
+    /// What is known of the session that is being added.
+    in_session: Option<InSession>,
     depth: u32,
     /// More fields without influence.
     also_skipped: &'static [u64],
+    /// Whether what is overwritten before it is read again counts as well.
+    exact: bool,
+    /// How long ago a time is that is equal to all earlier ones.
+    past: Duration,
     /// Depth of the field that is being skipped.
     skipping: Option<u32>,
     /// The current word, and the current number.
@@ -147,8 +91,11 @@ impl Fingerprint {
             sessions: vec![(0, None)],
             current: 0,
             link: None,
+            in_session: None,
             depth: 0,
             also_skipped: &[],
+            exact: false,
+            past: PAST,
             skipping: None,
             word: None,
             number: None,
@@ -170,10 +117,40 @@ impl Fingerprint {
         self.also_skipped = fields;
     }
 
+    /// Also compares what is overwritten before it is read again.
+    #[must_use]
+    pub const fn exactly(mut self) -> Self {
+        self.exact = true;
+        self
+    }
+
+    /// Whether that is compared.
+    #[must_use]
+    pub const fn is_exact(&self) -> bool {
+        self.exact
+    }
+
     /// Adds a part of the state.
     pub fn add(&mut self, part: &impl Debug) {
         // Writing into a hash cannot fail.
         let _ = write!(self, "{part:?};");
+    }
+
+    /// Adds a part that looks back no further than this.
+    pub fn add_recent(&mut self, part: &impl Debug, past: Duration) {
+        self.past = if self.exact { PAST } else { past };
+        self.add(part);
+        self.past = PAST;
+    }
+
+    /// Adds the session of a gateway. `busy`: some of its tasks may run.
+    pub fn add_session(&mut self, session: &impl Debug, busy: bool) {
+        self.in_session = (!self.exact).then(|| InSession {
+            busy,
+            ..InSession::default()
+        });
+        self.add(session);
+        self.in_session = None;
     }
 
     /// Returns the fingerprint, spread over all bits.
@@ -192,38 +169,90 @@ impl Fingerprint {
     /// Handles a complete number.
     fn on_number(&mut self, number: u64) {
         let (now, node) = (self.origin.now, self.origin.node);
+        if let Some(session) = &mut self.in_session
+            && self.before == INSTANT
+        {
+            match self.field {
+                DEADLINE => {
+                    session.deadline = Some(number);
+                    return;
+                }
+                HEARD => self.on_heard(number),
+                _ => {}
+            }
+        }
         let canonical = if self.before == INSTANT {
             match self.clock.take() {
                 // Only the error of the estimate matters, not when it was made.
-                Some(clock) => clock.wrapping_sub(number.wrapping_sub(now.as_micros())),
+                Some(clock) => {
+                    let error = clock.wrapping_sub(number.wrapping_sub(now.as_micros()));
+                    self.clock_error(error)
+                }
                 None if DUE.contains(&self.field) => {
                     let future = FUTURE.as_micros() as u64;
                     number.saturating_sub(now.as_micros()).min(future)
                 }
-                None => relative(number, now.as_micros()),
+                None => self.relative(number, now.as_micros()),
             }
         } else if self.field == CLOCK {
             let clock = number.wrapping_mul(1000).wrapping_sub(node.as_micros());
             self.clock = Some(clock);
             return;
         } else if NODE_CLOCKS.contains(&self.field) {
-            relative(number.saturating_mul(1000), node.as_micros())
+            let clock = self.relative(number.saturating_mul(1000), node.as_micros());
+            match self.field {
+                // Ahead, it is of an earlier boot.
+                CLOCK_MS if !self.exact => clock.min(self.past.as_micros() as u64 + 1),
+                _ => clock,
+            }
         } else if FAILURES.contains(&self.field) {
             number.min(MANY_FAILURES)
         } else if self.field == SEQ && number != 0 {
             self.sequence(number)
-        } else if SESSIONS.contains(&self.field) && self.skipping.is_none() {
+        } else if REPLACED.contains(&self.field) && !self.exact {
+            number.min(1)
+        } else if SESSIONS.contains(&self.field) || REPLACED.contains(&self.field) {
             self.session(number)
         } else if self.before == LINK_ID && LinkId(number as u32).is_local() {
             // Few, and apart from the others.
             number
-        } else if (self.before == LINK_ID || self.field == HIGHEST) && self.skipping.is_none() {
+        } else if self.before == LINK_ID || self.field == HIGHEST {
             let base = *self.link.get_or_insert(number);
             link_relative(number, base)
         } else {
             number
         };
         self.take(canonical);
+    }
+
+    /// A device has ended a task by itself when the link timeout has passed since its deadline, and twice the link timeout since
+    /// the last answer.
+    fn on_heard(&mut self, heard: u64) {
+        let Some(session) = &mut self.in_session else {
+            return;
+        };
+        for deadline in std::mem::take(&mut session.deadlines) {
+            let answered = heard.saturating_add(LINK_TIMEOUT.as_micros() as u64);
+            self.take(self.relative(deadline.max(answered), self.origin.now.as_micros()));
+        }
+    }
+
+    /// The time by which the gateway's estimate of the node's clock is ahead. The estimate can be late by no more than a task
+    /// may wait, and ahead only if it is of an earlier boot.
+    fn clock_error(&self, ahead: u64) -> u64 {
+        if self.exact {
+            return ahead;
+        }
+        let most = PAST.as_micros() as i64;
+        (ahead as i64).clamp(-most, 1) as u64
+    }
+
+    /// Microseconds after now, as a nonnegative number.
+    fn relative(&self, moment: u64, now: u64) -> u64 {
+        let past = self.past.as_micros() as u64;
+        let future = FUTURE.as_micros() as u64;
+        let after = moment.saturating_add(past).saturating_sub(now);
+        after.min(past + future)
     }
 
     /// Replaces a session number by its index; the lowest eight bits are the boot id in its key.
@@ -249,38 +278,65 @@ impl Fingerprint {
         (if differs { number } else { FIRST }) << 8 | (if near { ahead } else { FAR })
     }
 
-    /// Handles a mark or a digit; words are handled as a whole.
-    fn on_byte(&mut self, byte: u8) {
-        if self.quoted {
-            self.take(u64::from(byte));
-            self.quoted = self.escaped || byte != b'"';
-            self.escaped = !self.escaped && byte == b'\\';
-            return;
-        }
-        if byte.is_ascii_digit() {
-            let digit = u64::from(byte - b'0');
-            let number = self.number.unwrap_or(0);
-            self.number = Some(number.wrapping_mul(10).wrapping_add(digit));
-            return;
-        }
-        if let Some(number) = self.number.take() {
-            self.on_number(number);
-        }
-        let word = self.word.take().unwrap_or(0);
-        self.on_mark(byte, word);
+    fn on_quoted(&mut self, byte: u8) {
+        self.take(u64::from(byte));
+        self.quoted = self.escaped || byte != b'"';
+        self.escaped = !self.escaped && byte == b'\\';
+    }
+
+    const fn on_digit(&mut self, digit: u8) {
+        let number = match self.number {
+            Some(number) => number.wrapping_mul(10),
+            None => 0,
+        };
+        self.number = Some(number.wrapping_add((digit - b'0') as u64));
     }
 
     fn on_word(&mut self, piece: &[u8]) {
         self.word = Some(word(self.word.unwrap_or(SEED), piece));
     }
 
-    fn on_mark(&mut self, mark: u8, word: u64) {
+    fn is_skipped(&self, field: u64) -> bool {
+        let overwritten = |session: &InSession| {
+            session.unanswered && OVERWRITTEN.contains(&field) || !session.busy && field == HEARD
+        };
+        SKIPPED.contains(&field)
+            || self.also_skipped.contains(&field)
+            || self.in_session.as_ref().is_some_and(overwritten)
+    }
+
+    /// Handles the word after the name of a field.
+    fn on_value(&mut self, word: u64) {
+        let Some(session) = &mut self.in_session else {
+            return;
+        };
+        match self.field {
+            PHASE if UNANSWERED.contains(&word) => session.unanswered = true,
+            PHASE if ANSWERED.contains(&word) => session.unanswered = false,
+            STAGE => match session.deadline.take() {
+                Some(deadline) if word == RUNNING => session.deadlines.push(deadline),
+                Some(deadline) => {
+                    self.take(self.relative(deadline, self.origin.now.as_micros()));
+                }
+                None => {}
+            },
+            _ => {}
+        }
+    }
+
+    /// Handles a mark, which ends a word or a number.
+    fn on_mark(&mut self, mark: u8) {
+        let (number, word) = (self.number.take(), self.word.take().unwrap_or(0));
+        if let Some(number) = number
+            && self.skipping.is_none()
+        {
+            self.on_number(number);
+        }
         match mark {
             b'"' => self.quoted = true,
-            b':' => {
+            b':' if self.skipping.is_none() => {
                 self.field = word;
-                let skipped = SKIPPED.contains(&word) || self.also_skipped.contains(&word);
-                if self.skipping.is_none() && skipped {
+                if self.is_skipped(word) {
                     self.skipping = Some(self.depth);
                 }
             }
@@ -294,6 +350,9 @@ impl Fingerprint {
             }
             _ => {}
         }
+        if mark != b':' {
+            self.on_value(word);
+        }
         let over = |depth| self.depth < depth || (self.depth == depth && mark == b',');
         if self.skipping.is_some_and(over) {
             self.skipping = None;
@@ -302,8 +361,9 @@ impl Fingerprint {
     }
 }
 
-const fn is_letter(byte: u8) -> bool {
-    byte.is_ascii_alphabetic() || byte == b'_'
+/// Whether a byte is part of a word or of a number.
+const fn is_part(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || byte == b'_'
 }
 
 /// A task id relative to another one.
@@ -319,154 +379,32 @@ const fn link_relative(number: u64, base: u64) -> u64 {
     clamped as u64
 }
 
-/// Microseconds after now, as a nonnegative number.
-fn relative(moment: u64, now: u64) -> u64 {
-    let past = PAST.as_micros() as u64;
-    let future = FUTURE.as_micros() as u64;
-    let after = moment.saturating_add(past).saturating_sub(now);
-    after.min(past + future)
-}
-
 impl Write for Fingerprint {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         let mut bytes = text.as_bytes();
         while let Some((first, rest)) = bytes.split_first() {
-            if self.quoted || !is_letter(*first) {
-                self.on_byte(*first);
+            if self.quoted {
+                self.on_quoted(*first);
                 bytes = rest;
-                continue;
+            } else if is_part(*first) && !first.is_ascii_digit() {
+                let len = bytes.iter().take_while(|byte| is_part(**byte)).count();
+                let (piece, rest) = bytes.split_at(len);
+                if self.skipping.is_none() {
+                    self.on_word(piece);
+                }
+                bytes = rest;
+            } else {
+                match *first {
+                    b' ' => {}
+                    digit @ b'0'..=b'9' => self.on_digit(digit),
+                    mark => self.on_mark(mark),
+                }
+                bytes = rest;
             }
-            let part = |byte: &u8| is_letter(*byte) || byte.is_ascii_digit();
-            let len = bytes.iter().take_while(|byte| part(byte)).count();
-            let (piece, rest) = bytes.split_at(len);
-            self.on_word(piece);
-            bytes = rest;
         }
         Ok(())
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[derive(Debug)]
-    struct Shown {
-        session: u32,
-        seq: u8,
-        #[expect(dead_code, reason = "only shown")]
-        bytes: [u8; 2],
-        at: Option<Instant>,
-        clock: Option<(u64, Instant)>,
-        text: &'static str,
-    }
-
-    fn shown() -> Shown {
-        Shown {
-            session: 0x0501,
-            seq: 17,
-            bytes: [1, 2],
-            at: Some(Instant::from_millis(900)),
-            clock: Some((400, Instant::from_millis(1000))),
-            text: "a \"seq: 7\"",
-        }
-    }
-
-    fn of(parts: &[&Shown], now: u64) -> u64 {
-        let origin = Origin {
-            now: Instant::from_millis(now),
-            node: Instant::from_millis(now - 500),
-        };
-        let mut print = Fingerprint::new(origin);
-        for part in parts {
-            print.add(part);
-        }
-        print.finish()
-    }
-
-    #[test]
-    fn the_fingerprint_ignores_completed_pings() {
-        let before = shown();
-        let after = Shown {
-            session: 0x0901,
-            seq: 43,
-            bytes: [3, 4],
-            at: Some(Instant::from_millis(5900)),
-            // Heard later, and as right as before.
-            clock: Some((4900, Instant::from_millis(5500))),
-            text: before.text,
-        };
-        assert_eq!(of(&[&before], 1000), of(&[&after], 6000));
-    }
-
-    /// The fingerprint of parts with these sessions and sequence numbers.
-    fn numbered<const PARTS: usize>(numbers: [(u32, u8); PARTS]) -> u64 {
-        let parts = numbers.map(|(session, seq)| Shown {
-            session,
-            seq,
-            ..shown()
-        });
-        of(&parts.each_ref(), 1000)
-    }
-
-    #[test]
-    fn the_fingerprint_compares_sequence_numbers_of_a_session() {
-        let (one, two) = (0x0501, 0x0601);
-        let same = numbered([(one, 17), (one, 16), (two, 90), (two, 91)]);
-        assert_eq!(numbered([(one, 57), (one, 56), (two, 30), (two, 31)]), same);
-        assert_ne!(numbered([(one, 57), (one, 57), (two, 30), (two, 31)]), same);
-        assert_ne!(numbered([(one, 57), (one, 56), (two, 30), (two, 30)]), same);
-        // Long ago.
-        assert_eq!(
-            numbered([(one, 57), (one, 40)]),
-            numbered([(one, 57), (one, 30)])
-        );
-        // First and last ones, even of another session.
-        assert_ne!(numbered([(two, 1)]), numbered([(two, 2)]));
-        assert_ne!(numbered([(two, 254)]), numbered([(two, 255)]));
-        assert_ne!(
-            numbered([(one, 57), (one, 1)]),
-            numbered([(one, 57), (one, 2)])
-        );
-        // The numbers of a faulty gateway begin again.
-        assert_ne!(
-            numbered([(one, 255), (one, 1)]),
-            numbered([(one, 255), (one, 2)])
-        );
-    }
-
-    #[test]
-    fn the_fingerprint_includes_relevant_fields() {
-        let same = of(&[&shown()], 1000);
-        let differ = |change: fn(&mut Shown)| {
-            let mut other = shown();
-            change(&mut other);
-            assert_ne!(of(&[&other], 1000), same, "{other:?}");
-        };
-        differ(|s| s.seq = 0);
-        differ(|s| s.seq = 2);
-        differ(|s| s.session = 0x0502);
-        differ(|s| s.session = 0);
-        differ(|s| s.at = None);
-        differ(|s| s.at = Some(Instant::from_millis(901)));
-        differ(|s| s.clock = Some((401, Instant::from_millis(1000))));
-        differ(|s| s.clock = Some((400, Instant::from_millis(1001))));
-        differ(|s| s.text = "a \"seq: 8\"");
-        // Two parts of one session, and of two.
-        let (one, mut two) = (shown(), shown());
-        two.session = 0x0601;
-        assert_ne!(of(&[&one, &one], 1000), of(&[&one, &two], 1000));
-    }
-
-    #[test]
-    fn the_fingerprint_ignores_the_distant_past() {
-        let past = |millis| {
-            let mut state = shown();
-            state.at = Some(Instant::from_millis(millis));
-            state.clock = None;
-            of(&[&state], 100_000)
-        };
-        assert_eq!(past(0), past(97_000));
-        assert_ne!(past(97_000), past(97_500));
-    }
-}
+mod tests;

@@ -9,6 +9,7 @@ pub mod explore;
 pub mod fingerprint;
 pub mod fleet_mutants;
 pub mod lab;
+pub mod merging;
 pub mod plan;
 pub mod shrink;
 

@@ -1,6 +1,7 @@
 //! The exploration of `cargo xtask model` with few faults, and the mutants that the model must catch.
 
 use ztl_simulation::explore::{System, explore};
+use ztl_simulation::merging::check_merging;
 use ztl_simulation::mutants::{MUTANTS, Mutant, SEEDS};
 use ztl_simulation::plan::Plan;
 use ztl_simulation::shrink::attempt;
@@ -24,6 +25,28 @@ fn the_guarantees_hold_on_a_shared_line_with_one_fault() {
     for scenario in real::model::BUS_SCENARIOS {
         let first = real::model::BusModel::new(scenario.with_times(1));
         holds(scenario.name, &first);
+    }
+}
+
+/// Scenarios with every fault, and few states.
+const MERGED: [&str; 7] = [
+    "frames", "unplug", "carry-on", "reset", "restart", "journal", "set",
+];
+
+#[test]
+#[cfg_attr(not(optimised), ignore = "too long; cargo xtask test --only model")]
+fn states_with_the_same_fingerprint_behave_alike() {
+    for name in MERGED {
+        let mut scenarios = real::model::SCENARIOS.iter();
+        let scenario = scenarios.find(|scenario| scenario.name == name);
+        let scenario = scenario.expect("a scenario").with_times(1);
+        match check_merging(&real::model::LinkModel::new(scenario)) {
+            Ok(merged) => {
+                println!("{name:<11} {merged}");
+                assert!(merged.prints < merged.exact, "{name}: {merged}");
+            }
+            Err(different) => panic!("{name}: {different}"),
+        }
     }
 }
 

@@ -322,6 +322,29 @@ impl BusModel {
         self.nodes[sender].up.queue.pop_front()
     }
 
+    fn print(&self, exact: bool) -> u64 {
+        let mut all = self.nodes[0].fingerprinter();
+        for (number, node) in self.nodes.iter().enumerate() {
+            let mut print = node.fingerprinter();
+            if exact {
+                print = print.exactly();
+            }
+            node.add_to(&mut print);
+            print.add(&self.kept[number]);
+            for frames in [&self.question, &self.held] {
+                print.add(&frames.as_ref().filter(|frames| frames.node == number));
+            }
+            all.add(&print.finish());
+        }
+        all.set_now(self.now);
+        all.skip(&BUS_FRAMES);
+        all.add(&self.bus);
+        let end = self.window() + LASTING;
+        let age = self.is_disturbed().then(|| self.age().min(end));
+        all.add(&(self.cut, self.readdressed, self.acts, self.times, age));
+        all.finish()
+    }
+
     fn wake(&self) -> Instant {
         let bus = self.bus.as_ref().and_then(Bus::poll_timeout);
         let nodes = self.nodes.iter().map(|node| Some(node.wake()));
@@ -501,23 +524,11 @@ impl System for BusModel {
     }
 
     fn fingerprint(&self) -> u64 {
-        let mut all = self.nodes[0].fingerprinter();
-        for (number, node) in self.nodes.iter().enumerate() {
-            let mut print = node.fingerprinter();
-            node.add_to(&mut print);
-            print.add(&self.kept[number]);
-            for frames in [&self.question, &self.held] {
-                print.add(&frames.as_ref().filter(|frames| frames.node == number));
-            }
-            all.add(&print.finish());
-        }
-        all.set_now(self.now);
-        all.skip(&BUS_FRAMES);
-        all.add(&self.bus);
-        let end = self.window() + LASTING;
-        let age = self.is_disturbed().then(|| self.age().min(end));
-        all.add(&(self.cut, self.readdressed, self.acts, self.times, age));
-        all.finish()
+        self.print(false)
+    }
+
+    fn exact(&self) -> u64 {
+        self.print(true)
     }
 
     fn settled(&self) -> Result<(), String> {

@@ -1,15 +1,22 @@
 //! The steps of the model and their effects.
 
+use std::time::Duration;
+
 use ztl_core::State;
+use ztl_core::link::LINK_TIMEOUT;
 
 use super::gateway::Told;
 use super::line::Way;
-use super::link::{Gateway, LabSession, LinkModel};
+use super::link::{Client, Gateway, LabSession, LinkModel};
+use super::motor::{TASKS, Truth};
 use super::node::SomeNode;
 use super::own::take_up;
 use super::words::{Act, Action, Fault};
 use crate::explore::System;
 use crate::fingerprint::{Fingerprint, Origin};
+
+/// A promise is broken when more than the link timeout has passed.
+const MOMENT: Duration = Duration::from_micros(1);
 
 impl LinkModel {
     fn can_act(&self) -> bool {
@@ -106,10 +113,12 @@ impl LinkModel {
     pub(super) fn add_to(&self, print: &mut Fingerprint) {
         let (session, seq) = self.answered;
         print.add(&format_args!("session: {session}, seq: {seq}"));
-        print.add(&self.node);
+        print.add_recent(&self.node, LINK_TIMEOUT);
         print.set_now(self.now);
         for gateway in &self.gateways {
-            print.add(&gateway.session);
+            let session = gateway.session.as_ref();
+            let busy = session.is_some_and(|session| session.bus_needs().busy);
+            print.add_session(&gateway.session, busy);
             print.add(&gateway.journal);
         }
         for lane in [&self.down, &self.up] {
@@ -118,12 +127,37 @@ impl LinkModel {
             print.add(&lane.tape);
         }
         print.add(&self.held);
-        print.add(&self.truth);
-        print.add(&self.clients);
+        let (truth, clients) = match print.is_exact() {
+            true => (self.truth, self.clients),
+            false => self.without_ends(),
+        };
+        print.add(&truth);
+        print.add(&clients);
         print.add(&self.set_clients);
         print.add(&(self.plugged, self.boot, self.asked, self.acts, self.times));
-        print.add(&self.holder);
-        print.add(&self.commanded);
+        print.add_recent(&(self.holder, self.commanded), LINK_TIMEOUT + MOMENT);
+    }
+
+    /// What is still compared with what happens when a client knows the final state of its task: whether the task was
+    /// rejected, and whether it has begun.
+    fn without_ends(&self) -> (Truth, [Client; TASKS]) {
+        let (mut truth, mut clients) = (self.truth, self.clients);
+        for (execution, client) in truth.tasks.iter_mut().zip(&mut clients) {
+            if !client.told.is_final() || client.own.own {
+                continue;
+            }
+            execution.came_to = None;
+            let told = match client.told {
+                Told::Rejected => Told::Rejected,
+                _ => Told::Ended(State::Completed),
+            };
+            *client = Client {
+                told,
+                gateway: client.gateway,
+                ..Client::default()
+            };
+        }
+        (truth, clients)
     }
 
     /// The next step while all faults last.
@@ -244,6 +278,12 @@ impl System for LinkModel {
 
     fn fingerprint(&self) -> u64 {
         let mut print = self.fingerprinter();
+        self.add_to(&mut print);
+        print.finish()
+    }
+
+    fn exact(&self) -> u64 {
+        let mut print = self.fingerprinter().exactly();
         self.add_to(&mut print);
         print.finish()
     }
