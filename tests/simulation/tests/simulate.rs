@@ -42,6 +42,13 @@ fn sixteen_nodes_on_a_shared_line_keep_the_guarantees_and_have_their_turns() {
     );
 }
 
+/// A stall releases a command while the gateway hears nothing. The link is up again for a second, so a button starts a task.
+#[test]
+fn a_command_that_a_stall_delays_is_a_new_command() {
+    let plan = Plan::new(20_000_155);
+    assert!(attempt(&plan, false).is_ok(), "{}", report(&plan));
+}
+
 #[test]
 fn a_seed_is_deterministic() {
     for seed in [3, 4711] {

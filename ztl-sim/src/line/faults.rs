@@ -241,6 +241,12 @@ impl FaultyLine {
         self.held_until = self.held_until.max(moment);
     }
 
+    /// When the last stall ends or has ended.
+    #[must_use]
+    pub const fn held_until(&self) -> Instant {
+        self.held_until
+    }
+
     /// Loses all bytes in transit, as when a plug is pulled.
     pub fn lose(&mut self) {
         self.count_lost(self.in_transit.len());

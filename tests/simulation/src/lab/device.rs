@@ -23,8 +23,8 @@ const MAIN_LOOP: u64 = 700;
 const RESETS: Duration = Duration::from_millis(100);
 const BABBLES: Duration = Duration::from_millis(87);
 const RUBBISH: u64 = 200;
-/// The last new command arrives at most this long after a direction is cut: a `Start` that is in the line, and a `Ping`
-/// that was due.
+/// The last new command arrives at most this long after a direction is cut, or after a stall releases what was sent before: a
+/// `Start` that is in the line, and a `Ping` that was due.
 const LAST_COMMAND: Duration = Duration::from_millis(1300);
 
 /// Clients learn the final state of a task at most this long after a direction is cut: an answer that is in the line for a
@@ -283,7 +283,8 @@ impl Device {
     /// Promise 4: a device without new commands for this long is in its safe state.
     pub(super) fn judge(&self, now: Instant, truth: &Truth) -> Result<(), String> {
         let cut = |cut: &Range<Instant>| {
-            cut.contains(&now) && now > cut.start + LAST_COMMAND + LINK_TIMEOUT
+            let begin = cut.start.max(self.down.held_until());
+            cut.contains(&now) && now > begin + LAST_COMMAND + LINK_TIMEOUT
         };
         if !self.cuts.iter().any(cut) {
             return Ok(());
