@@ -14,7 +14,7 @@ use std::fmt::{self, Debug, Write};
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{LINK_TIMEOUT, LinkId};
+use ztl_core::link::LinkId;
 
 use fields::{
     ANSWERED, APART, CLOCK, CLOCK_MS, DEADLINE, DUE, FAILURES, FAR, FIRST, FUTURE, HEARD, HIGHEST,
@@ -226,14 +226,13 @@ impl Fingerprint {
     }
 
     /// A device has ended a task by itself when the link timeout has passed since its deadline, and twice the link timeout since
-    /// the last answer.
+    /// the last answer. So a deadline before the last answer does not matter.
     fn on_heard(&mut self, heard: u64) {
         let Some(session) = &mut self.in_session else {
             return;
         };
         for deadline in std::mem::take(&mut session.deadlines) {
-            let answered = heard.saturating_add(LINK_TIMEOUT.as_micros() as u64);
-            self.take(self.relative(deadline.max(answered), self.origin.now.as_micros()));
+            self.take(self.relative(deadline.max(heard), self.origin.now.as_micros()));
         }
     }
 
