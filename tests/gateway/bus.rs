@@ -218,7 +218,7 @@ fn a_restarted_gateway_names_another_board_at_the_address_of_one_with_tasks() {
         "finger",
         "100",
     );
-    let earlier = board().expect("a board");
+    let earlier = until("a search has found it", PATIENCE, board);
     server.process.kill();
     drop((server, first));
     // The same firmware at the same address, as the second node of its line with another id.

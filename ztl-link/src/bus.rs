@@ -3,6 +3,7 @@
 //! A node sends only when it is asked, and then sends one frame. So the bus delays the frames of its nodes' sessions,
 //! and may lose them like any other line, but needs no rule of its own for tasks. See `docs/link.md`, section 15.
 
+mod boards;
 mod member;
 mod search;
 
@@ -17,6 +18,7 @@ use crate::session::{BusNeeds, FRAME};
 use member::Member;
 use search::Search;
 
+pub use boards::{Boards, KnownBoard, LastSearch};
 pub use search::Found;
 
 /// How long after a question the answer may begin, by default: a node takes at most 4 ms, an adapter on USB some more.

@@ -367,6 +367,12 @@ impl<J: SessionJournal> Session<J> {
         &self.round_trips
     }
 
+    /// When the device answered a command, or opened the session, last.
+    #[must_use]
+    pub const fn heard(&self) -> Instant {
+        self.heard
+    }
+
     /// Number of tasks whose `Start` was not sent yet.
     #[must_use]
     pub fn queued(&self) -> usize {

@@ -37,11 +37,16 @@ impl<J: SessionJournal> Session<J> {
         self.is_shared() && self.answers() && sent.is_some_and(|sent| Some(sent.boot) != known)
     }
 
-    /// Whether tasks of an earlier boot may still run, on another board that has or had this address.
+    /// The other boots whose tasks may still run, on a board that has or had this address.
     #[must_use]
-    pub fn has_astray(&self) -> bool {
-        let mut tasks = self.tasks.values();
-        tasks.any(|task| task.may_run() && self.is_astray(task))
+    pub fn astray_boots(&self) -> Vec<u32> {
+        let tasks = self.tasks.values();
+        let astray = tasks.filter(|task| task.may_run() && self.is_astray(task));
+        let boots = astray.filter_map(|task| task.stage.sent());
+        let mut boots: Vec<u32> = boots.map(|sent| sent.boot).collect();
+        boots.sort_unstable();
+        boots.dedup();
+        boots
     }
 
     /// Handles the announcement of another boot on a shared line. Returns `false` if the session is to be opened again, because
@@ -105,11 +110,15 @@ impl<J: SessionJournal> Session<J> {
         astray.map(|(id, _)| *id).collect()
     }
 
-    /// Tasks of another boot keep their state in the session that begins.
-    pub(crate) fn leave_astray(&mut self) {
+    /// Tasks of another boot keep their state in the session that begins. `known`: its boot is that of the session before, so
+    /// what searches have found since that began still counts.
+    pub(crate) fn leave_astray(&mut self, known: bool) {
+        let alone = self.doubt.alone;
         self.doubt = Doubt::default();
         let astray = self.astray();
-        if !astray.is_empty() {
+        if known {
+            self.doubt.alone = alone;
+        } else if !astray.is_empty() {
             self.events.push_back(LinkEvent::OtherBoard);
         }
         for id in astray {

@@ -148,6 +148,7 @@ impl<J: SessionJournal> Session<J> {
             self.own.on_boot(welcome.replaces);
         }
         self.on_reset(now, welcome);
+        let is_known = known.is_some();
         let (components, parameters, known_parameters, updates) = match known {
             Some(it) => (
                 it.components,
@@ -179,7 +180,7 @@ impl<J: SessionJournal> Session<J> {
         self.ask_about_own_soon(now);
         self.in_flight = None;
         self.phase = Phase::Describing;
-        self.leave_astray();
+        self.leave_astray(is_known);
         // The first command restarts the link timer of the device.
         self.describe_next(now);
     }

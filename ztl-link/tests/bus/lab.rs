@@ -275,6 +275,11 @@ impl Lab {
         member.sending.clear();
     }
 
+    /// How many sessions there were with the node of this address.
+    pub(crate) fn sessions(&self, address: u8) -> u64 {
+        self.sessions[&address].counters().sessions
+    }
+
     /// A search has found the board of this address alone there, or not.
     pub(crate) fn found(&mut self, address: u8, alone: bool) {
         self.sessions

@@ -230,6 +230,13 @@ fn a_reset_on_a_shared_line_is_told_when_it_is_certain() {
     lab.found(1, true);
     lab.run(SECOND);
     assert_eq!(lab.outcome(1), None);
+    // Meanwhile the session has had all its commands; the next one is with the same boot.
+    let (sessions, told) = (lab.sessions(1), lab.other_boards);
+    while lab.sessions(1) == sessions {
+        lab.update(1);
+        lab.run(SECOND);
+    }
+    assert_eq!((lab.outcome(1), lab.other_boards), (None, told));
     lab.found(1, true);
     lab.until(SECOND, "it has failed", |lab| {
         lab.outcome(1) == Some(State::Failed)

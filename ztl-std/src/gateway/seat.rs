@@ -1,9 +1,13 @@
 //! Places on shared lines.
 
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
+use ztl_core::Instant;
 use ztl_link::BusNeeds;
+use ztl_link::bus::LastSearch;
+
+use crate::time::now;
 
 /// A node's place on a shared line.
 #[derive(Debug, Default)]
@@ -13,16 +17,17 @@ pub(super) struct Seat {
     firmware: OnceLock<String>,
     needs: Mutex<BusNeeds>,
     board: Mutex<Board>,
+    /// Whether a search is to begin as soon as possible.
+    wants_search: AtomicBool,
 }
 
 /// What searches have found at a node's address.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Board {
-    /// The id of the board that is served.
-    pub(super) id: u64,
-    /// How many searches have ended, and whether the last one found this board alone at the address.
+    /// How many searches have ended.
     pub(super) searches: u64,
-    pub(super) alone: bool,
+    /// The last one.
+    pub(super) search: LastSearch,
     /// Why the node takes no tasks, although it still has some.
     pub(super) conflict: Option<String>,
 }
@@ -56,10 +61,25 @@ impl Seat {
         self.board.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn on_search(&self, id: u64, alone: bool, conflict: Option<String>) {
+    pub(super) fn on_search(&self, id: u64, alone: bool, conflict: Option<String>, begun: Instant) {
         let mut board = self.locked_board();
         board.searches += 1;
-        (board.id, board.alone, board.conflict) = (id, alone, conflict);
+        board.conflict = conflict;
+        board.search = LastSearch {
+            id,
+            alone,
+            begun,
+            ended: now(),
+        };
+    }
+
+    /// Asks for a search, because another boot answers.
+    pub(super) fn want_search(&self) {
+        self.wants_search.store(true, Ordering::Release);
+    }
+
+    pub(super) fn take_wanted(&self) -> bool {
+        self.wants_search.swap(false, Ordering::AcqRel)
     }
 
     pub(super) fn needs(&self) -> BusNeeds {

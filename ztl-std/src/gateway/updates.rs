@@ -140,6 +140,9 @@ pub(in crate::gateway) struct Note {
     /// Whether a client has aborted the update.
     #[serde(default, skip_serializing_if = "is_false")]
     pub(in crate::gateway) aborted: bool,
+    /// The id of its board on a shared line, in hexadecimal digits: JSON readers keep only 53 bits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::gateway) board: Option<String>,
 }
 
 const fn is_false(value: &bool) -> bool {

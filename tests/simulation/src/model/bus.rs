@@ -178,7 +178,7 @@ impl BusModel {
     fn search(&mut self) -> Result<(), String> {
         for (number, node) in self.nodes.iter_mut().enumerate() {
             let session = node.gateways[0].session.as_ref();
-            if session.is_some_and(|session| session.has_astray()) {
+            if session.is_some_and(|session| !session.astray_boots().is_empty()) {
                 let alone = !self.readdressed && !self.cut[number];
                 node.with_session(0, |session| {
                     session.handle_search(alone);

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use ztl_core::Instant;
 use ztl_core::link::{ADDR_MOST, ADDR_NONE};
 use ztl_link::bus::Found;
 
@@ -42,6 +43,8 @@ pub(super) struct Nodes {
     all: Vec<Node>,
     /// What is wrong with nodes that are not served.
     problem: Option<String>,
+    /// When the last search began.
+    pub(super) begun: Instant,
 }
 
 impl Nodes {
@@ -130,7 +133,8 @@ impl Nodes {
             let address = node.seat.address();
             let mut there = found.iter().filter(|one| one.address == address);
             let alone = there.next().is_some_and(|one| one.id == node.id) && there.next().is_none();
-            node.seat.on_search(node.id, alone, node.problem.clone());
+            let problem = node.problem.clone();
+            node.seat.on_search(node.id, alone, problem, self.begun);
         }
         changes
     }

@@ -72,6 +72,12 @@ impl Ports {
             .map(|(address, port)| (*address, &*port.seat))
     }
 
+    /// Whether a node's device asks for a search.
+    pub(super) fn want_search(&self) -> bool {
+        let mut ports = self.open.values();
+        ports.any(|port| port.seat.take_wanted())
+    }
+
     /// Whether the node at an address may hold tasks.
     pub(super) fn is_busy(&self, address: u8) -> bool {
         let port = self.open.get(&address);

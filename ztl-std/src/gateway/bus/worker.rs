@@ -248,8 +248,11 @@ impl Worker {
         for (address, seat) in self.ports.seats() {
             self.bus.set_needs(address, seat.needs());
         }
-        if self.search.is_some_and(|at| now() >= at) {
+        if let Some(at) = self.search
+            && (now() >= at || self.ports.want_search())
+        {
             self.search = None;
+            self.nodes.begun = now();
             self.bus.search(now());
         }
         if let Some(bytes) = self.bus.poll_transmit(now())

@@ -14,6 +14,7 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 
 use ztl_core::TaskId;
+use ztl_link::bus::Boards;
 use ztl_link::{Restored, Session};
 
 pub(super) use input::shown;
@@ -21,7 +22,7 @@ use input::{DeviceRequest, Input};
 pub(super) use line_reader::{LineEvent, run_line};
 use status::SharedStatus;
 pub(super) use worker::OwnTasksCell;
-use worker::{Boards, Worker};
+use worker::Worker;
 
 use super::journal::{DECIDED, DeviceJournal, JournalFile, UNWRITTEN, UnendedUpdate};
 use super::logs::DeviceLog;

@@ -20,6 +20,7 @@ use ztl_core::link::ADDR_ONLY_NODE;
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
+use ztl_link::bus::Boards;
 use ztl_link::{LinkEvent, Session};
 
 use super::input::{DeviceRequest, Input};
@@ -38,7 +39,6 @@ use crate::rate_limit::RateLimit;
 use crate::server::TaskReporter;
 use crate::task_request::TaskRequest;
 use crate::time::now;
-pub(super) use boards::Boards;
 pub(in crate::gateway) use own::OwnTasksCell;
 use own::{EventLog, NextId, STARTS};
 use updates::Updates;
@@ -94,7 +94,10 @@ pub(super) struct Worker {
     /// nothing.
     ready: bool,
     pub(super) log: RateLimitedLog,
+    /// The boards at its address of a shared line, how many searches were taken into account, and why the device takes no tasks.
     pub(super) boards: Boards,
+    pub(super) searches: u64,
+    pub(super) conflict: Option<String>,
     pub(super) tasks: HashMap<TaskId, (TaskReporter, DeviceRequest)>,
     pub(super) own_tasks: OwnTasksCell,
     next_id: NextId,
@@ -142,6 +145,8 @@ impl Worker {
             ready: false,
             log: RateLimitedLog::new(name, now()),
             boards: Boards::default(),
+            searches: 0,
+            conflict: None,
             tasks: HashMap::new(),
             own_tasks,
             next_id: NextId::default(),

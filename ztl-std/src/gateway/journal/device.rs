@@ -60,13 +60,20 @@ impl<S: Storage> DeviceJournal<S> {
     }
 
     /// The boots and boards to which tasks without an end were sent.
-    pub(in crate::gateway) fn boards(&self) -> Vec<(u32, u64)> {
+    #[must_use]
+    pub fn boards(&self) -> Vec<(u32, u64)> {
         lock(&self.records).boards(&self.device)
     }
 
-    /// The board that answers on a shared line; tasks are sent to it from now on.
-    pub(in crate::gateway) const fn set_board(&mut self, board: u64) {
-        self.board = Some(board);
+    /// The board that answers on a shared line, if it is known; tasks are sent to it from now on.
+    pub const fn set_board(&mut self, board: Option<u64>) {
+        self.board = board;
+    }
+
+    /// The tasks that were sent to this boot were sent to the board with this id, which was not known then.
+    pub fn add_board(&mut self, boot: u32, board: u64) {
+        let mut records = lock(&self.records);
+        records.add_board((self.now)(), &self.device, boot, board);
     }
 
     /// A task is about to be started, unless its server rejects it before it is claimed.

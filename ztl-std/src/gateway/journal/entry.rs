@@ -181,6 +181,12 @@ impl TaskEntry {
         Some((sent.boot, sent.board?))
     }
 
+    /// Whether it was sent to this boot of a board that was not known.
+    pub(super) fn is_without_board(&self, boot: u32) -> bool {
+        let sent = self.sent;
+        sent.is_some_and(|sent| sent.boot == boot && sent.board.is_none())
+    }
+
     /// Whether it is a firmware update, which needs its gateway.
     pub(super) fn is_update(&self) -> bool {
         self.component == UPDATES && self.sent.is_none()

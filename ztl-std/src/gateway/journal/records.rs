@@ -247,6 +247,23 @@ impl<S: Storage> JournalRecords<S> {
         boards.map(|(boot, BoardId(id))| (boot, id)).collect()
     }
 
+    /// The tasks without an end that were sent to this boot were sent to this board, which was not known then.
+    pub(super) fn add_board(&mut self, now: Moment, device: &str, boot: u32, board: u64) {
+        let open = self.tasks.values().filter(|line| !line.state.is_final());
+        let without = open.filter(|line| line.device == device && line.is_without_board(boot));
+        let with: Vec<TaskEntry> = without
+            .map(|line| line.clone().on_board(Some(BoardId(board))))
+            .collect();
+        for line in with {
+            let line = match line.state {
+                State::Initiated => JournalEntry::Start(line),
+                _ => JournalEntry::Accepted(line),
+            };
+            // Without it, no search can tell later that the board was reset.
+            let _ = self.write(now, Some(line));
+        }
+    }
+
     /// A `Start` is about to be sent, on a shared line to the board with this id.
     ///
     /// # Errors
@@ -409,7 +426,12 @@ impl<S: Storage> JournalRecords<S> {
             }
             line.put(&mut bytes);
         }
-        let needed = matches!(line, Some(JournalEntry::Start(_) | JournalEntry::Ended(_)));
+        let needed = match &line {
+            Some(JournalEntry::Start(_) | JournalEntry::Ended(_)) => true,
+            // The next gateway goes on with an update.
+            Some(JournalEntry::Accepted(line)) => line.is_update(),
+            _ => false,
+        };
         let reserves = reserved > self.reserved;
         if let Err(error) = self.storage.add(&bytes, reserves || needed && self.sync) {
             let place = self.storage.place();

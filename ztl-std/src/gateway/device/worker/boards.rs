@@ -1,62 +1,19 @@
 //! A node of a shared line: whether the board at its address is the one that it was.
 
+use std::time::Duration;
+
+use ztl_link::bus::{KnownBoard, LastSearch};
+
 use super::Worker;
+use super::update_job::Outcome;
 use crate::gateway::rate_limited_log::Severity;
 use crate::gateway::seat::Seat;
+use crate::gateway::updates::UpdateProblem;
 use crate::time::now;
 
-/// What the device's thread knows of the boards at its address.
-#[derive(Debug, Default)]
-pub(in crate::gateway::device) struct Boards {
-    /// The boot that the session knows, and the id of its board. While tasks of an earlier boot may run: those of the earlier one.
-    known: Option<(u32, u64)>,
-    /// Whether the journal has tasks of several boards. No search can tell that all of them were reset.
-    several: bool,
-    /// How many searches were taken into account.
-    searches: u64,
-    /// Why the device takes no tasks, although it still has some.
-    conflict: Option<String>,
-}
-
-impl Boards {
-    /// From the boots and boards in the journal to which tasks without an end were sent.
-    pub(in crate::gateway::device) fn of_journal(boards: &[(u32, u64)]) -> Self {
-        let known = boards.first().copied();
-        Self {
-            known,
-            several: boards
-                .iter()
-                .any(|(_, id)| Some(*id) != known.map(|it| it.1)),
-            ..Self::default()
-        }
-    }
-
-    /// The session with this boot is up; `found` is the board that a search has found. `astray`: tasks of another boot may
-    /// still run. Returns the board of the session.
-    fn on_session(&mut self, boot: u32, found: u64, astray: bool) -> u64 {
-        if !astray {
-            self.several = false;
-        }
-        match self.known {
-            Some((known, id)) if known == boot => return id,
-            // Until then it may be another board.
-            Some(_) if astray => {}
-            _ => self.known = Some((boot, found)),
-        }
-        found
-    }
-
-    /// Whether a board that was found alone at the address is the one to which all tasks were sent.
-    fn is_known(&self, found: u64) -> bool {
-        !self.several && self.known.is_some_and(|(_, id)| id == found)
-    }
-
-    /// The earlier board, if the one that was found is another one.
-    fn earlier(&self, found: u64) -> Option<u64> {
-        let known = self.known.map(|(_, id)| id);
-        known.filter(|known| *known != found)
-    }
-}
+/// How long an update waits after a restart of its board until a search says which board answers. On a line whose nodes are all
+/// busy, a search takes longer.
+const SEARCH: Duration = Duration::from_secs(10);
 
 impl Worker {
     /// Why the device takes no tasks: several boards have its address.
@@ -75,7 +32,9 @@ impl Worker {
 
     /// Another boot has answered while tasks may run.
     pub(super) fn on_other_board(&mut self) {
-        let Some((address, found)) = self.seat().map(|seat| (seat.address(), seat.board().id))
+        let Some((address, found)) = self
+            .seat()
+            .map(|seat| (seat.address(), seat.board().search.id))
         else {
             return;
         };
@@ -90,28 +49,76 @@ impl Worker {
         self.log.log(now(), Severity::Warn, text);
     }
 
+    /// Which board answers in the session of a shared line.
+    fn current_board(&mut self, search: &LastSearch) -> Option<KnownBoard> {
+        // While the link is lost, no task is known to be astray.
+        let device = self.session.device().filter(|_| self.session.is_up());
+        let boot = device?.boot;
+        let (astray, heard) = (self.session.astray_boots(), self.session.heard());
+        let before = self.boards.of_boot(boot);
+        let boards = &mut self.boards;
+        let current = boards.on_session(now(), (boot, heard), search, &astray);
+        if let Some(journal) = self.session.journal_mut() {
+            journal.set_board(Some(current.id).filter(|_| current.is_sure));
+            if current.is_sure && before.is_some_and(|before| !before.is_sure) {
+                journal.add_board(boot, current.id);
+            }
+        }
+        if before.is_none() && !current.is_sure {
+            // Another board may have come since the last one.
+            self.seat()?.want_search();
+        }
+        Some(current)
+    }
+
+    /// Whether the board that answers is the one that is updated, as far as searches say. The update waits until that is known.
+    pub(super) fn is_board_of_update(&mut self) -> bool {
+        let Some(board) = self.seat().map(Seat::board) else {
+            return true;
+        };
+        let current = self.current_board(&board.search);
+        let Some(running) = &mut self.updates.running else {
+            return false;
+        };
+        let Some(current) = current else {
+            return false;
+        };
+        running.waits = !current.is_sure && now() < current.since + SEARCH;
+        if running.waits {
+            return false;
+        }
+        let id = format!("{:016x}", current.id);
+        let wanted = running.board.get_or_insert_with(|| id.clone());
+        if *wanted == id {
+            return true;
+        }
+        let text = format!(
+            "a board with the id {id} answers instead of the one with the id {wanted} that was to be updated; what that one runs is not certain"
+        );
+        self.end_update(Outcome::Failed(UpdateProblem::Other, text));
+        false
+    }
+
     /// Takes what searches have found.
     pub(super) fn check_board(&mut self) {
         let Some(board) = self.seat().map(Seat::board) else {
             return;
         };
-        // While the link is lost, no task is known to be astray.
-        let device = self.session.device().filter(|_| self.session.is_up());
-        if let Some(boot) = device.map(|device| device.boot) {
-            let astray = self.session.has_astray();
-            let id = self.boards.on_session(boot, board.id, astray);
-            if let Some(journal) = self.session.journal_mut() {
-                journal.set_board(id);
-            }
+        self.current_board(&board.search);
+        if self.updates.running.as_ref().is_some_and(|it| it.waits) {
+            self.on_update_up();
         }
-        if board.searches == self.boards.searches {
+        if board.searches == self.searches {
             return;
         }
-        self.boards.searches = board.searches;
-        let alone = board.alone && self.boards.is_known(board.id);
+        self.searches = board.searches;
+        let alone = board.search.alone && {
+            let astray = self.session.astray_boots();
+            self.boards.is_known(board.search.id, &astray)
+        };
         self.session.handle_search(alone);
-        let before = std::mem::replace(&mut self.boards.conflict, board.conflict);
-        match self.boards.conflict.clone() {
+        let before = std::mem::replace(&mut self.conflict, board.conflict);
+        match self.conflict.clone() {
             Some(conflict) => {
                 self.set_problem(conflict.clone());
                 for (task, _) in self.tasks.values() {
@@ -121,40 +128,5 @@ impl Worker {
             None if before.is_some() && self.session.is_up() => self.on_up(),
             None => {}
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_board_is_known_by_its_id_also_after_a_restart_of_the_gateway() {
-        // The journal has a task of boot 7 of board 1; board 9 answers, and is not known while that task may run.
-        let mut boards = Boards::of_journal(&[(7, 1), (7, 1)]);
-        assert_eq!(boards.earlier(9), Some(1));
-        assert_eq!(boards.on_session(8, 9, true), 9);
-        assert!(!boards.is_known(9));
-        assert!(boards.is_known(1));
-        assert_eq!(boards.on_session(8, 9, false), 9);
-        assert!(boards.is_known(9));
-        assert_eq!(boards.earlier(9), None);
-        // Board 1 was reset.
-        let mut boards = Boards::of_journal(&[(7, 1)]);
-        assert_eq!(boards.on_session(8, 1, true), 1);
-        assert!(boards.is_known(1));
-        // A session of the board that is known keeps its id, whatever a search has found meanwhile.
-        assert_eq!(boards.on_session(7, 9, false), 1);
-        // Tasks of two boards: neither of them answers for all.
-        let mut boards = Boards::of_journal(&[(7, 1), (8, 9)]);
-        assert_eq!(boards.on_session(8, 9, true), 9);
-        assert!(!boards.is_known(9) && !boards.is_known(1));
-        boards.on_session(8, 9, false);
-        assert!(boards.is_known(9));
-        // Without tasks, the first board that answers is known.
-        let mut boards = Boards::of_journal(&[]);
-        assert!(!boards.is_known(9));
-        assert_eq!(boards.on_session(8, 9, false), 9);
-        assert!(boards.is_known(9));
     }
 }

@@ -29,6 +29,7 @@ impl Worker {
         let mut running = Running::new(task, goal, job);
         running.test = note.test.and_then(TaskId::new);
         running.stopped = note.stopped;
+        running.board.clone_from(&note.board);
         running.noted = Some(note);
         self.updates.running = Some(Box::new(running));
     }
@@ -44,6 +45,7 @@ impl Worker {
         let note = Note {
             test: running.test.map(TaskId::get),
             stopped: running.stopped,
+            board: running.board.clone(),
             ..note
         };
         if running.noted.as_ref() == Some(&note) {

@@ -1,12 +1,14 @@
 //! An update of a device's firmware: what is asked next, and what an answer means. Without I/O.
 
+mod resumed;
+
 use std::time::Duration;
 
 use ztl_core::Instant;
 use ztl_core::link::update::UpdatePhase;
 use ztl_link::{DeviceInfo, FirmwareInfo, UpdateAnswer, UpdateFailure, UpdateReply, UpdateRequest};
 
-use crate::gateway::updates::{Note, UpdateOptions, UpdateProblem, Updated};
+use crate::gateway::updates::{UpdateOptions, UpdateProblem, Updated};
 
 /// Pause before a device that is busy is asked again.
 const AGAIN: Duration = Duration::from_millis(50);
@@ -17,6 +19,9 @@ const BUSY: Duration = Duration::from_secs(60);
 /// How long an update may take without progress in all, and how often it may begin a step again.
 const STUCK: Duration = Duration::from_secs(300);
 const ATTEMPTS: u32 = 20;
+
+/// What is added to a failure after which the device may run either image.
+const UNCERTAIN: &str = "what the device runs is not certain: `ztl devices` shows it";
 
 /// Why a device goes back whose update was aborted.
 const ABORTED: &str = "the update was aborted";
@@ -132,49 +137,6 @@ impl UpdateJob {
         }
     }
 
-    /// An update whose gateway has ended after it had restarted the device.
-    pub(super) fn resume(now: Instant, note: &Note, tested: Option<Result<(), String>>) -> Self {
-        let image = Image {
-            version: note.image.clone(),
-            manifest: Vec::new(),
-            bytes: Vec::new(),
-        };
-        let options = UpdateOptions::default();
-        let before = FirmwareInfo {
-            board: String::new(),
-            version: note.before.clone(),
-            confirmed: true,
-            self_test: None,
-        };
-        let failed = tested.as_ref().and_then(|result| result.as_ref().err());
-        Self {
-            step: Step::Lost,
-            before: Some((note.boot, before)),
-            restarted: true,
-            confirmed: note.trial.is_some(),
-            unfit: failed.map(|reason| test_failed(reason)),
-            aborted: note.aborted,
-            trial: note.trial.clone(),
-            tested,
-            resumed: true,
-            ..Self::new(now, image, options)
-        }
-    }
-
-    /// What the next gateway must know to go on, from the restart of the device on.
-    pub(super) fn note(&self) -> Option<Note> {
-        let (boot, before) = self.before.as_ref().filter(|_| self.restarted)?;
-        Some(Note {
-            boot: *boot,
-            before: before.version.clone(),
-            image: self.image.version.clone(),
-            test: None,
-            stopped: false,
-            trial: self.trial.clone().filter(|_| self.confirmed),
-            aborted: self.aborted,
-        })
-    }
-
     /// The update is as far as this. Returns `false` if it begins the same again too often.
     fn reaches(&mut self, now: Instant, far: usize) -> bool {
         let last = std::mem::replace(&mut self.last, far);
@@ -194,7 +156,7 @@ impl UpdateJob {
     /// It begins the same again and again.
     fn give_up(&self) -> Next {
         let text = format!(
-            "no progress in {ATTEMPTS} attempts ({}); what the device runs is not certain: `ztl devices` shows it",
+            "no progress in {ATTEMPTS} attempts ({}); {UNCERTAIN}",
             self.progress()
         );
         fail(UpdateProblem::Other, text)
@@ -240,11 +202,15 @@ impl UpdateJob {
         }
         if now >= self.deadline.min(self.stuck) {
             let what = match self.step {
-                Step::Lost | Step::Read => "the device has not answered",
+                Step::Lost | Step::Read | Step::Test => "the device has not answered",
                 Step::Boot | Step::Restart | Step::Revert => "the device has not restarted",
                 _ => "the device has not finished",
             };
-            return fail(UpdateProblem::Other, format!("{what} in time"));
+            let known = match self.restarted {
+                true => format!("; {UNCERTAIN}"),
+                false => String::new(),
+            };
+            return fail(UpdateProblem::Other, format!("{what} in time{known}"));
         }
         match self.again.take_if(|(at, _)| now >= *at) {
             Some((_, request)) => Next::Ask(request),
@@ -261,6 +227,12 @@ impl UpdateJob {
                 _ => Next::Wait,
             };
         }
+        self.end_aborted()
+    }
+
+    /// It was aborted before the device has restarted.
+    fn end_aborted(&mut self) -> Next {
+        self.restarted = false;
         Next::End(Outcome::Aborted(format!(
             "aborted; the device keeps {}",
             self.version_before()
@@ -274,8 +246,9 @@ impl UpdateJob {
 
     /// The link is lost.
     pub(super) fn on_lost(&mut self, now: Instant) {
-        // The session learns how a test ends.
+        // The session learns how a test ends, if the device answers again.
         if self.step == Step::Test {
+            self.deadline = self.deadline.min(now + PATIENCE);
             return;
         }
         if self.step != Step::Lost {
@@ -290,6 +263,12 @@ impl UpdateJob {
         let other_boot = self.before.as_ref().is_some_and(|(it, _)| *it != boot);
         let begins = match self.step {
             Step::Lost | Step::Revert => true,
+            Step::Test => {
+                if self.trial.as_ref().is_some_and(|(it, _)| *it == boot) {
+                    self.deadline = Instant::NEVER;
+                }
+                false
+            }
             // It was reset.
             Step::Begin | Step::Write | Step::Verify | Step::Restart | Step::Boot => other_boot,
             _ => false,
@@ -350,6 +329,9 @@ impl UpdateJob {
                 UpdateProblem::Manifest,
                 "the manifest is longer than the device takes".to_owned(),
             ),
+            Err(UpdateFailure::Refused(_)) if self.step == Step::Begin && self.aborted => {
+                self.end_aborted()
+            }
             Err(UpdateFailure::Refused(reason)) => {
                 let problem = match self.step {
                     Step::Begin => UpdateProblem::Busy,
@@ -418,7 +400,12 @@ impl UpdateJob {
             return fail(UpdateProblem::Other, text);
         }
         let why = self.unfit.take();
-        let why = why.unwrap_or_else(|| "it was not confirmed in time".to_owned());
+        let why = why.unwrap_or_else(|| match self.trial {
+            None if !self.resumed => {
+                "it was reset before it answered with the new firmware".to_owned()
+            }
+            _ => "it was not confirmed in time".to_owned(),
+        });
         let text = format!(
             "the device went back from {} to {version}: {why}",
             self.image.version
@@ -455,6 +442,9 @@ impl UpdateJob {
 
     fn ask_to_begin(&mut self, now: Instant) -> Next {
         self.verifies = false;
+        if self.resumed && self.aborted {
+            return self.end_aborted();
+        }
         if self.resumed {
             return fail(
                 UpdateProblem::Other,
@@ -464,6 +454,7 @@ impl UpdateJob {
                 ),
             );
         }
+        self.restarted = false;
         if self.step != Step::Begin {
             self.step = Step::Begin;
             self.deadline = now + BUSY;
@@ -494,6 +485,8 @@ impl UpdateJob {
 
     fn on_phase(&mut self, now: Instant, device: &DeviceInfo, phase: UpdatePhase) -> Next {
         match (self.step, phase) {
+            // The image is not marked to run any more.
+            (Step::Begin, UpdatePhase::Receiving { .. }) if self.aborted => self.end_aborted(),
             (Step::Begin | Step::Write, UpdatePhase::Receiving { offset }) => {
                 self.write(now, device, offset)
             }
@@ -503,6 +496,16 @@ impl UpdateJob {
                     return Next::Wait;
                 };
                 self.ask_again(now, request)
+            }
+            // It waits for the command to restart, which is not sent any more. Only another beginning takes the mark away.
+            (Step::Verify | Step::Restart, UpdatePhase::Ready) if self.aborted && !self.resumed => {
+                self.ask_to_begin(now)
+            }
+            // Another gateway sends an image meanwhile.
+            (Step::Verify, UpdatePhase::Receiving { .. } | UpdatePhase::Verifying)
+                if self.resumed =>
+            {
+                self.ask_to_begin(now)
             }
             // The session was lost, so the device has given up.
             (Step::Write | Step::Verify | Step::Restart, UpdatePhase::Idle) => {

@@ -45,6 +45,9 @@ pub(super) struct Running {
     pub(super) job: UpdateJob,
     /// The number of the last request.
     asked: u64,
+    /// The id of the board on a shared line, and whether a search must say first which one answers.
+    pub(super) board: Option<String>,
+    pub(super) waits: bool,
     /// The task that tests the firmware, or has tested it.
     pub(super) test: Option<TaskId>,
     /// Whether a gateway has stopped meanwhile: if that task ends as ABORTED, this says nothing about the firmware.
@@ -64,6 +67,8 @@ impl Running {
             goal,
             job,
             asked: 0,
+            board: None,
+            waits: false,
             test: None,
             stopped: false,
             test_refused: false,
@@ -223,7 +228,10 @@ impl Worker {
         task.accepted(&request.reply);
         let job = UpdateJob::new(now(), image, options);
         self.updates.running = Some(Box::new(Running::new(task, request.goal.clone(), job)));
-        self.step(|job| job.begin(now()));
+        match self.is_board_of_update() {
+            true => self.step(|job| job.begin(now())),
+            false => self.on_update_lost(),
+        }
     }
 
     /// Lets the running update do something, and carries out what follows.
@@ -352,6 +360,10 @@ impl Worker {
 
     /// The device answers.
     pub(super) fn on_update_up(&mut self) {
+        let goes_on = self.updates.running.is_some() && self.stopping.is_none();
+        if !goes_on || !self.is_board_of_update() {
+            return;
+        }
         if let Some(boot) = self.session.device().map(|device| device.boot) {
             self.step(|job| job.on_up(now(), boot));
         }
@@ -399,7 +411,7 @@ impl Worker {
     }
 
     /// Tells the device, the journal, the log and the client.
-    fn end_update(&mut self, outcome: Outcome) {
+    pub(super) fn end_update(&mut self, outcome: Outcome) {
         let Some(running) = self.updates.running.take() else {
             return;
         };

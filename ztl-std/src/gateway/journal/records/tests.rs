@@ -81,7 +81,16 @@ fn the_board_of_a_task_is_known_after_a_restart_until_the_task_has_ended() {
     let id = br#""board":"ffffffffffffffff""#;
     let ids = log.storage.windows(id.len()).filter(|part| part == id);
     assert_eq!(ids.count(), 2);
+    // A search has found it later.
+    log.add_board(at(2), "head", 81501, 5);
+    log.add_board(at(2), "gripper", 81502, 6);
+    assert_eq!(restarted(&log).boards("gripper").len(), 1);
+    log.add_board(at(2), "gripper", 81501, 7);
+    let next = restarted(&log);
+    assert_eq!(next.boards("gripper"), [(81501, u64::MAX), (81501, 7)]);
+    assert!(next.unended()[0].1.accepted);
     log.complete(at(3), 101, "40.0");
+    log.complete(at(3), 102, "40.0");
     assert!(restarted(&log).boards("gripper").is_empty());
 }
 
@@ -216,6 +225,15 @@ fn with_sync_every_entry_with_an_effect_is_synced() {
     log.start(at(1), 101).unwrap();
     log.complete(at(2), 101, "done");
     log.start(at(3), 102).unwrap();
+    let storage = &log.storage;
+    assert_eq!(storage.synced, storage.written.len());
+    // With its note, the next gateway goes on with an update.
+    let update = Entry {
+        component: crate::gateway::updates::UPDATES,
+        sent: None,
+        ..task(103)
+    };
+    log.accepted(at(4), "gripper", &update, "{}").unwrap();
     let storage = &log.storage;
     assert_eq!(storage.synced, storage.written.len());
 }

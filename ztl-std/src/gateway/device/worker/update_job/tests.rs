@@ -1,6 +1,7 @@
 use ztl_core::link::update::UpdateError;
 
 use super::*;
+use crate::gateway::updates::Note;
 
 const LENGTH: usize = 2000;
 
@@ -303,13 +304,78 @@ fn another_gateway_tests_and_confirms_what_runs_on_trial() {
         panic!("it ends");
     };
     assert!(failure(end).starts_with("reverted: "));
-    let (mut rig, note) = begin();
-    rig.boot = 1;
-    resume(&mut rig, &note, None);
-    let Next::End(end) = rig.answer(runs("1.0.0", true)) else {
+    // It has not restarted yet: it is about to, waits for the command, or has given up.
+    let asks = || {
+        let (mut rig, note) = begin();
+        rig.boot = 1;
+        resume(&mut rig, &note, None);
+        let ask = Next::Ask(UpdateRequest::Ask);
+        assert_eq!(rig.answer(runs("1.0.0", true)), ask);
+        rig
+    };
+    let mut rig = asks();
+    assert_eq!(rig.answer(phase(UpdatePhase::Restarting)), Next::Wait);
+    assert_eq!(rig.reboot(), read);
+    assert_eq!(rig.answer(runs("1.1.0", false)), test);
+    assert_eq!(asks().answer(phase(UpdatePhase::Ready)), restart);
+    for other in [
+        UpdatePhase::Idle,
+        UpdatePhase::Receiving { offset: 32 },
+        UpdatePhase::Verifying,
+    ] {
+        let Next::End(end) = asks().answer(phase(other)) else {
+            panic!("it ends");
+        };
+        assert!(failure(end).contains("before the device had restarted"));
+    }
+}
+
+#[test]
+fn an_update_that_is_aborted_before_the_device_has_restarted_sends_nothing_more() {
+    // The command to restart is lost with its session, and the client aborts. The image is marked to run: the device takes
+    // that back when an update begins.
+    for says in [UpdatePhase::Ready, UpdatePhase::Idle] {
+        let mut rig = Rig::new();
+        rig.answer(runs("1.0.0", true));
+        let offset = LENGTH as u32;
+        rig.answer(phase(UpdatePhase::Receiving { offset }));
+        rig.answer(phase(UpdatePhase::Ready));
+        assert_eq!(rig.job.abort(rig.now), Next::Wait);
+        rig.job.on_lost(rig.now);
+        let read = Next::Ask(UpdateRequest::Read);
+        assert_eq!(rig.job.on_up(rig.now, rig.boot), read);
+        let ask = Next::Ask(UpdateRequest::Ask);
+        assert_eq!(rig.answer(runs("1.0.0", true)), ask);
+        let begin = rig.answer(phase(says));
+        let is_begin = matches!(begin, Next::Ask(UpdateRequest::Begin { .. }));
+        assert!(is_begin, "{begin:?}");
+        assert_eq!(rig.job.note(), None);
+        let end = rig.answer(phase(UpdatePhase::Receiving { offset }));
+        let text = "aborted; the device keeps 1.0.0".to_owned();
+        assert_eq!(end, Next::End(Outcome::Aborted(text)));
+        assert!(rig.job.is_sending(), "it is cancelled");
+    }
+}
+
+#[test]
+fn a_device_that_dies_during_its_self_test_ends_the_update() {
+    let mut rig = Rig::restarted();
+    rig.answer(runs("1.1.0", false));
+    // It answers again.
+    rig.job.on_lost(rig.now);
+    assert_eq!(rig.job.on_up(rig.now, rig.boot), Next::Wait);
+    assert_eq!(rig.job.deadline, Instant::NEVER);
+    // Its test carries on without a link, so it has no end.
+    rig.job.on_lost(rig.now);
+    rig.now = rig.job.poll_timeout();
+    let Next::End(end) = rig.job.handle_timeout(rig.now) else {
         panic!("it ends");
     };
-    assert!(failure(end).contains("before the device had restarted"));
+    let told = failure(end);
+    assert!(
+        told.contains("not answered in time; what the device runs is not certain"),
+        "{told}"
+    );
 }
 
 #[test]
