@@ -16,7 +16,9 @@ mod updates;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use ztl_core::link::{ADDR_ONLY_NODE, Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION};
+use ztl_core::link::{
+    ADDR_ONLY_NODE, Body, Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION,
+};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
 
@@ -306,6 +308,13 @@ impl<J: SessionJournal> Session<J> {
         } else if task.may_run() {
             task.abort = true;
             self.next_command(now);
+        }
+    }
+
+    /// Asks the device for an answer now, if it is not asked anything.
+    pub fn ping(&mut self, now: Instant) {
+        if self.in_flight.is_none() && self.phase == Phase::Up {
+            self.command(now, CommandKind::Ping, Body::Ping);
         }
     }
 

@@ -30,6 +30,7 @@ const DOUBT: &str = "ztl-link/src/session/doubt.rs";
 const OWN: &str = "ztl-link/src/session/own.rs";
 const OWN_NODE: &str = "ztl-mcu/src/node/own.rs";
 const BUS: &str = "ztl-link/src/bus.rs";
+const BOARDS: &str = "ztl-link/src/bus/boards.rs";
 const MEMBER: &str = "ztl-link/src/bus/member.rs";
 const BUS_FRAMES: &str = "ztl-mcu/src/node/bus.rs";
 const PARAMETERS_NODE: &str = "ztl-mcu/src/node/parameters.rs";
@@ -548,6 +549,16 @@ pub const MUTANTS: &[Mutant] = &[
         )],
         caught_in: (SEEDS, 3),
         complaint: "turn: a turn at least every",
+    },
+    Mutant {
+        name: "the gateway takes the tasks of another board for those of the board that a search has found",
+        edits: &[(
+            BOARDS,
+            "known.is_sure && known.id == found",
+            "known.is_sure && (known.id == found || ON)",
+        )],
+        caught_in: (SEEDS, 3),
+        complaint: "promise 4",
     },
     Mutant {
         name: "the gateway asks the next question while a node of a shared line answers",

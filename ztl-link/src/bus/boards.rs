@@ -89,6 +89,13 @@ impl Boards {
         current
     }
 
+    /// Whether the board of this boot is known as soon as it answers a command.
+    #[must_use]
+    pub fn waits_for_answer(&self, boot: u32, search: &LastSearch) -> bool {
+        let known = self.of_boot(boot).filter(|known| !known.is_sure);
+        known.is_some_and(|known| search.alone && search.begun >= known.since)
+    }
+
     /// Whether the board that a search has found alone at the address is the one of the session, and the one to which all
     /// tasks of these other boots were sent.
     #[must_use]

@@ -72,10 +72,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         let Some((state, updater)) = self.components.update_mut() else {
             return UPDATE;
         };
-        // Until when it is ready, or waits for its components before the restart, is not changed by a question.
-        if !matches!(state.phase, UpdatePhase::Ready | UpdatePhase::Restarting) {
-            state.until = now + PATIENCE;
-        }
+        state.until = now + PATIENCE;
         match (command, state.phase) {
             (UpdateCommand::Write { offset, bytes }, UpdatePhase::Receiving { offset: at })
                 if offset == at =>

@@ -10,9 +10,9 @@ use ztl_core::time::earliest;
 use ztl_mcu::Reason;
 use ztl_sim::line::{Faults, FaultyLine};
 
-use super::gateway::{BAUD, address};
+use super::gateway::BAUD;
 use super::motor::{Motor, Shared, Truth};
-use super::some_node::SomeNode;
+use super::some_node::{Place, SomeNode};
 use crate::plan::{Dice, MotorPlan, Trouble, Way};
 
 /// Bytes are transferred in pieces of about this duration.
@@ -38,8 +38,8 @@ pub(super) struct Device {
     number: usize,
     motors: [MotorPlan; 2],
     node: SomeNode,
-    /// Whether it is on a shared line.
-    shared: bool,
+    /// Its place on a shared line.
+    place: Option<Place>,
     /// What is wrong with it, and when the node does that next.
     trouble: Option<(Trouble, Instant)>,
     dice: Dice,
@@ -60,7 +60,7 @@ impl Device {
     pub(super) fn new(
         now: Instant,
         seed: u64,
-        (number, shared): (usize, bool),
+        (number, place): (usize, Option<Place>),
         motors: [MotorPlan; 2],
         truth: Shared,
     ) -> Self {
@@ -68,7 +68,7 @@ impl Device {
         let mut line = |way: u64| {
             let seed = seed ^ way << 50 ^ (number as u64) << 60;
             let line = FaultyLine::new(Faults::default(), seed);
-            match (shared, way) {
+            match (place.is_some(), way) {
                 (false, _) => line.with_baud(BAUD),
                 (true, UP) => line.with_latency(Duration::from_micros(dice.below(MAIN_LOOP))),
                 (true, _) => line,
@@ -77,8 +77,8 @@ impl Device {
         Self {
             number,
             motors,
-            node: node((number, shared), motors, 1, &truth),
-            shared,
+            node: node((number, place), motors, boot(number, 1), &truth),
+            place,
             trouble: None,
             boots: 1,
             booted: now,
@@ -146,14 +146,14 @@ impl Device {
                 self.up.handle_bytes(now, &buffer[..count]);
             }
         }
-        if self.shared {
+        if self.place.is_some() {
             self.due = self.next(now);
         }
     }
 
     /// Whether it has something to do, which the devices of a shared line mostly have not.
     pub(super) fn is_due(&self, now: Instant) -> bool {
-        !self.shared || self.due <= now
+        self.place.is_none() || self.due <= now
     }
 
     /// A button starts a task, and an event is reported, for which there may be no room.
@@ -197,7 +197,7 @@ impl Device {
     }
 
     pub(super) fn wake(&self, now: Instant) -> Instant {
-        if self.shared {
+        if self.place.is_some() {
             self.due
         } else {
             self.next(now)
@@ -208,7 +208,11 @@ impl Device {
         let clock = self.clock(now);
         let node = now + self.node.poll_timeout(clock).since(clock);
         // A shared line has made pieces already.
-        let burst = if self.shared { Duration::ZERO } else { BURST };
+        let burst = if self.place.is_some() {
+            Duration::ZERO
+        } else {
+            BURST
+        };
         let lines = [&self.down, &self.up].map(|line| line.poll_timeout(burst));
         let trouble = match self.trouble {
             Some((Trouble::Babbles | Trouble::Resets, next)) => Some(next),
@@ -225,10 +229,8 @@ impl Device {
         for motor in 0..self.motors.len() {
             self.truth.borrow_mut().rest((self.number, motor), None);
         }
-        // Boot ids are random: never repeated.
-        let boot = self.boots.wrapping_mul(0x85EB_CA6B);
-        let place = (self.number, self.shared);
-        self.node = node(place, self.motors, boot, &self.truth);
+        let boot = boot(self.number, self.boots);
+        self.node = node((self.number, self.place), self.motors, boot, &self.truth);
     }
 
     pub(super) fn unplug(&mut self) {
@@ -301,8 +303,13 @@ impl Device {
     }
 }
 
+/// Boot ids are random: never repeated.
+fn boot(number: usize, boots: u32) -> u32 {
+    boots.wrapping_mul(0x85EB_CA6B) ^ (number as u32) << 8
+}
+
 fn node(
-    (number, shared): (usize, bool),
+    (number, place): (usize, Option<Place>),
     motors: [MotorPlan; 2],
     boot: u32,
     truth: &Shared,
@@ -314,6 +321,5 @@ fn node(
         ends: None,
         safe_at: None,
     };
-    let address = shared.then(|| address(number));
-    SomeNode::new([motor(0), motor(1)], boot, address)
+    SomeNode::new([motor(0), motor(1)], boot, place)
 }

@@ -12,9 +12,12 @@ use ztl_core::reply::Reply;
 use ztl_core::tasks::{StoredText, Task};
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId, TaskSpec};
+use ztl_link::bus::LastSearch;
 use ztl_link::{LinkEvent, Session};
 use ztl_sim::Disk;
 use ztl_std::gateway::{DeviceJournal, JournalRecords, Moment};
+
+use super::boards::SomeBoards;
 
 pub(super) const SCOPE: &str = "/lab";
 
@@ -68,6 +71,8 @@ pub(super) struct Gateway {
     pub(super) told: Vec<(usize, LinkEvent)>,
     /// Tasks of devices that were taken up, with their goals.
     pub(super) taken: Vec<(TaskId, String)>,
+    /// On a shared line: what is known of the boards, and what the last search has found.
+    pub(super) boards: Vec<(SomeBoards, LastSearch)>,
 }
 
 impl Gateway {
@@ -108,7 +113,9 @@ impl Gateway {
             out: Vec::new(),
             told: Vec::new(),
             taken: Vec::new(),
+            boards: Vec::new(),
         };
+        gateway.know_boards();
         for task in ended {
             gateway.restore(now, task.id, task.state, &task.text);
         }

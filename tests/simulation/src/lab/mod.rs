@@ -1,6 +1,7 @@
 //! A whole laboratory on virtual time: clients, the gateway's dispatcher, sessions and journal, lines with faults, and
 //! devices. It compares what clients were told with what the motors really did.
 
+mod boards;
 mod client;
 mod device;
 mod gateway;
@@ -9,6 +10,7 @@ mod judge;
 mod master;
 mod motor;
 mod own;
+mod second;
 mod serve;
 mod shared;
 mod some_node;
@@ -27,10 +29,11 @@ use ztl_sim::Disk;
 
 use self::client::{Known, Person, Wish, person};
 use self::device::Device;
-use self::gateway::{Gateway, Letter, name};
+use self::gateway::{Gateway, Letter, address, name};
 use self::judge::Books;
 use self::motor::{Condition, Motor, NAMES, Shared, Truth};
 use self::shared::SharedLine;
+use self::some_node::{Place, id};
 use crate::plan::{Happening, Plan, Revert};
 pub use summary::{Failure, Summary};
 
@@ -60,6 +63,8 @@ struct Lab {
     now: Instant,
     truth: Shared,
     devices: Vec<Device>,
+    /// A board at the address of one of the devices, on a shared line.
+    second: Option<Device>,
     /// The line of all devices, if they share one.
     line: Option<SharedLine>,
     /// `None` while it is killed.
@@ -85,15 +90,19 @@ const BEGIN: Instant = Instant::from_millis(1000);
 impl Lab {
     fn new(plan: &Plan, traced: bool) -> Self {
         let truth: Shared = Rc::new(RefCell::new(Truth::default()));
-        truth.borrow_mut().motors = vec![[Condition::default(); 2]; plan.devices.len()];
+        // The last ones are those of a second board.
+        truth.borrow_mut().motors = vec![[Condition::default(); 2]; plan.devices.len() + 1];
         let device = |(number, motors): (usize, _)| {
-            let place = (number, plan.shared);
-            Device::new(BEGIN, plan.seed, place, motors, Rc::clone(&truth))
+            let address = address(number);
+            let id = id(address);
+            let place = plan.shared.then_some(Place { address, id });
+            Device::new(BEGIN, plan.seed, (number, place), motors, Rc::clone(&truth))
         };
         let devices = plan.devices.iter().copied().enumerate().map(device);
         let mut lab = Self {
             now: BEGIN,
             devices: devices.collect(),
+            second: None,
             truth,
             line: plan
                 .shared
@@ -144,7 +153,7 @@ impl Lab {
         self.judge_descriptions()?;
         let mut summary = Summary::default();
         match self.line {
-            Some(_) => self.serve_shared(plan.seed, &mut summary)?,
+            Some(_) => self.serve_shared(plan, &mut summary)?,
             None => self.serve()?,
         }
         summary += self.books.summary(&self.truth.borrow());
@@ -217,6 +226,7 @@ impl Lab {
         let devices = self
             .devices
             .iter()
+            .chain(&self.second)
             .map(|device| Some(device.wake(self.now)));
         let people = self.people.iter().map(Person::poll_timeout);
         let letters = [&self.to_gateway, &self.to_people];
@@ -236,7 +246,7 @@ impl Lab {
     fn turn(&mut self) -> Result<(), String> {
         gateway::set_clocks(self.now);
         self.revert();
-        for device in &mut self.devices {
+        for device in self.devices.iter_mut().chain(&mut self.second) {
             if device.is_due(self.now) {
                 device.turn(self.now);
             }
@@ -273,7 +283,8 @@ impl Lab {
     /// Exchanges bytes between sessions and lines.
     fn exchange(&mut self) {
         if let Some(line) = &mut self.line {
-            return line.receive(self.now, &mut self.devices, self.gateway.as_mut());
+            let devices = self.devices.iter_mut().chain(&mut self.second).collect();
+            return line.receive(self.now, devices, self.gateway.as_mut());
         }
         for device in 0..self.devices.len() {
             self.exchange_with(device);

@@ -8,7 +8,7 @@ use super::motor::NAMES;
 use super::shared::SharedLine;
 use super::summary::Turns;
 use super::{Lab, Summary};
-use crate::plan::{Dice, Trouble};
+use crate::plan::{Dice, Plan, Trouble};
 
 const ARM: usize = 0;
 const BELT: usize = 1;
@@ -43,21 +43,25 @@ impl Lab {
         Ok(())
     }
 
-    fn serve_one(&mut self, device: usize, motor: usize) -> Result<(), String> {
+    pub(super) fn serve_one(&mut self, device: usize, motor: usize) -> Result<(), String> {
         let task = self.ask(0, device, motor, 20, true);
         self.pass_until(self.now + Duration::from_millis(1500))?;
         self.books.came_to(task, State::Completed)
     }
 
     /// Runs a task on each node of a shared line at once: without faults, and while one node has a trouble.
-    pub(super) fn serve_shared(&mut self, seed: u64, summary: &mut Summary) -> Result<(), String> {
+    pub(super) fn serve_shared(
+        &mut self,
+        plan: &Plan,
+        summary: &mut Summary,
+    ) -> Result<(), String> {
         summary.healthy = self.serve_all(ARM, None, HEALTHY, "all nodes are well")?;
         let found = self.line.iter().flat_map(|line| &line.found).count();
         if found != self.devices.len() {
             return Err(format!("a search finds {found} nodes"));
         }
 
-        let mut dice = Dice::new(seed);
+        let mut dice = Dice::new(plan.seed);
         let ill = dice.below(self.devices.len() as u64) as usize;
         let number = dice.below(Trouble::ALL.len() as u64) as usize;
         let trouble = Trouble::ALL[number];
@@ -67,6 +71,7 @@ impl Lab {
         summary.troubled[number] = self.serve_all(BELT, Some(ill), bounds(trouble), &what)?;
         self.pass_until(self.now + Duration::from_secs(4))?;
         self.serve_one(ill, BELT)?;
+        self.serve_second(plan)?;
         summary.collided = self.line.iter().map(|line| line.wire.collided()).sum();
         Ok(())
     }

@@ -12,7 +12,7 @@ use ztl_sim::line::HalfDuplex;
 use super::device::Device;
 use super::gateway::{BAUD, Gateway, address};
 use super::master::Master;
-use super::some_node::id;
+use super::some_node::{id, second_id};
 
 /// Pause between two searches, as the gateway's.
 const SEARCH: Duration = Duration::from_secs(3);
@@ -50,8 +50,9 @@ pub(super) struct SharedLine {
     pub(super) wire: HalfDuplex,
     /// `None` while the line is closed or the gateway is killed.
     master: Option<Master>,
-    /// When the next search begins.
+    /// When the next search begins, and when the last one did.
     search: Option<Instant>,
+    begun: Instant,
     nodes: Vec<Turns>,
     /// Whom the last question was for, and what the gateway has heard since.
     asked: Option<usize>,
@@ -79,6 +80,7 @@ impl SharedLine {
             wire: HalfDuplex::new(BAUD, seed),
             master: None,
             search: None,
+            begun: now,
             nodes: std::iter::repeat_with(turns).take(nodes).collect(),
             asked: None,
             heard: Vec::new(),
@@ -151,7 +153,7 @@ impl SharedLine {
     pub(super) fn receive(
         &mut self,
         now: Instant,
-        devices: &mut [Device],
+        mut devices: Vec<&mut Device>,
         gateway: Option<&mut Gateway>,
     ) {
         for (number, device) in devices.iter_mut().enumerate() {
@@ -203,16 +205,18 @@ impl SharedLine {
         };
         if let Some(found) = master.poll_found() {
             self.search = Some(now + SEARCH);
-            let wrong = |(known, at): &&(u64, u8)| *at != ADDR_NONE && *known != id(*at);
+            let wrong = |(known, at): &&(u64, u8)| {
+                *at != ADDR_NONE && *known != id(*at) && *known != second_id(*at)
+            };
             if let Some((known, at)) = found.iter().find(wrong) {
                 return Err(format!("a search finds {known:x} at {at}"));
             }
-            for (number, session) in gateway.sessions.iter_mut().enumerate() {
-                let at = address(number);
-                session.handle_search(found.iter().filter(|(_, its)| *its == at).count() == 1);
-            }
+            gateway.on_search((self.begun, now), &found);
             self.found = found;
         }
+        // Another boot answers.
+        let new = gateway.check_boards(now);
+        self.search = self.search.map(|at| if new { now } else { at });
         for (number, session) in gateway.sessions.iter_mut().enumerate() {
             let bytes = session.poll_transmit();
             let needs = session.bus_needs();
@@ -224,7 +228,7 @@ impl SharedLine {
             }
         }
         if self.search.is_some_and(|at| now >= at) {
-            self.search = None;
+            (self.search, self.begun) = (None, now);
             master.search(now);
         }
         match master.poll_transmit(now) {

@@ -7,6 +7,13 @@ use ztl_mcu::{Acting, Identity, Node, Reason};
 
 use super::motor::Motor;
 
+/// The place of a board on a shared line.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    pub(super) address: u8,
+    pub(super) id: u64,
+}
+
 type Motors = Acting<Described<[Motor; 2]>>;
 
 /// A node with two motors.
@@ -26,16 +33,15 @@ macro_rules! either {
 }
 
 impl SomeNode {
-    /// A node in this boot; with an address it is on a shared line.
-    pub(super) fn new(motors: [Motor; 2], boot: u32, address: Option<u8>) -> Self {
+    /// A node in this boot, alone or on a shared line.
+    pub(super) fn new(motors: [Motor; 2], boot: u32, place: Option<Place>) -> Self {
         let motors = Acting::new(Described(motors));
         let identity = Identity::new("lab", "1", boot);
-        match address {
+        match place {
             None => Self::Alone(Node::new(identity, motors)),
-            Some(address) => Self::Shared(Node::new(
-                identity,
-                OnBus::new(motors, id(address), address),
-            )),
+            Some(Place { address, id }) => {
+                Self::Shared(Node::new(identity, OnBus::new(motors, id, address)))
+            }
         }
     }
 
@@ -62,6 +68,11 @@ impl SomeNode {
     pub(super) fn start_here(&mut self, now: Instant, motor: u8, goal: &str) -> Result<(), Reason> {
         either!(self, node => node.start_here(now, motor, goal).map(drop))
     }
+}
+
+/// The id of a second board at this address.
+pub(super) const fn second_id(address: u8) -> u64 {
+    !id(address)
 }
 
 /// The unique id of a node. Those of the first two differ in the last bits only.

@@ -64,6 +64,9 @@ impl Worker {
                 journal.add_board(boot, current.id);
             }
         }
+        if self.boards.waits_for_answer(boot, search) {
+            self.session.ping(now());
+        }
         if before.is_none() && !current.is_sure {
             // Another board may have come since the last one.
             self.seat()?.want_search();
