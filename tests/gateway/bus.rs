@@ -212,13 +212,14 @@ fn a_restarted_gateway_names_another_board_at_the_address_of_one_with_tasks() {
     let first = line(&["left=sim:gripper@3"]);
     let mut server = gateway();
     server.wait_ready("arm.left");
-    let task = start(
-        &mut connect(&server.endpoint()),
-        "arm.left",
-        "finger",
-        "100",
-    );
-    let earlier = until("a search has found it", PATIENCE, board);
+    let mut remote = connect(&server.endpoint());
+    // On this patient line, a search waits for the turns of a node with a task.
+    let earlier = until("a search has found the board", PATIENCE, || {
+        let short = start(&mut remote, "arm.left", "finger", "0");
+        assert_eq!(ended(&mut remote, short), State::Completed);
+        board()
+    });
+    let task = start(&mut remote, "arm.left", "finger", "100");
     server.process.kill();
     drop((server, first));
     // The same firmware at the same address, as the second node of its line with another id.
