@@ -12,12 +12,12 @@ use super::gateway::address;
 use super::some_node::{Place, second_id};
 use crate::plan::{Dice, Plan, Way};
 
-/// How long one of the boards cannot be heard: longer than three searches.
-const AWAY: Duration = Duration::from_secs(10);
+/// How long one of the boards cannot be heard: longer than four searches.
+const AWAY: Duration = Duration::from_secs(14);
 /// Until a task has begun.
 const BEGIN: Duration = Duration::from_millis(500);
 /// How long its tasks take: the first one ends while the second board has one.
-const LONG: u64 = 15_000;
+const LONG: u64 = 20_000;
 /// Until the device serves again.
 const TOLD: Duration = Duration::from_secs(4);
 
