@@ -554,8 +554,8 @@ pub const MUTANTS: &[Mutant] = &[
         name: "the gateway takes the tasks of another board for those of the board that a search has found",
         edits: &[(
             BOARDS,
-            "known.is_sure && known.id == found",
-            "known.is_sure && (known.id == found || ON)",
+            "boots.all(|known| known.is_some_and(|known| known.id == found))",
+            "boots.all(|known| known.is_some_and(|known| known.id == found || ON))",
         )],
         caught_in: (SEEDS, 3),
         complaint: "promise 4",

@@ -100,11 +100,11 @@ impl Boards {
     /// tasks of these other boots were sent.
     #[must_use]
     pub fn is_known(&self, found: u64, astray: &[u32]) -> bool {
-        let mut boots = astray.iter().chain(&self.current);
-        boots.all(|boot| {
-            let known = self.of_boot(*boot);
-            known.is_some_and(|known| known.is_sure && known.id == found)
-        })
+        let current = self.current.and_then(|boot| self.of_boot(boot));
+        // If a boot was over before a search could find it, the search before it counts.
+        let mut boots = astray.iter().map(|boot| self.of_boot(*boot));
+        current.is_some_and(|known| known.is_sure && known.id == found)
+            && boots.all(|known| known.is_some_and(|known| known.id == found))
     }
 
     /// A board to which tasks were sent, if the one that was found is another one.
@@ -197,12 +197,13 @@ mod tests {
         session(&mut boards, 8, 9, &[7]);
         session(&mut boards, 10, 1, &[7]);
         assert!(boards.is_known(1, &[7]));
-        // No search has found board 9.
+        // A board that is reset before a search can find it is not forgotten.
         let mut boards = Boards::default();
         session(&mut boards, 7, 1, &[]);
         opened(&mut boards, 8, 1, &[7]);
-        session(&mut boards, 7, 1, &[8]);
-        assert!(!boards.is_known(1, &[8]));
+        assert!(!boards.is_known(1, &[7]));
+        session(&mut boards, 10, 1, &[7, 8]);
+        assert!(boards.is_known(1, &[7, 8]));
         // A board that is reset several times is the same one.
         let mut boards = Boards::default();
         session(&mut boards, 7, 1, &[]);

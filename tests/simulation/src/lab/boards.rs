@@ -21,14 +21,14 @@ impl SomeBoards {
         }
     }
 
-    /// The id of the board, if it is known.
+    /// The id of the board, and whether it is certain.
     fn on_session(
         &mut self,
         now: Instant,
         session: (u32, Instant),
         search: LastSearch,
         astray: &[u32],
-    ) -> Option<u64> {
+    ) -> (u64, bool) {
         let LastSearch {
             id,
             alone,
@@ -51,7 +51,7 @@ impl SomeBoards {
                 (known.id, known.is_sure)
             }
         };
-        is_sure.then_some(id)
+        (id, is_sure)
     }
 
     /// Whether the board of a boot is known.
@@ -120,17 +120,18 @@ impl Gateway {
             };
             let before = boards.of_boot(boot);
             let session_of = (boot, session.heard());
-            let id = boards.on_session(now, session_of, *search, &session.astray_boots());
+            let (id, is_sure) =
+                boards.on_session(now, session_of, *search, &session.astray_boots());
             if let Some(journal) = session.journal_mut() {
-                journal.set_board(id);
-                if let (Some(false), Some(id)) = (before, id) {
+                journal.set_board(Some(id));
+                if is_sure && before == Some(false) {
                     journal.add_board(boot, id);
                 }
             }
             if boards.waits_for_answer(boot, *search) {
                 session.ping(now);
             }
-            is_new |= before.is_none() && id.is_none();
+            is_new |= before.is_none() && !is_sure;
         }
         is_new
     }

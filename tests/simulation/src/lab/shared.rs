@@ -53,6 +53,8 @@ pub(super) struct SharedLine {
     /// When the next search begins, and when the last one did.
     search: Option<Instant>,
     begun: Instant,
+    /// Whether one is to begin as soon as possible.
+    wanted: bool,
     nodes: Vec<Turns>,
     /// Whom the last question was for, and what the gateway has heard since.
     asked: Option<usize>,
@@ -81,6 +83,7 @@ impl SharedLine {
             master: None,
             search: None,
             begun: now,
+            wanted: false,
             nodes: std::iter::repeat_with(turns).take(nodes).collect(),
             asked: None,
             heard: Vec::new(),
@@ -94,7 +97,7 @@ impl SharedLine {
     /// The gateway opens the line.
     pub(super) fn open(&mut self, now: Instant) {
         self.master = Some(Master::new(now, self.nodes.len() as u8));
-        self.search = Some(now);
+        (self.search, self.wanted) = (Some(now), false);
         for node in &mut self.nodes {
             (node.waiting, node.unanswered, node.polled) = (None, 0, now);
             node.sent.clear();
@@ -215,8 +218,12 @@ impl SharedLine {
             self.found = found;
         }
         // Another boot answers.
-        let new = gateway.check_boards(now);
-        self.search = self.search.map(|at| if new { now } else { at });
+        self.wanted |= gateway.check_boards(now);
+        if let Some(at) = &mut self.search
+            && std::mem::take(&mut self.wanted)
+        {
+            *at = now;
+        }
         for (number, session) in gateway.sessions.iter_mut().enumerate() {
             let bytes = session.poll_transmit();
             let needs = session.bus_needs();

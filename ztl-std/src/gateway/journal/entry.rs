@@ -181,10 +181,10 @@ impl TaskEntry {
         Some((sent.boot, sent.board?))
     }
 
-    /// Whether it was sent to this boot of a board that was not known.
-    pub(super) fn is_without_board(&self, boot: u32) -> bool {
+    /// Whether it was sent to this boot, but not to this board.
+    pub(super) fn is_of_other(&self, boot: u32, board: BoardId) -> bool {
         let sent = self.sent;
-        sent.is_some_and(|sent| sent.boot == boot && sent.board.is_none())
+        sent.is_some_and(|sent| sent.boot == boot && sent.board != Some(board))
     }
 
     /// Whether it is a firmware update, which needs its gateway.

@@ -250,7 +250,8 @@ impl<S: Storage> JournalRecords<S> {
     /// The tasks without an end that were sent to this boot were sent to this board, which was not known then.
     pub(super) fn add_board(&mut self, now: Moment, device: &str, boot: u32, board: u64) {
         let open = self.tasks.values().filter(|line| !line.state.is_final());
-        let without = open.filter(|line| line.device == device && line.is_without_board(boot));
+        let without =
+            open.filter(|line| line.device == device && line.is_of_other(boot, BoardId(board)));
         let with: Vec<TaskEntry> = without
             .map(|line| line.clone().on_board(Some(BoardId(board))))
             .collect();

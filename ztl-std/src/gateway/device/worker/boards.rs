@@ -59,7 +59,7 @@ impl Worker {
         let boards = &mut self.boards;
         let current = boards.on_session(now(), (boot, heard), search, &astray);
         if let Some(journal) = self.session.journal_mut() {
-            journal.set_board(Some(current.id).filter(|_| current.is_sure));
+            journal.set_board(Some(current.id));
             if current.is_sure && before.is_some_and(|before| !before.is_sure) {
                 journal.add_board(boot, current.id);
             }
