@@ -4,6 +4,7 @@ use ztl_core::Instant;
 use ztl_link::bus::{Boards, LastSearch};
 
 use super::gateway::{Gateway, address};
+use super::some_node;
 use crate::broken;
 use crate::broken::ends::link::bus as copy;
 
@@ -83,11 +84,16 @@ impl SomeBoards {
 impl Gateway {
     /// From the journal.
     pub(super) fn know_boards(&mut self) {
-        for session in &mut self.sessions {
+        for (number, session) in self.sessions.iter_mut().enumerate() {
             let journal = session.journal_mut().as_ref();
             let boards = journal.map(|journal| journal.boards()).unwrap_or_default();
             let boards = SomeBoards::of_journal(&boards);
-            self.boards.push((boards, LastSearch::default()));
+            // Nodes are served that a search has found.
+            let search = LastSearch {
+                id: some_node::id(address(number)),
+                ..LastSearch::default()
+            };
+            self.boards.push((boards, search));
         }
     }
 
