@@ -273,6 +273,11 @@ impl<'d> Fields<'d> {
                 .filter_map(|key| Some((key, self.key(key)?)));
             match present.next() {
                 Some((key, name)) => {
+                    // The example may be of another one of these keys.
+                    let help = match missing.example.starts_with(key) {
+                        true => help,
+                        false => Some(format!("write its value after '{key}:'")),
+                    };
                     reading.wrong_with(name, format!("'{key}' has no value"), help);
                 }
                 None => {

@@ -242,9 +242,16 @@ fn a_cut_tells_a_gap_and_shows_no_stale_state() {
     streaming.publish("/pose", 1, true);
     assert_eq!(next(&mut early, "/pose"), 1);
     assert_eq!(early.missed(), 0);
-    line.set(Mode::Cut);
     let told = "Robot 'arm' has no streams now: it is not connected";
-    streaming.fleet.endpoint.wait_for(told);
+    // On a busy machine, it may have been told before.
+    let count = || streaming.fleet.endpoint.stderr().matches(told).count();
+    let before = count();
+    line.set(Mode::Cut);
+    until("the cut is told", PATIENCE, || {
+        (count() > before).then_some(())
+    });
+    // A state may have come twice before the cut.
+    while next_within(&mut early, TURN).is_some() {}
     let mut late = streaming.subscribe("/arm/test/pose");
     streaming.publish("/pose", 2, true);
     streaming.publish("/word", 1, false);

@@ -269,6 +269,19 @@ scopes:
 }
 
 #[test]
+fn a_kind_without_its_value_is_not_taken_for_another_kind() {
+    for (kind, remedy) in [
+        ("ros1-publish", "write its value after 'ros1-publish:'"),
+        ("run", "write run: [PROGRAM, ARGUMENT]"),
+    ] {
+        let text = format!("scopes: {{/r: {{h: {{c: {{{kind}: }}}}}}}}");
+        let mistakes = parse(&text).expect_err("no value").to_string();
+        let wanted = format!("'{kind}' has no value; {remedy}");
+        assert!(mistakes.contains(&wanted), "{mistakes}");
+    }
+}
+
+#[test]
 fn streams_are_read() {
     let text = "\
 publish: 2
