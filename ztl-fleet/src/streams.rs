@@ -31,7 +31,7 @@ const PART: usize = 4;
 const WORK: usize = 4096;
 /// How long an agent passes messages on after it was asked.
 pub const LEASE: Duration = Duration::from_secs(5);
-/// Most topics that are asked for. For more, everything is.
+/// Most topics that are asked for. For more, all is that those who subscribe may hear.
 pub const MOST_TOPICS: usize = 64;
 /// Bytes of a topic that a subscriber may ask for.
 pub const LONGEST_TOPIC: usize = 4096;
@@ -210,14 +210,17 @@ fn uncovered(mut topics: Vec<String>) -> Vec<String> {
     topics
 }
 
-/// The same topics without those that others cover; everything if there are too many.
+/// The same topics without those that others cover. If there are too many, `widest`, all that those who subscribe may hear; of
+/// these, as many as an agent takes.
 #[must_use]
-pub fn fewest(topics: Vec<String>) -> Vec<String> {
-    let topics = uncovered(topics);
-    match topics.len() > MOST_TOPICS {
-        true => vec![String::new()],
-        false => topics,
+pub fn fewest(topics: Vec<String>, widest: impl FnOnce() -> Vec<String>) -> Vec<String> {
+    let mut topics = uncovered(topics);
+    if topics.len() > MOST_TOPICS {
+        topics = uncovered(widest());
     }
+    topics.retain(|topic| topic.len() <= LONGEST_TOPIC);
+    topics.truncate(MOST_TOPICS);
+    topics
 }
 
 /// Whether a topic is among those that begin so.

@@ -16,7 +16,7 @@ use crate::seal::{self, Nonce, OVERHEAD, Request};
 use crate::seldom::brief;
 use crate::wire::{AgentQuery, Verdict, fresh_until};
 
-/// Most nonces that are remembered.
+/// Most nonces that are remembered of a key.
 const MOST_SEEN: usize = 100_000;
 
 /// The robot's clients by their keys.
@@ -169,7 +169,8 @@ impl Shared {
         let boot = self.rules().agent.boot();
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         let until = fresh_until(&asked.parameters, boot, clock_ms);
-        let is_new = until.is_some_and(|until| seen.note(sender.nonce, until, clock_ms));
+        let is_new = until
+            .is_some_and(|until| seen.note(sender.key.as_bytes(), sender.nonce, until, clock_ms));
         drop(seen);
         if !is_new {
             asked.reply(&Verdict::Stale { boot, clock_ms });
@@ -178,16 +179,40 @@ impl Shared {
     }
 }
 
-/// Nonces of sealed queries that may come again.
+/// Nonces of sealed queries that may come again, by the keys that have sent them: a flood with one key leaves room for others.
 #[derive(Debug, Default)]
-pub(super) struct Seen(BTreeSet<(u64, Nonce)>);
+pub(super) struct Seen(BTreeMap<[u8; 32], BTreeSet<(u64, Nonce)>>);
 
 impl Seen {
     /// Whether it is the first of its kind, and there is room to remember it.
-    fn note(&mut self, nonce: Nonce, until: u64, clock_ms: u64) -> bool {
-        while self.0.first().is_some_and(|(until, _)| *until < clock_ms) {
-            self.0.pop_first();
+    fn note(&mut self, key: &[u8; 32], nonce: Nonce, until: u64, clock_ms: u64) -> bool {
+        let seen = self.0.entry(*key).or_default();
+        while seen.first().is_some_and(|(until, _)| *until < clock_ms) {
+            seen.pop_first();
         }
-        self.0.len() < MOST_SEEN && self.0.insert((until, nonce))
+        seen.len() < MOST_SEEN && seen.insert((until, nonce))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_with_one_key_leaves_room_for_others() {
+        let (flooder, other) = ([1; 32], [2; 32]);
+        let mut seen = Seen::default();
+        let nonce = |number: usize| {
+            let mut nonce = Nonce::default();
+            nonce[..8].copy_from_slice(&(number as u64).to_le_bytes());
+            nonce
+        };
+        for number in 0..MOST_SEEN {
+            assert!(seen.note(&flooder, nonce(number), 60_000, 0));
+        }
+        assert!(!seen.note(&flooder, nonce(MOST_SEEN), 60_000, 0));
+        assert!(seen.note(&other, nonce(0), 60_000, 0));
+        assert!(!seen.note(&other, nonce(0), 60_000, 0), "a copy");
+        assert!(seen.note(&flooder, nonce(MOST_SEEN), 120_001, 60_001));
     }
 }

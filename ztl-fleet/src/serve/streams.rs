@@ -230,6 +230,8 @@ impl Relay {
     /// Finds out what is wanted, of one robot or of all.
     fn choose(&mut self, only: Option<&str>) {
         let mut topics: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        let mut hearers: BTreeMap<String, BTreeMap<Option<[u8; 32]>, Option<&PublicKey>>> =
+            BTreeMap::new();
         for WantedTopic { key, begin } in &self.wanted {
             let key = key.as_ref();
             let mut chunks = begin.splitn(3, |byte| *byte == b'/');
@@ -250,6 +252,8 @@ impl Relay {
                 if fits && only.is_none_or(|only| only == known) {
                     let topics = topics.entry(known.clone()).or_default();
                     topics.extend(self.allowed(key, known, robot, begin));
+                    let hearers = hearers.entry(known.clone()).or_default();
+                    hearers.insert(key.map(|key| *key.as_bytes()), key);
                 }
             }
         }
@@ -257,8 +261,21 @@ impl Relay {
             Some(only) => vec![only.to_owned()],
             None => self.robots.keys().cloned().collect(),
         };
+        let mut chosen = Vec::new();
         for name in names {
             let topics = topics.remove(&name).unwrap_or_default();
+            let widest = || {
+                let (robot, hearers) = (self.robots.get(&name), hearers.get(&name));
+                let hearers = hearers.into_iter().flat_map(BTreeMap::values);
+                let all = hearers
+                    .zip(std::iter::repeat(robot))
+                    .filter_map(|(key, robot)| Some(self.allowed(*key, &name, robot?, b"/")));
+                all.flatten().collect()
+            };
+            let topics = fewest(topics, widest);
+            chosen.push((name, topics));
+        }
+        for (name, topics) in chosen {
             self.set_topics(&name, topics);
         }
         self.has_changed = true;
@@ -289,7 +306,6 @@ impl Relay {
         let Some(robot) = self.robots.get_mut(name) else {
             return;
         };
-        let topics = fewest(topics);
         if robot.topics == topics {
             return;
         }

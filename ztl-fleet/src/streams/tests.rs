@@ -251,9 +251,21 @@ fn topics_of_an_endpoint_mean_topics_of_robots_as_zeromq_compares_them() {
     assert_eq!(topics_of(b"/arm/t\xc3", "arm"), ["/t", "t"]);
     assert!(topics_of(b"/arm/t\xff/", "arm").is_empty());
     let owned = |topics: &[&str]| topics.iter().map(|topic| (*topic).to_owned()).collect();
+    let fewest = |topics| fewest(topics, || panic!("they are few"));
     assert_eq!(fewest(owned(&["/b", "/a", "/ab", "/b/c"])), ["/a", "/b"]);
-    let many = (0..=MOST_TOPICS).map(|number| format!("/{number:03}"));
-    assert_eq!(fewest(many.collect()), [""]);
+    let long = format!("/{}", "x".repeat(LONGEST_TOPIC));
+    assert_eq!(fewest(vec![long, "/a".to_owned()]), ["/a"]);
+}
+
+#[test]
+fn too_many_topics_become_all_that_their_subscribers_may_hear_and_no_more() {
+    let many = |root| (0..=MOST_TOPICS).map(move |number| format!("{root}/{number:03}"));
+    let lab = || vec!["/lab/\n/lab/priv/".to_owned(), "/lab/x".to_owned()];
+    assert_eq!(fewest(many("/lab").collect(), lab), lab());
+    let scopes = || many("").collect();
+    let kept = fewest(many("/lab").collect(), scopes);
+    assert_eq!(kept.len(), MOST_TOPICS);
+    assert!(kept.iter().all(|topic| scopes().contains(topic)));
 }
 
 #[test]
@@ -351,6 +363,7 @@ fn of_topics_that_begin_so_only_the_part_in_these_scopes_is_left() {
     // Exceptions of one topic do not cover those of another.
     let owned = |all: &[&str]| all.iter().map(|&topic| topic.to_owned()).collect();
     let both = owned(&["/lab/\n/lab/a/", "/lab/\n/lab/a/b/"]);
+    let fewest = |topics| fewest(topics, Vec::new);
     assert_eq!(fewest(Vec::clone(&both)), both);
     let more = owned(&["/lab/\n/lab/a/", "/lab/\n/lab/a/\n/lab/b/"]);
     assert_eq!(fewest(more), ["/lab/\n/lab/a/"]);
