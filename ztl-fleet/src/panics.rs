@@ -1,5 +1,5 @@
-//! A thread that panics ends the whole process: what goes on without it would look as if all were well, and whoever started the
-//! process can start it again. Zenoh's threads would catch the panic.
+//! A thread that panics ends the whole process, so that a supervisor can start it again. Without that, the process would go on
+//! without this thread and look healthy. Zenoh's threads would catch the panic.
 
 use std::io::Write as _;
 use std::panic::{set_hook, take_hook};
@@ -16,7 +16,7 @@ pub(crate) fn end_process() {
         if !ENDS.load(Ordering::Relaxed) {
             let thread = std::thread::current();
             let name = thread.name().unwrap_or("without a name");
-            // Without stderr, nobody can be told.
+            // Stderr may be closed.
             let _ = writeln!(
                 std::io::stderr(),
                 "ztl-fleet: the thread '{name}' panicked, so this process ends; please report this fault"

@@ -230,8 +230,8 @@ impl Relay {
     /// Finds out what is wanted, of one robot or of all.
     fn choose(&mut self, only: Option<&str>) {
         let mut topics: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        let mut hearers: BTreeMap<String, BTreeMap<Option<[u8; 32]>, Option<&PublicKey>>> =
-            BTreeMap::new();
+        // Who wants them.
+        let mut keys: BTreeMap<String, Vec<Option<&PublicKey>>> = BTreeMap::new();
         for WantedTopic { key, begin } in &self.wanted {
             let key = key.as_ref();
             let mut chunks = begin.splitn(3, |byte| *byte == b'/');
@@ -252,8 +252,10 @@ impl Relay {
                 if fits && only.is_none_or(|only| only == known) {
                     let topics = topics.entry(known.clone()).or_default();
                     topics.extend(self.allowed(key, known, robot, begin));
-                    let hearers = hearers.entry(known.clone()).or_default();
-                    hearers.insert(key.map(|key| *key.as_bytes()), key);
+                    let keys = keys.entry(known.clone()).or_default();
+                    if keys.last() != Some(&key) {
+                        keys.push(key);
+                    }
                 }
             }
         }
@@ -265,11 +267,9 @@ impl Relay {
         for name in names {
             let topics = topics.remove(&name).unwrap_or_default();
             let widest = || {
-                let (robot, hearers) = (self.robots.get(&name), hearers.get(&name));
-                let hearers = hearers.into_iter().flat_map(BTreeMap::values);
-                let all = hearers
-                    .zip(std::iter::repeat(robot))
-                    .filter_map(|(key, robot)| Some(self.allowed(*key, &name, robot?, b"/")));
+                let robot = self.robots.get(&name);
+                let keys = keys.get(&name).into_iter().flatten();
+                let all = keys.filter_map(|key| Some(self.allowed(*key, &name, robot?, b"/")));
                 all.flatten().collect()
             };
             let topics = fewest(topics, widest);

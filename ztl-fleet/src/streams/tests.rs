@@ -245,7 +245,7 @@ fn topics_of_an_endpoint_mean_topics_of_robots_as_zeromq_compares_them() {
     for others in ["/arm2", "/leg/lab", "arm", "/arms/"] {
         assert!(topics_of(others.as_bytes(), "arm").is_empty(), "{others}");
     }
-    // Nobody behind an endpoint writes exceptions.
+    // Clients of an endpoint cannot write exceptions.
     assert_eq!(topics_of(b"/arm/lab\n/lab/x", "arm"), ["/lab", "lab"]);
     // A topic may end within a character, but not contain bytes that no text has.
     assert_eq!(topics_of(b"/arm/t\xc3", "arm"), ["/t", "t"]);

@@ -1,4 +1,4 @@
-//! What of a robot's streams may be heard, and what may not: hidden scopes, what nobody has asked for, and what has gone.
+//! Which messages of a robot do not reach a subscriber: those of hidden scopes, those without a subscription, and old states.
 
 use std::path::Path;
 

@@ -381,26 +381,6 @@ impl Worker {
         }
     }
 
-    pub(super) fn seat(&self) -> Option<&Seat> {
-        self.opener.as_ref()?.seat.as_deref()
-    }
-
-    /// Why it rejects tasks, if it does.
-    pub(super) fn rejects_tasks(&self) -> Option<&'static str> {
-        match (self.stopping, self.retired, &self.next) {
-            (Some(_), _, _) => Some("the gateway is stopping"),
-            (None, true, None) => Some("the device is not served any more"),
-            (None, true, Some(_)) => Some("the device's tasks from before have not stopped yet"),
-            (None, false, _) => None,
-        }
-    }
-
-    /// Why it rejects what clients ask for, if it does. Tasks that the firmware has started are still taken up.
-    fn rejects_requests(&self) -> Option<String> {
-        let reason = self.rejects_tasks().map(str::to_owned);
-        reason.or_else(|| self.conflict())
-    }
-
     /// All tasks of a retired device have ended.
     fn on_settled(&mut self) {
         if self.opener.take().is_some() {

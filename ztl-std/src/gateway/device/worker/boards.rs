@@ -16,6 +16,11 @@ use crate::time::now;
 const SEARCH: Duration = Duration::from_secs(10);
 
 impl Worker {
+    /// Its place, if it is a node of a shared line.
+    pub(super) fn seat(&self) -> Option<&Seat> {
+        self.opener.as_ref()?.seat.as_deref()
+    }
+
     /// Why the device takes no tasks: several boards have its address.
     pub(super) fn conflict(&self) -> Option<String> {
         self.seat()?.board().conflict

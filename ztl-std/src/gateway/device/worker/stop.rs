@@ -9,6 +9,22 @@ use crate::log_targets::GATEWAY;
 use crate::time::now;
 
 impl Worker {
+    /// Why it rejects tasks, if it does.
+    pub(super) fn rejects_tasks(&self) -> Option<&'static str> {
+        match (self.stopping, self.retired, &self.next) {
+            (Some(_), _, _) => Some("the gateway is stopping"),
+            (None, true, None) => Some("the device is not served any more"),
+            (None, true, Some(_)) => Some("the device's tasks from before have not stopped yet"),
+            (None, false, _) => None,
+        }
+    }
+
+    /// Why it rejects what clients ask for, if it does. Tasks that the firmware has started are still taken up.
+    pub(super) fn rejects_requests(&self) -> Option<String> {
+        let reason = self.rejects_tasks().map(str::to_owned);
+        reason.or_else(|| self.conflict())
+    }
+
     /// Leaves tasks with an unknown outcome. Their clients get no final state.
     pub(super) fn leave_unconfirmed(&mut self) {
         let left = std::mem::take(&mut self.tasks);
