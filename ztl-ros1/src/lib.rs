@@ -18,7 +18,7 @@ pub mod xmlrpc;
 pub use action::{EndState, GoalEnd, GoalEvent};
 pub use node::{
     ActionClient, Audience, CallError, Config, Goal, Listener, Loss, NetError, Node, OpenError,
-    Publisher, ServiceError, StartError, Subscription, TypeConflict,
+    Pace, Publisher, ServiceError, StartError, Subscription, TypeConflict,
 };
 pub use survey::Survey;
 

@@ -32,6 +32,7 @@ pub use engine::rpc::CallError;
 pub(crate) use engine::rpc::read_offer;
 pub use engine::service::ServiceError;
 use engine::topics::Consumer;
+pub use engine::topics::Pace;
 use engine::{Engine, Identity};
 pub use fit::TypeConflict;
 pub(crate) use hosts::resolve;
@@ -274,8 +275,7 @@ impl Node {
     }
 
     /// Subscribes to a topic. The callback gets the name of the publishing node and the encoded message. A publisher
-    /// that is faster than the callback is slowed down and loses messages. `steady`: messages come all the time, such as joint
-    /// states; a connection that brings none for 15 s is replaced.
+    /// that is faster than the callback is slowed down and loses messages.
     ///
     /// # Errors
     /// If this node subscribes to the topic with another type.
@@ -283,14 +283,14 @@ impl Node {
         &self,
         topic: &str,
         ty: WireType,
-        steady: bool,
+        pace: Pace,
         on_message: impl FnMut(&str, &[u8]) + Send + 'static,
     ) -> Result<Subscription, OpenError> {
         let topic = absolute(topic);
         let name = Arc::clone(&topic);
         let id = self.wait(move |engine, _| {
             let id = engine.new_id();
-            let consumer = Consumer::Owner(Box::new(on_message), steady);
+            let consumer = Consumer::Owner(Box::new(on_message), pace);
             engine.subscribe(&name, ty, id, consumer).map(|()| id)
         })??;
         Ok(Subscription {
@@ -449,14 +449,21 @@ impl Publisher {
             .send(move |engine, _| engine.publish_when_back(&topic, nodes, &content));
     }
 
-    /// Who receives it. `in_use`: a task relies on those that are connected, so the topic is not registered again for ten
-    /// seconds, which would disconnect them for a moment.
+    /// A task relies on those that are connected: the topic is not registered again for ten seconds, which would disconnect
+    /// them for a moment.
+    pub fn keep_connections(&self) {
+        let topic = Arc::clone(&self.topic);
+        self.mailbox
+            .send(move |engine, _| engine.keep_connections(&topic));
+    }
+
+    /// Who receives it.
     #[must_use]
-    pub fn audience(&self, in_use: bool) -> Audience {
+    pub fn audience(&self) -> Audience {
         let topic = Arc::clone(&self.topic);
         let (done, result) = channel();
         self.mailbox.send(move |engine, _| {
-            let _ = done.send(engine.audience(&topic, in_use));
+            let _ = done.send(engine.audience(&topic));
         });
         result.recv().unwrap_or_default()
     }
@@ -464,7 +471,7 @@ impl Publisher {
     /// The names of the other nodes that receive it.
     #[must_use]
     pub fn subscribers(&self) -> Vec<String> {
-        let nodes = self.audience(false).nodes.into_iter();
+        let nodes = self.audience().nodes.into_iter();
         nodes.map(|listener| listener.node).collect()
     }
 

@@ -60,7 +60,7 @@ impl Outlet for Wire {
     }
 
     fn publish_when_back(&self, since: Instant, bytes: Vec<u8>) {
-        let mut lost = self.publisher.audience(false).lost;
+        let mut lost = self.publisher.audience().lost;
         lost.retain(|loss| loss.at >= since && self.counts(&loss.node));
         let nodes = lost.into_iter().map(|loss| loss.node);
         self.publisher.publish_when_back(nodes.collect(), bytes);
@@ -68,7 +68,10 @@ impl Outlet for Wire {
 
     fn look(&self, since: Option<Instant>) -> Heard {
         let counts = |node: &str| self.counts(node);
-        let audience = self.publisher.audience(since.is_some());
+        if since.is_some() {
+            self.publisher.keep_connections();
+        }
+        let audience = self.publisher.audience();
         let mut nodes = audience.nodes;
         nodes.retain(|listener| counts(&listener.node));
         let mut lost = audience.lost.into_iter();

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use ztl_ros1::Pace;
 use ztl_ros1::message::{MessageType, Value};
 use ztl_yaml::{Fields, Node};
 
@@ -76,7 +77,7 @@ impl Topic {
                     );
                 }
             };
-            let subscription = node?.subscribe(&self.name, wire, false, on_message);
+            let subscription = node?.subscribe(&self.name, wire, Pace::Irregular, on_message);
             subscription.map_err(|error| error.to_string())
         };
         let topic = Arc::clone(self);

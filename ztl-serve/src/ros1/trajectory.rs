@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ztl_ros1::message::{Element, MessageType, Value};
-use ztl_ros1::{Publisher, Subscription};
+use ztl_ros1::{Pace, Publisher, Subscription};
 use ztl_std::describe::{GoalField, GoalRule, GoalValue};
 use ztl_yaml::{Fields, Node};
 
@@ -426,7 +426,7 @@ impl Controller {
         let subscription = node.subscribe(
             &self.joint_states,
             wire(&self.joint_state),
-            true,
+            Pace::Steady,
             on_message,
         );
         let made = Arc::new(Link {

@@ -291,14 +291,18 @@ impl Engine {
         }
     }
 
-    /// Who receives a topic. `in_use`: a task relies on those that are connected.
-    pub(crate) fn audience(&mut self, topic: &str, in_use: bool) -> Audience {
-        let Some(publication) = self.publications.get_mut(topic) else {
-            return Audience::default();
-        };
-        if in_use {
+    /// A task relies on those that are connected.
+    pub(crate) fn keep_connections(&mut self, topic: &str) {
+        if let Some(publication) = self.publications.get_mut(topic) {
             publication.used = Some(Instant::now());
         }
+    }
+
+    /// Who receives a topic.
+    pub(crate) fn audience(&mut self, topic: &str) -> Audience {
+        let Some(publication) = self.publications.get(topic) else {
+            return Audience::default();
+        };
         let mut table = unacknowledged::Table::default();
         let others = publication.subscribers.iter();
         let others = others.filter(|(_, node)| !is_ztl(node));

@@ -43,10 +43,18 @@ pub(crate) struct Subscription {
     is_crowd_told: bool,
 }
 
+/// How often messages of a topic are expected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pace {
+    /// All the time, such as joint states. A connection that brings none for 15 s is replaced.
+    Steady,
+    /// Now and then.
+    Irregular,
+}
+
 /// Who gets the messages of a topic.
 pub(crate) enum Consumer {
-    /// Whether messages come all the time.
-    Owner(OnMessage, bool),
+    Owner(OnMessage, Pace),
     Action(Arc<str>, Part),
     Clock,
 }
@@ -113,10 +121,9 @@ impl Subscription {
     /// Whether messages come all the time.
     pub(crate) fn is_steady(&self) -> bool {
         self.is_status()
-            || self
-                .consumers
-                .iter()
-                .any(|(_, consumer)| matches!(consumer, Consumer::Owner(_, true) | Consumer::Clock))
+            || self.consumers.iter().any(|(_, consumer)| {
+                matches!(consumer, Consumer::Owner(_, Pace::Steady) | Consumer::Clock)
+            })
     }
 
     /// Whether it is the status of an action.
