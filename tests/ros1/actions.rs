@@ -3,7 +3,7 @@
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
-use ztl_ros1::{EndState, GoalEvent};
+use ztl_ros1::{EndState, GoalEvent, Pace};
 use ztl_tests::lab::{PATIENCE, Process, in_time};
 
 use crate::rig::{
@@ -193,7 +193,7 @@ fn a_second_server_is_noticed_also_when_a_stream_used_the_status_before() {
         "actionlib_msgs/GoalStatusArray",
         "8b2b82f13216d0a8ea88bd3af735e619",
     );
-    let _stream = node.subscribe(&topic, status.clone(), false, move |sender, _| {
+    let _stream = node.subscribe(&topic, status.clone(), Pace::Irregular, move |sender, _| {
         let _ = told.send(sender.to_owned());
     });
     let action = connected(&node, &name);

@@ -4,6 +4,7 @@ use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
+use ztl_ros1::Pace;
 
 use ztl_ros1::xmlrpc::Value;
 use ztl_tests::lab::PATIENCE;
@@ -125,7 +126,7 @@ fn a_thousand_named_publishers_take_few_threads_and_the_true_one_is_heard() {
     });
     let (uri, _) = ports(&node, &topic);
     let (told, heard) = channel();
-    let _subscription = node.subscribe(&topic, string(), false, move |_, _| {
+    let _subscription = node.subscribe(&topic, string(), Pace::Irregular, move |_, _| {
         let _ = told.send(());
     });
     let names: Vec<Value> = (0..1000)

@@ -18,13 +18,7 @@ use crate::serve::Robot;
 /// Has a message wait for a subscriber that reads nothing.
 fn behind(publisher: &ztl_ros1::Publisher) {
     publisher.publish(text(&"x".repeat(16 << 20)));
-    let is_behind = || {
-        publisher
-            .audience(false)
-            .nodes
-            .iter()
-            .any(|node| !node.has_all)
-    };
+    let is_behind = || publisher.audience().nodes.iter().any(|node| !node.has_all);
     wait("the message waits", is_behind);
 }
 
@@ -41,7 +35,7 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
     // These are replaced by the newest, and come too late.
     (0..10).for_each(|number| publisher.publish(text(&format!("late {number}"))));
     wait("it is disconnected", || publisher.subscribers().is_empty());
-    let lost = publisher.audience(false).lost;
+    let lost = publisher.audience().lost;
     assert_eq!(lost.len(), 1);
     assert_eq!(lost[0].node, "/slow");
     assert!(lost[0].reason.contains("has not acknowledged"), "{lost:?}");
@@ -59,13 +53,7 @@ fn a_late_command_is_discarded_with_the_connection_and_the_node_connects_again()
     let part = "The ROS master no longer knows that it subscribes: start /slow again";
     assert!(reason.contains(part), "{reason}");
     let _again = listen(&node, node.name(), &topic, "/slow");
-    let all = || {
-        publisher
-            .audience(false)
-            .nodes
-            .iter()
-            .all(|node| node.has_all)
-    };
+    let all = || publisher.audience().nodes.iter().all(|node| node.has_all);
     wait("it has all", || publisher.subscribers().len() == 1 && all());
 }
 
@@ -82,7 +70,7 @@ fn a_node_that_is_disconnected_has_never_acknowledged_all() {
         behind(&publisher);
         // The system or the node closes the connection, whichever looks first.
         let lost = until("it is lost", PATIENCE * 2, || {
-            let audience = publisher.audience(false);
+            let audience = publisher.audience();
             assert!(audience.nodes.iter().all(|node| !node.has_all));
             audience.nodes.is_empty().then_some(audience.lost)
         });

@@ -1,7 +1,7 @@
 //! A master that is killed, restarted or stopped, and the simulated clock.
 
 use ztl_ros1::xmlrpc::Value;
-use ztl_ros1::{EndState, Node};
+use ztl_ros1::{EndState, Node, Pace};
 
 use crate::rig::{
     Master, Running, connected, not_sent, string, test_action, text, unique, wait, wait_for_server,
@@ -29,7 +29,7 @@ fn a_master_that_was_killed_and_restarted_gets_everything_again() {
     let node = master.node();
     let publisher = node.publisher("/robot/in", string(), true).unwrap();
     publisher.publish(text("kept"));
-    let _subscription = node.subscribe("/robot/out", string(), false, |_, _| {});
+    let _subscription = node.subscribe("/robot/out", string(), Pace::Irregular, |_, _| {});
     let mut robot = master.action("arm", "/arm");
     let action = connected(&node, "/arm");
     let running = Running::send(&action, 4);
@@ -90,7 +90,9 @@ fn a_node_that_stops_unregisters() {
     let topic = unique("/left");
     let name = node.name().to_owned();
     let publisher = node.publisher(&topic, string(), false).unwrap();
-    let subscription = node.subscribe(&topic, string(), false, |_, _| {}).unwrap();
+    let subscription = node
+        .subscribe(&topic, string(), Pace::Irregular, |_, _| {})
+        .unwrap();
     wait("both are registered", || {
         registered(&watcher, &topic, &name) == 2
     });

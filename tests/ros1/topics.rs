@@ -4,7 +4,7 @@ use std::io::Read as _;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
 use ztl_ros1::xmlrpc::Value;
-use ztl_ros1::{CallError, OpenError, ServiceError};
+use ztl_ros1::{CallError, OpenError, Pace, ServiceError};
 use ztl_tests::lab::{PATIENCE, process_status};
 
 use crate::rig::{Master, listen, of, string, text, trigger, unique, wait};
@@ -40,7 +40,7 @@ fn messages_go_both_ways() {
     let own = node.subscribe(
         &format!("/{name}/in"),
         string(),
-        false,
+        Pace::Irregular,
         move |_, content| {
             let _ = told.send(content.to_vec());
         },
@@ -51,7 +51,7 @@ fn messages_go_both_ways() {
 
     let (told, heard) = channel();
     let topic = format!("/{name}/out");
-    let subscription = node.subscribe(&topic, string(), false, move |from, content| {
+    let subscription = node.subscribe(&topic, string(), Pace::Irregular, move |from, content| {
         let _ = told.send((from.to_owned(), content.to_vec()));
     });
     let mut last = "";
@@ -192,7 +192,7 @@ fn a_node_that_floods_keeps_no_other_waiting() {
     let _flood = node.subscribe(
         &format!("/{flood}/out"),
         string(),
-        false,
+        Pace::Irregular,
         move |_, content| {
             let _ = count.send(content.len());
         },
@@ -201,7 +201,7 @@ fn a_node_that_floods_keeps_no_other_waiting() {
     let _calm = node.subscribe(
         &format!("/{calm}/out"),
         string(),
-        false,
+        Pace::Irregular,
         move |from, content| {
             let _ = told.send((from.to_owned(), content.to_vec()));
         },
@@ -227,7 +227,9 @@ fn a_second_subscription_gets_the_latched_message_too() {
     let subscribe = || {
         let (told, heard) = channel();
         let on_message = move |_: &str, bytes: &[u8]| drop(told.send(bytes.to_vec()));
-        let subscription = node.subscribe(&topic, string(), false, on_message).unwrap();
+        let subscription = node
+            .subscribe(&topic, string(), Pace::Irregular, on_message)
+            .unwrap();
         (subscription, heard)
     };
     let (_one, first) = subscribe();
@@ -244,15 +246,15 @@ fn a_silent_connection_is_replaced_where_messages_come_all_the_time() {
     let publisher = publishing.publisher(&topic, string(), true).unwrap();
     publisher.publish(text("kept"));
     // A new connection brings the kept message again.
-    let subscribe = |steady: bool| {
+    let subscribe = |pace| {
         let node = master.node();
         let (told, heard) = channel();
         let on_message = move |_: &str, bytes: &[u8]| drop(told.send(bytes.to_vec()));
-        let subscription = node.subscribe(&topic, string(), steady, on_message);
+        let subscription = node.subscribe(&topic, string(), pace, on_message);
         (node, subscription.unwrap(), heard)
     };
-    let (_node, _steady, steady) = subscribe(true);
-    let (_other, _rare, rare) = subscribe(false);
+    let (_node, _steady, steady) = subscribe(Pace::Steady);
+    let (_other, _rare, rare) = subscribe(Pace::Irregular);
     for heard in [&steady, &rare, &steady, &steady] {
         assert_eq!(heard.recv_timeout(PATIENCE), Ok(text("kept")));
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde_json::json;
 use ztl_ros1::message::{Definitions, Value};
-use ztl_ros1::{Config, Node, Survey, WireType};
+use ztl_ros1::{Config, Node, Pace, Survey, WireType};
 
 use super::finding::Finding;
 
@@ -141,7 +141,12 @@ fn clock(node: &Node, survey: &Survey) -> Option<Finding> {
         }
     };
     let _subscription = node
-        .subscribe(&format!("{action}/status"), wire, false, on_message)
+        .subscribe(
+            &format!("{action}/status"),
+            wire,
+            Pace::Irregular,
+            on_message,
+        )
         .ok()?;
     let Ok(ahead) = heard.recv_timeout(HEARD) else {
         let text = format!("no status of {action} within 2 s, so its clock is unknown");
