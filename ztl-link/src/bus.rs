@@ -73,6 +73,8 @@ pub struct Bus {
     turnaround: Duration,
     members: BTreeMap<u8, Member>,
     search: Option<Search>,
+    /// The addresses that searches have given, each with the id of the last node that took it.
+    given: BTreeMap<u8, u64>,
     rounds: u8,
     question: Option<Question>,
     /// Nothing is sent before this.
@@ -99,6 +101,7 @@ impl Bus {
             turnaround,
             members: BTreeMap::new(),
             search: None,
+            given: BTreeMap::new(),
             rounds: 0,
             question: None,
             quiet_at: Instant::ZERO,
@@ -141,7 +144,8 @@ impl Bus {
         if self.search.is_none() {
             self.rounds = self.rounds.wrapping_add(1);
             let taken = self.members.keys().copied().collect();
-            self.search = Some(Search::new(self.rounds, taken, now));
+            let given = self.given.clone();
+            self.search = Some(Search::new(self.rounds, taken, given, now));
         }
     }
 
@@ -223,11 +227,9 @@ impl Bus {
     fn end_turn(&mut self, now: Instant) {
         self.question = None;
         self.quiet_at = now + GAP;
-        if let Some(search) = &self.search
-            && search.has_ended()
-        {
-            let event = self.search.take().map(Search::into_event);
-            self.events.extend(event);
+        if let Some(search) = self.search.take_if(|search| search.has_ended()) {
+            self.given.clone_from(search.given());
+            self.events.push_back(search.into_event());
         }
     }
 

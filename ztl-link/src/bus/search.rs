@@ -1,6 +1,7 @@
 //! Finds all nodes of a bus by their ids, without collisions in the end: where several answer at once, the next question
 //! is for half of them.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ztl_core::Instant;
@@ -49,13 +50,15 @@ pub(super) struct Search {
     answered: Option<Found>,
     /// Addresses of known nodes.
     taken: Vec<u8>,
+    /// The addresses that the gateway has given, each with the id of the last node that took it.
+    given: BTreeMap<u8, u64>,
     /// Nodes that cannot have an address: they do not answer, or several have one id.
     given_up: Vec<u64>,
     found: Vec<Found>,
 }
 
 impl Search {
-    pub(super) fn new(round: u8, taken: Vec<u8>, now: Instant) -> Self {
+    pub(super) fn new(round: u8, taken: Vec<u8>, given: BTreeMap<u8, u64>, now: Instant) -> Self {
         Self {
             round,
             asked: now,
@@ -66,6 +69,7 @@ impl Search {
             questions: 0,
             answered: None,
             taken,
+            given,
             given_up: Vec::new(),
             found: Vec::new(),
         }
@@ -91,6 +95,11 @@ impl Search {
     pub(super) fn has_ended(&self) -> bool {
         let all = self.prefixes.is_empty() && self.next_without().is_none();
         all || self.questions >= QUESTIONS || self.found.len() >= MOST
+    }
+
+    /// Addresses that the gateway has given, in this search or before.
+    pub(super) const fn given(&self) -> &BTreeMap<u8, u64> {
+        &self.given
     }
 
     pub(super) fn into_event(self) -> BusEvent {
@@ -132,32 +141,60 @@ impl Search {
             .to_vec()
     }
 
-    /// The next node without an address, and a free one. Only when all nodes are known: one may have it already.
+    /// The next node that gets an address, and a free one. Only when all nodes are known: one may have it already.
     fn next_without(&self) -> Option<(u64, u8)> {
         let has = |address| self.found.iter().any(|node| node.address == address);
-        let free = (1..=ADDR_MOST).find(|address| !self.taken.contains(address) && !has(*address));
-        let without = self.found.iter().filter(|node| node.address == ADDR_NONE);
-        let node = without
-            .into_iter()
-            .find(|node| !self.given_up.contains(&node.id));
-        node.map(|node| node.id).zip(free)
+        // Switches are mostly set to low addresses, and the node with such a switch may be off.
+        let free = (1..=ADDR_MOST)
+            .rev()
+            .find(|address| !self.taken.contains(address) && !has(*address));
+        let mut without = self.found.iter().filter(|node| {
+            let needs = node.address == ADDR_NONE || self.gives_way(node);
+            needs && !self.given_up.contains(&node.id)
+        });
+        without.next().map(|node| node.id).zip(free)
+    }
+
+    /// Whether the gateway has given the node its address, and another node has this address too.
+    fn gives_way(&self, node: &Found) -> bool {
+        let other = |other: &Found| other.id != node.id && other.address == node.address;
+        self.given.get(&node.address) == Some(&node.id) && self.found.iter().any(other)
     }
 
     /// A node has answered alone.
     pub(super) fn on_answer(&mut self, node: Found) {
-        self.silences = 0;
         match &self.answered {
+            None if self.prefixes.is_empty() => return self.on_assigned(&node),
+            None => self.answered = Some(node),
             Some(asked) if asked.id == node.id => {
                 self.answered = None;
+                // A late answer to the question before may have been taken for the one to this question.
+                self.found.retain(|known| known.id != node.id);
                 self.found.push(node);
             }
             Some(_) => {}
-            None if self.prefixes.is_empty() => {
-                if let Some(known) = self.found.iter_mut().find(|known| known.id == node.id) {
-                    known.address = node.address;
-                }
+        }
+        self.silences = 0;
+    }
+
+    /// A node that is known has answered, mostly because it was given an address.
+    fn on_assigned(&mut self, node: &Found) {
+        let asked = self.next_without();
+        if let Some(known) = self.found.iter_mut().find(|known| known.id == node.id) {
+            known.address = node.address;
+        }
+        self.silences += 1;
+        match asked {
+            Some((id, address)) if id != node.id || address == node.address => {
+                self.silences = 0;
+                self.given.extend((id == node.id).then_some((address, id)));
             }
-            None => self.answered = Some(node),
+            // It does not take the address.
+            _ if self.silences >= REPEATS => {
+                self.silences = 0;
+                self.given_up.push(node.id);
+            }
+            _ => {}
         }
     }
 

@@ -7,10 +7,11 @@
 
 mod lab;
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use lab::{IMAGE, Lab, Trouble};
-use ztl_core::link::Turn;
+use ztl_core::link::{BusMessage, Turn};
 use ztl_core::{Instant, State};
 use ztl_link::bus::{Bus, BusEvent, TURNAROUND};
 
@@ -308,12 +309,113 @@ fn a_search_finds_all_nodes_gives_addresses_and_names_two_with_one_address() {
             }
             assert_eq!(addresses.iter().filter(|&&at| at == 1).count(), 2);
             addresses.dedup();
-            assert_eq!(addresses, (1..=31).collect::<Vec<u8>>());
+            // The nodes without an address have the highest ones.
+            let all: Vec<u8> = (1..=11).chain(13..=32).collect();
+            assert_eq!(addresses, all);
         } else {
             // Noise hides a node at worst; another search finds it.
             assert!(found.len() >= 28, "{}", found.len());
         }
     }
+}
+
+/// What the next search finds, by ids.
+fn searched(lab: &mut Lab) -> BTreeMap<u64, u8> {
+    lab.bus_events.clear();
+    lab.bus_search();
+    lab.until(10 * SECOND, "the search ends", |lab| {
+        !lab.bus_events.is_empty()
+    });
+    let Some(BusEvent::Found(found)) = lab.bus_events.last() else {
+        panic!("{:?}", lab.bus_events);
+    };
+    let nodes = found.iter().map(|node| (node.id, node.address));
+    nodes.collect()
+}
+
+#[test]
+fn a_node_that_is_switched_on_later_keeps_its_own_address() {
+    // One with a low address, and one with the address that the gateway gives first.
+    for own in [1, 32] {
+        let mut lab = Lab::empty(u64::from(own));
+        let without = lab.add_node(0);
+        let first = searched(&mut lab);
+        assert_eq!(first, BTreeMap::from([(without, 32)]));
+        let strapped = lab.add_node(own);
+        let wanted = if own == 32 { 31 } else { 32 };
+        // The node with a switch keeps its address, and the other one gives way if need be.
+        for _ in 0..2 {
+            let found = searched(&mut lab);
+            assert_eq!(found, BTreeMap::from([(without, wanted), (strapped, own)]));
+        }
+        assert_eq!(lab.address_of(without), wanted);
+        assert_eq!(lab.address_of(strapped), own);
+    }
+}
+
+#[test]
+fn two_nodes_with_addresses_of_their_own_keep_them() {
+    let mut lab = Lab::empty(3);
+    let nodes = [lab.add_node(32), lab.add_node(32)];
+    let found = searched(&mut lab);
+    assert_eq!(found, nodes.into_iter().map(|id| (id, 32)).collect());
+}
+
+/// Asks the next question of a search, which this node answers.
+fn answered(bus: &mut Bus, now: &mut Instant, id: u64, address: u8) {
+    *now = *now + Duration::from_millis(1);
+    bus.poll_transmit(*now).unwrap();
+    let mut frame = [0; 32];
+    let here = BusMessage::Here { id, name: "arm" };
+    let len = here.encode(address, &mut frame).unwrap();
+    bus.handle_bytes(*now, &frame[..len]);
+}
+
+#[test]
+fn a_late_answer_to_a_search_lists_no_node_twice() {
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    let mut now = Instant::from_millis(1);
+    bus.search(now);
+    // The node answers the first question, and the next two with what was late.
+    answered(&mut bus, &mut now, 7, 3);
+    answered(&mut bus, &mut now, 7, 3);
+    answered(&mut bus, &mut now, 7, 3);
+    answered(&mut bus, &mut now, 7, 3);
+    let mut event = None;
+    for _ in 0..20 {
+        now = now + Duration::from_millis(50);
+        bus.handle_timeout(now);
+        event = event.or_else(|| bus.poll_event());
+        bus.poll_transmit(now);
+    }
+    let Some(BusEvent::Found(found)) = event else {
+        panic!("{event:?}");
+    };
+    assert_eq!(found.len(), 1, "{found:?}");
+}
+
+#[test]
+fn a_node_that_takes_no_address_ends_no_search_late() {
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    let mut now = Instant::from_millis(1);
+    bus.search(now);
+    answered(&mut bus, &mut now, 7, 0);
+    answered(&mut bus, &mut now, 7, 0);
+    // No other node answers.
+    for _ in 0..2 {
+        now = now + Duration::from_millis(1);
+        bus.poll_transmit(now).unwrap();
+        now = now + Duration::from_millis(50);
+        bus.handle_timeout(now);
+    }
+    assert_eq!(bus.poll_event(), None);
+    answered(&mut bus, &mut now, 7, 0);
+    answered(&mut bus, &mut now, 7, 0);
+    let found = bus.poll_event();
+    assert!(
+        matches!(&found, Some(BusEvent::Found(found)) if found.len() == 1 && found[0].address == 0),
+        "{found:?}"
+    );
 }
 
 #[test]
