@@ -326,10 +326,12 @@ fn searched(lab: &mut Lab) -> BTreeMap<u64, u8> {
     lab.until(10 * SECOND, "the search ends", |lab| {
         !lab.bus_events.is_empty()
     });
-    let Some(BusEvent::Found(found)) = lab.bus_events.last() else {
-        panic!("{:?}", lab.bus_events);
-    };
-    let nodes = found.iter().map(|node| (node.id, node.address));
+    let events = lab.bus_events.iter();
+    let found = events.filter_map(|event| match event {
+        BusEvent::Found(found) => Some(found),
+        _ => None,
+    });
+    let nodes = found.flatten().map(|node| (node.id, node.address));
     nodes.collect()
 }
 
