@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
+use ztl_fleet::streams::MOST_TOPICS;
 use ztl_std::Subscriber;
 use ztl_std::publish::Heard;
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, until, ztl};
 
 use crate::streams::{DESK, Streaming, TURN, keys, next, next_within, number};
-use crate::{Fleet, kill, python};
+use crate::{Fleet, fleet, kill, python};
 
 /// A robot whose file has these streams, and the port of its publisher.
 fn robot(scratch: &Scratch, publish: u16, streams: &str) -> (Server, u16) {
@@ -88,6 +89,33 @@ fn who_may_use_a_scope_does_not_start_the_streams_of_a_hidden_one_below_it() {
     });
     assert!(log.exists());
     hear_only_open(&mut limited, 50);
+}
+
+#[test]
+fn who_subscribes_to_many_topics_of_a_scope_starts_no_stream_of_a_hidden_one() {
+    let scratch = Scratch::new();
+    let [_, desk, anna, _] = keys(&scratch);
+    let log = scratch.path("runs");
+    let clients = "key: desk.key_secret\nclient-keys: [/arm/test=anna.key, desk.key]\n";
+    let fleet = Streaming::fleet(scratch, &format!("{DESK}{clients}"));
+    let port = fleet.endpoint.wait_for_port("Publishing ");
+    let (server, at) = robot(&fleet.scratch, 0, &streams(&log));
+    let arm = "fleet-key: arm.key_secret\nclient-keys: desk.key\n";
+    let agent = fleet.agent_file(
+        "arm",
+        &server.endpoint(),
+        &format!("publish: tcp://127.0.0.1:{at}\n{arm}"),
+    );
+    let agent = Process::start(&mut self::fleet(&["join"], &agent));
+    agent.wait_for("has joined");
+    // What is published comes last: once it is heard, all topics have arrived.
+    let unused = (0..=MOST_TOPICS).map(|number| format!("/arm/test/unused-{number}"));
+    let topics = unused.chain(["/arm/test/count".to_owned()]);
+    let builder = Subscriber::builder().keys(anna, desk.public());
+    let builder = topics.fold(builder, |builder, topic| builder.scope(&topic));
+    let mut limited = builder.connect(&format!("tcp://127.0.0.1:{port}")).unwrap();
+    hear_only_open(&mut limited, 50);
+    assert!(!log.exists(), "the hidden stream runs");
 }
 
 #[test]
