@@ -6,7 +6,7 @@ use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message, Request};
 
 use super::questions::plain;
-use super::state::{Asked, First, LastInit, Model, SCOPES};
+use super::state::{First, LastInit, Model, SCOPES};
 
 impl Model {
     pub(in crate::dispatcher) fn is_impossible(
@@ -96,10 +96,8 @@ impl Model {
             forgot || all_needed,
             "there is a place, and its INIT is new: {ask:?}"
         );
-        if matches!(ask.asked, Asked::Init(_)) {
-            // The INIT may arrive again once there is room.
-            self.places.until = self.places.until.max(Some(now + KEEP_INIT));
-        }
+        // The INIT may arrive again once there is room, or for the first time if it was to be given up.
+        self.places.until = self.places.until.max(Some(now + KEEP_INIT));
     }
 
     /// How many records of other clients must be kept.
