@@ -4,7 +4,8 @@ use std::io::Write as _;
 
 use ztl_std::{RemoteTask, State, TaskId};
 use ztl_tests::lab::{
-    ABORTED, COMPLETED, LIMIT, PATIENCE, Process, Scratch, Server, connect, start, until, ztl,
+    ABORTED, COMPLETED, LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, connect, start, until,
+    ztl,
 };
 
 /// A simulated line with a record of what its nodes did.
@@ -153,6 +154,18 @@ fn a_board_that_answers_at_the_address_of_another_one_gets_none_of_its_tasks() {
         remote.trigger("arm.right", "pan", "right").ok()
     });
     assert_eq!(line.count(" right.pan begins 'left'"), 0);
+    // What the other board says of itself is not told of this one.
+    let port = gateway.port.to_string();
+    let shown = Process::run(ztl().args(["devices", "--json", "-p", &port])).stdout;
+    let all: serde_json::Value = serde_json::from_str(&shown).expect("JSON");
+    let name = |device| {
+        let devices = &all.pointer("/scopes").unwrap_or(&all)[SCOPE];
+        devices[device]["firmware"]["name"].clone()
+    };
+    assert_eq!(
+        (name("arm.left"), name("arm.right")),
+        ("left".into(), "right".into())
+    );
 }
 
 #[test]

@@ -426,6 +426,40 @@ fn a_node_of_a_shared_line_is_updated_while_another_one_moves() {
 }
 
 #[test]
+fn a_board_with_another_name_at_the_address_ends_the_update_and_is_named() {
+    let bench = Bench::new();
+    let path = bench.path("line");
+    let key = bench.path("lab.firmware_key");
+    let mut command = ztl();
+    command.args(["device", "--bus", "left=sim:gripper@3", "right=sim:head@3"]);
+    command.args(["--buttons", "--on", &format!("pty:{path}")]);
+    command.args(["--firmware-key", &key]);
+    let mut line = Process::start(&mut command);
+    line.wait_for("Serve it with");
+    line.write_line("right off");
+    let gateway = Server::gateway(&[&format!("arm=rs485:{path}?wait=100")]);
+    gateway.wait_ready("arm.left");
+    let image = bench.image("1.1.0", "self-test: 100\n");
+    let running = Process::start(&mut update(&gateway, &["arm.left", &image]));
+    running.wait_for("the device restarts");
+    line.write_line("left off");
+    line.write_line("right on");
+    let begin = std::time::Instant::now();
+    let ended = running.end(PATIENCE);
+    // A device that does not answer at all ends it after 90 s.
+    let took = begin.elapsed();
+    assert!(took < std::time::Duration::from_secs(60), "{took:?}");
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    for says in [
+        "'right' ",
+        " address 3 ",
+        "what that one runs is not certain",
+    ] {
+        assert!(ended.stderr.contains(says), "{ended:?}");
+    }
+}
+
+#[test]
 fn firmware_that_says_another_version_than_it_was_signed_for_is_recognised() {
     let bench = Bench::new();
     let (_device, hand) = bench.served("hand", &[]);

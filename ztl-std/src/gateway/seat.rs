@@ -3,11 +3,8 @@
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-use ztl_core::Instant;
 use ztl_link::BusNeeds;
 use ztl_link::bus::LastSearch;
-
-use crate::time::now;
 
 /// A node's place on a shared line.
 #[derive(Debug, Default)]
@@ -30,6 +27,8 @@ pub(super) struct Board {
     pub(super) search: LastSearch,
     /// Why the node takes no tasks, although it still has some.
     pub(super) conflict: Option<String>,
+    /// Whether the last search has found another board at the address, and not this one.
+    pub(super) replaced: bool,
 }
 
 impl Seat {
@@ -61,16 +60,11 @@ impl Seat {
         self.board.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn on_search(&self, id: u64, alone: bool, conflict: Option<String>, begun: Instant) {
+    /// A search has ended.
+    pub(super) fn on_search(&self, search: LastSearch, conflict: Option<String>, replaced: bool) {
         let mut board = self.locked_board();
         board.searches += 1;
-        board.conflict = conflict;
-        board.search = LastSearch {
-            id,
-            alone,
-            begun,
-            ended: now(),
-        };
+        (board.search, board.conflict, board.replaced) = (search, conflict, replaced);
     }
 
     /// Asks for a search, because another boot answers.

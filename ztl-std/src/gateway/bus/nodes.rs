@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use ztl_core::Instant;
 use ztl_core::link::{ADDR_MOST, ADDR_NONE};
-use ztl_link::bus::Found;
+use ztl_link::bus::{Found, LastSearch};
 
 use crate::gateway::config::name_mistake;
 use crate::gateway::seat::Seat;
+use crate::time::now;
 
 /// The most nodes of a line while the gateway runs, also those that are gone: a node that says another id at each search
 /// fills no memory.
@@ -131,10 +132,18 @@ impl Nodes {
         }
         for node in &self.all {
             let address = node.seat.address();
-            let mut there = found.iter().filter(|one| one.address == address);
-            let alone = there.next().is_some_and(|one| one.id == node.id) && there.next().is_none();
-            let problem = node.problem.clone();
-            node.seat.on_search(node.id, alone, problem, self.begun);
+            let at: Vec<u64> = found
+                .iter()
+                .filter_map(|one| (one.address == address).then_some(one.id))
+                .collect();
+            let search = LastSearch {
+                id: node.id,
+                alone: at == [node.id],
+                begun: self.begun,
+                ended: now(),
+            };
+            let replaced = !at.is_empty() && !there(node.id);
+            node.seat.on_search(search, node.problem.clone(), replaced);
         }
         changes
     }

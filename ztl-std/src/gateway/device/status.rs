@@ -36,17 +36,28 @@ impl SharedStatus {
     /// Updates the status. Called after each step of the device's thread.
     pub(super) fn update<B: SessionJournal>(
         &self,
-        now: Instant,
-        name: &str,
-        session: &Session<B>,
         ready: bool,
         problem: Option<&String>,
+        session: &Session<B>,
     ) {
         let mut status = self.lock();
         status.ready = ready;
         if status.problem.as_ref() != problem {
             status.problem = problem.cloned();
         }
+        status.counters = session.counters();
+        status.round_trips.clone_from(session.round_trips());
+        status.queue = session.queued();
+    }
+
+    /// Updates what the device says of itself, unless the session is with another board at its address.
+    pub(super) fn set_device<B: SessionJournal>(
+        &self,
+        now: Instant,
+        name: &str,
+        session: &Session<B>,
+    ) {
+        let mut status = self.lock();
         if status.device.as_ref() != session.device() {
             status.device = session.device().cloned();
             let device = status.device.as_ref();
@@ -54,9 +65,6 @@ impl SharedStatus {
             status.descriptions = described.unwrap_or_default();
         }
         status.uptime = session.uptime(now).map(|uptime| (uptime, now));
-        status.counters = session.counters();
-        status.round_trips.clone_from(session.round_trips());
-        status.queue = session.queued();
     }
 
     /// The names of the components.

@@ -212,13 +212,11 @@ impl Worker {
             }
             self.check_opening();
             self.log.handle_timeout(now());
-            self.status.update(
-                now(),
-                &self.name,
-                &self.session,
-                self.ready,
-                self.problem.as_ref(),
-            );
+            self.status
+                .update(self.ready, self.problem.as_ref(), &self.session);
+            if self.other_board().is_none() {
+                self.status.set_device(now(), &self.name, &self.session);
+            }
             let unused = self.opener.is_none() && self.awaited == 0 && self.has_no_tasks();
             self.unused.store(unused, Ordering::Release);
             if let Some(end) = self.stopping
@@ -508,7 +506,10 @@ impl Worker {
             LinkEvent::Begun => self.on_begun(),
             LinkEvent::Reported(text) => self.on_reported(&text),
             LinkEvent::Up => match self.other_board() {
-                Some(other) => self.on_closed(&io::Error::other(other)),
+                Some(other) => {
+                    self.on_closed(&io::Error::other(other.clone()));
+                    self.end_update_of_other(&other);
+                }
                 None => {
                     self.on_up();
                     self.on_update_up();

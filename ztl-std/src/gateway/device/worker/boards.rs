@@ -100,11 +100,20 @@ impl Worker {
         if *wanted == id {
             return true;
         }
-        let text = format!(
-            "a board with the id {id} answers instead of the one with the id {wanted} that was to be updated; what that one runs is not certain"
-        );
-        self.end_update(Outcome::Failed(UpdateProblem::Other, text));
+        let text =
+            format!("a board with the id {id} answers instead of the one with the id {wanted}");
+        self.end_update_of_other(&text);
         false
+    }
+
+    /// Another board has the address of the one that is updated, as this text says.
+    pub(super) fn end_update_of_other(&mut self, what: &str) {
+        // The next gateway finds out by itself.
+        if self.stopping.is_none() {
+            let text =
+                format!("{what}, which was to be updated; what that one runs is not certain");
+            self.end_update(Outcome::Failed(UpdateProblem::Other, text));
+        }
     }
 
     /// Takes what searches have found.
@@ -128,6 +137,10 @@ impl Worker {
         let before = std::mem::replace(&mut self.conflict, board.conflict);
         match self.conflict.clone() {
             Some(conflict) => {
+                if board.replaced {
+                    let name = &self.name;
+                    self.end_update_of_other(&format!("{conflict}, instead of '{name}'"));
+                }
                 self.set_problem(conflict.clone());
                 for (task, _) in self.tasks.values() {
                     task.progress(format!("{conflict}; the task may still run"));
