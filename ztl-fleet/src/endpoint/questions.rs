@@ -1,6 +1,6 @@
 //! The scope `$ztl` of an endpoint: what it is, and questions that it passes on to robots.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Map, Value, json};
 use ztl_core::{Instant, Message, Request};
@@ -20,6 +20,22 @@ pub(super) struct Question {
     /// How many have not answered.
     open: usize,
     parts: BTreeMap<String, Value>,
+    allowed: Allowed,
+}
+
+/// What a client may use, and so what it is told: robots ask for their own rights, which are those of the endpoint.
+#[derive(Debug, Default)]
+struct Allowed {
+    /// Robots of which it may use everything.
+    robots: BTreeSet<String>,
+    /// Scopes with their robots' names.
+    scopes: BTreeSet<String>,
+}
+
+impl Allowed {
+    fn has(&self, robot: &str, scope: &str) -> bool {
+        self.robots.contains(robot) || self.scopes.contains(&format!("/{robot}{scope}"))
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,15 +73,22 @@ impl Endpoint {
             return self.on_outcome(now, request, envelope, number);
         }
         let word = payload.split(' ').next().unwrap_or_default();
-        let here = self.robots().filter(|(name, _)| {
-            let robot = self.robots.get(*name);
-            let scopes = robot.and_then(|robot| robot.info.as_ref());
-            let mut scopes = scopes.into_iter().flat_map(|info| &info.scopes);
-            scopes.any(|scope| may_use(&format!("/{name}{scope}")))
-        });
-        let here: Vec<(String, String)> = here
-            .map(|(name, agent)| (name.to_owned(), agent.to_owned()))
-            .collect();
+        let mut allowed = Allowed::default();
+        let mut here = Vec::new();
+        for (name, agent) in self.robots() {
+            let info = self.robots.get(name).and_then(|robot| robot.info.as_ref());
+            let scopes = info.into_iter().flat_map(|info| &info.scopes);
+            let mut scopes = scopes.map(|scope| format!("/{name}{scope}")).peekable();
+            let before = allowed.scopes.len();
+            if scopes.peek().is_some() && may_use(&format!("/{name}")) {
+                allowed.robots.insert(name.to_owned());
+            } else {
+                allowed.scopes.extend(scopes.filter(|scope| may_use(scope)));
+            }
+            if allowed.robots.contains(name) || allowed.scopes.len() > before {
+                here.push((name.to_owned(), agent.to_owned()));
+            }
+        }
         let (kind, to, question) = match word {
             "tasks" => (Kind::Tasks, here, payload.to_owned()),
             "devices" | "takes" | "log" => (Kind::ByScope, here, payload.to_owned()),
@@ -85,7 +108,9 @@ impl Endpoint {
                         (from / STEP, here.into_iter().nth(nth), "")
                     }
                     Some((name, scope)) => {
-                        let named = here.into_iter().find(|(known, _)| known == name);
+                        let is_it = |(known, _): &(String, String)| known == name;
+                        let named = here.into_iter().find(is_it);
+                        let named = named.filter(|_| allowed.has(name, scope));
                         // There is no next robot.
                         (robots, named, scope)
                     }
@@ -103,7 +128,12 @@ impl Endpoint {
         };
         let open = to.len();
         let parts = BTreeMap::new();
-        let all = Question { kind, open, parts };
+        let all = Question {
+            kind,
+            open,
+            parts,
+            allowed,
+        };
         if open == 0 {
             return answer(all.answer());
         }
@@ -189,7 +219,8 @@ impl Question {
             Kind::ByScope => {
                 let mut all = Map::new();
                 for (robot, part) in &self.parts {
-                    for (scope, value) in part.as_object().into_iter().flatten() {
+                    let scopes = part.as_object().into_iter().flatten();
+                    for (scope, value) in scopes.filter(|it| self.allowed.has(robot, it.0)) {
                         all.insert(format!("/{robot}{scope}"), value.clone());
                     }
                 }
@@ -202,12 +233,16 @@ impl Question {
 
     fn tasks(&self) -> Value {
         let mut tasks = Vec::new();
-        let (mut more, mut elsewhere) = (0, 0);
+        let (mut more, mut elsewhere) = (0_u64, 0_u64);
         for (robot, part) in &self.parts {
-            tasks.extend(scoped(robot, part.get("tasks")));
+            let (told, hidden) = self.scoped(robot, part.get("tasks"));
+            tasks.extend(told);
+            // Of others, only how many run.
+            let runs = |task: &&Value| task.get("state").and_then(Value::as_u64) < Some(2);
+            elsewhere = elsewhere.saturating_add(hidden.iter().filter(runs).count() as u64);
             let number = |key| part.get(key).and_then(Value::as_u64).unwrap_or_default();
-            more += number("more");
-            elsewhere += number("elsewhere");
+            more = more.saturating_add(number("more"));
+            elsewhere = elsewhere.saturating_add(number("elsewhere"));
         }
         json!({ "tasks": tasks, "more": more, "elsewhere": elsewhere })
     }
@@ -216,7 +251,7 @@ impl Question {
         let mut all = Vec::new();
         let mut next = None;
         for (name, part) in &self.parts {
-            all.extend(scoped(name, part.get("components")));
+            all.extend(self.scoped(name, part.get("components")).0);
             let inner = part.get("next").and_then(Value::as_u64);
             next = inner.map(|inner| inner.min(STEP - 1));
         }
@@ -231,19 +266,21 @@ impl Question {
             None => json!({ "components": all }),
         }
     }
-}
 
-/// Entries with the endpoint's scopes.
-fn scoped(robot: &str, entries: Option<&Value>) -> Vec<Value> {
-    let entries = entries.and_then(Value::as_array).into_iter().flatten();
-    let entry = |entry: &Value| {
-        let mut entry = entry.clone();
-        if let Some(scope) = entry.get_mut("scope")
-            && let Some(known) = scope.as_str()
-        {
-            *scope = Value::String(format!("/{robot}{known}"));
+    /// Entries with the endpoint's scopes, and those that the client may not know.
+    fn scoped(&self, robot: &str, entries: Option<&Value>) -> (Vec<Value>, Vec<Value>) {
+        let entries = entries.and_then(Value::as_array).into_iter().flatten();
+        let (mut told, mut hidden) = (Vec::new(), Vec::new());
+        for entry in entries {
+            let mut entry = entry.clone();
+            match entry.get_mut("scope") {
+                Some(Value::String(scope)) if self.allowed.has(robot, scope) => {
+                    *scope = format!("/{robot}{scope}");
+                    told.push(entry);
+                }
+                _ => hidden.push(entry),
+            }
         }
-        entry
-    };
-    entries.map(entry).collect()
+        (told, hidden)
+    }
 }

@@ -278,3 +278,47 @@ fn a_repeated_init_keeps_its_rules_and_is_not_refused_when_its_robot_is_gone() {
     let unknown = ask(&mut endpoint, 7, 6, None, "/leg/lab;2;42;");
     assert_eq!(unknown, [EndpointEffect::Silence { request: 6 }]);
 }
+
+#[test]
+fn who_may_use_one_scope_is_told_of_others_only_how_many_tasks_run() {
+    let mut endpoint = endpoint();
+    let scopes = vec!["/lab".to_owned(), "/priv".to_owned()];
+    let robot = RobotInfo { scopes, ..info(5) };
+    endpoint.handle_info(at(0), "arm", "a", robot);
+    let mut told = |request, payload: &str, says: &str| {
+        let body = format!("$ztl;2;-1;{payload}");
+        let client_request = ClientRequest {
+            request,
+            envelope: None,
+            fresh: ClientId([9; 16]),
+            body: Some(body.as_bytes()),
+        };
+        let only_lab = |scope: &str| scope == "/arm/lab";
+        let effects = endpoint.handle_request(at(0), client_request, only_lab);
+        if let [EndpointEffect::Answer { .. }] = &effects[..] {
+            return answered(&effects);
+        }
+        let verdict = Verdict::Answer(format!("$ztl;5;0;{says}").into_bytes());
+        answered(&endpoint.handle_verdict(at(1), asked(&effects).0, verdict))
+    };
+    let tasks = format!(
+        r#"{{"tasks":[{{"id":4,"scope":"/priv","state":1}},{{"id":5,"scope":"/lab","state":1}},{{"id":6,"scope":"/priv","state":4}}],"more":{},"elsewhere":{}}}"#,
+        u64::MAX,
+        2
+    );
+    let max = u64::MAX;
+    assert_eq!(
+        told(1, "tasks", &tasks),
+        format!(
+            r#"$ztl;5;0;{{"elsewhere":3,"more":{max},"tasks":[{{"id":5,"scope":"/arm/lab","state":1}}]}}"#
+        )
+    );
+    let components = r#"{"components":[{"scope":"/priv"},{"scope":"/lab"}]}"#;
+    let only_lab = r#"$ztl;5;0;{"components":[{"scope":"/arm/lab"}]}"#;
+    assert_eq!(told(2, "describe", components), only_lab);
+    let none = r#"$ztl;5;0;{"components":[]}"#;
+    assert_eq!(told(3, "describe /arm/priv", components), none);
+    let devices = r#"{"/priv":{"a":1},"/lab":{"b":2}}"#;
+    let only_lab = r#"$ztl;5;0;{"/arm/lab":{"b":2}}"#;
+    assert_eq!(told(4, "devices", devices), only_lab);
+}

@@ -23,6 +23,9 @@ const MOST: usize = 1000;
 #[derive(Debug, Default)]
 pub(super) struct Started(BTreeSet<(String, String)>);
 
+/// Tasks that run, by scopes and ids, and why there may be more.
+type Running = (BTreeSet<(String, String)>, Option<String>);
+
 /// What became of the tasks of a robot that was told to stop.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stopped {
@@ -37,6 +40,9 @@ pub struct Stopped {
 #[derive(Deserialize)]
 struct List {
     tasks: Vec<Listed>,
+    /// How many run in scopes that the server does not let this agent use.
+    #[serde(default)]
+    elsewhere: u64,
 }
 
 #[derive(Deserialize)]
@@ -115,13 +121,13 @@ impl Shared {
     }
 
     /// The tasks that run, and why there may be more.
-    fn running(&self) -> (BTreeSet<(String, String)>, Option<String>) {
+    fn running(&self) -> Running {
         let listed = match self.client.ask(None, b"$ztl;2;-1;tasks", LIMIT) {
             Ok(answer) => list(&answer),
             Err(error) => return (BTreeSet::new(), Some(error.to_string())),
         };
-        if let Some(tasks) = listed {
-            return (tasks, None);
+        if let Some(listed) = listed {
+            return listed;
         }
         // A server of the original cannot list its tasks.
         let mut running = self.started().0.clone();
@@ -140,11 +146,30 @@ impl Shared {
     }
 }
 
-/// The running tasks of a list.
-fn list(answer: &[u8]) -> Option<BTreeSet<(String, String)>> {
+/// The running tasks of a list, and why there may be more.
+fn list(answer: &[u8]) -> Option<Running> {
     let message = Message::parse(answer).ok()?;
     let list: List = serde_json::from_str(message.payload).ok()?;
+    let unknown = (list.elsewhere > 0).then(|| {
+        let elsewhere = list.elsewhere;
+        format!("its server does not let the agent's key stop {elsewhere} more that run")
+    });
     let running = list.tasks.into_iter().filter(|task| task.state < 2);
     let task = |task: Listed| (task.scope, task.id.to_string());
-    Some(running.map(task).collect())
+    Some((running.map(task).collect(), unknown))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tasks_that_the_agent_may_not_stop_are_not_taken_for_none() {
+        let listed = |more: &str| list(format!("$ztl;5;0;{{\"tasks\":[]{more}}}").as_bytes());
+        assert_eq!(listed(""), Some((BTreeSet::new(), None)));
+        assert_eq!(listed(",\"elsewhere\":0"), listed(""));
+        let (running, unknown) = listed(",\"elsewhere\":2").unwrap();
+        let says = "its server does not let the agent's key stop 2 more that run";
+        assert_eq!((running.len(), unknown.as_deref()), (0, Some(says)));
+    }
 }
