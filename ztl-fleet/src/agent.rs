@@ -246,6 +246,7 @@ impl Agent {
         let scope = message.scope.to_owned();
         let mut record = Record::new(id.number, hash, &scope, server, Stage::Forwarded);
         record.valid_ms = rules.until_ms;
+        record.forwarded = Some(now);
         record.wait(now, query);
         let mut effects = self.replace(now, id.client, record);
         effects.push(AgentEffect::Record(Entry::Asked {
@@ -361,7 +362,7 @@ impl Agent {
         let Some(record) = self.of(id) else {
             return Vec::new();
         };
-        let stage = answer.map_or(Stage::Unknown, |answer| record.learn(answer));
+        let stage = answer.map_or(Stage::Unknown, |answer| record.learn(now, answer));
         self.decide(now, id, stage)
     }
 

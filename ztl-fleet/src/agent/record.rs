@@ -1,7 +1,7 @@
 //! What an agent remembers of a client's last INIT.
 
 use ztl_core::client::is_no_scope;
-use ztl_core::dispatcher::NEVER_SEEN;
+use ztl_core::dispatcher::{KEEP_INIT, NEVER_SEEN};
 use ztl_core::envelope::ClientId;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message, State};
@@ -36,6 +36,8 @@ pub(super) struct Record {
     scope: String,
     /// The server's boot id when the INIT was forwarded.
     server: Option<u32>,
+    /// When it was forwarded; `None` if an earlier agent did that.
+    pub(super) forwarded: Option<Instant>,
     pub(super) stage: Stage,
     /// Until when it may arrive or was decided, by the agent's clock.
     pub(super) valid_ms: u64,
@@ -56,6 +58,7 @@ impl Record {
             hash,
             scope: scope.to_owned(),
             server,
+            forwarded: None,
             stage,
             valid_ms: 0,
             waiters: Vec::new(),
@@ -148,7 +151,7 @@ impl Record {
     }
 
     /// What the server's answer to `outcome` says.
-    pub(super) fn learn(&self, answer: &[u8]) -> Stage {
+    pub(super) fn learn(&self, now: Instant, answer: &[u8]) -> Stage {
         let Ok(message) = Message::parse(answer) else {
             return Stage::Unknown;
         };
@@ -159,8 +162,11 @@ impl Record {
         if id == Some(Integer::ZERO) {
             let boot = message.payload.strip_prefix(NEVER_SEEN);
             let boot = boot.and_then(|boot| boot.parse().ok());
-            // Another boot is another server, which cannot know.
-            return match boot.is_some() && boot == self.server {
+            // Another boot is another server, which cannot know, and a server forgets an INIT in time.
+            let remembers = self
+                .forwarded
+                .is_some_and(|forwarded| now.since(forwarded) < KEEP_INIT);
+            return match remembers && boot.is_some() && boot == self.server {
                 true => Stage::NotStarted("the robot's server did not get it".to_owned()),
                 false => Stage::Unknown,
             };
