@@ -93,7 +93,7 @@ impl Demo {
 
     /// Exit code 0 if every task completed.
     pub(crate) fn run(&self) -> Done {
-        let signals = signals::catch()?;
+        let signals = signals::catch()?.awaited();
         let (router, address) = router()?;
         let (line, far) = Line::open(&address)?;
         say(format_args!("router    at {address}"))?;

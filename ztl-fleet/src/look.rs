@@ -17,6 +17,8 @@ use ztl_std::{Description, RemoteId, State};
 
 use crate::{Done, line};
 
+/// How long it may take to reach a router.
+const CONNECTING: Duration = Duration::from_secs(5);
 /// How long robots may take to answer.
 const LIMIT: Duration = Duration::from_secs(2);
 /// Pause between two ABORTs.
@@ -51,10 +53,16 @@ pub(crate) struct Found {
 }
 
 impl Select {
-    /// Connects to the fleet.
-    pub(crate) fn open(&self) -> Result<(Caller, EndpointConfig), session::ZenohError> {
+    /// Connects to the fleet, if a router is reached within the limit.
+    pub(crate) fn open(
+        &self,
+        limit: Option<Duration>,
+    ) -> Result<(Caller, EndpointConfig), session::ZenohError> {
         let config = EndpointConfig::load(&self.file)?;
-        let session = session::open(&config.links, false)?;
+        let session = match limit {
+            Some(limit) => session::open_within(&config.links, limit)?,
+            None => session::open(&config.links, false)?,
+        };
         Ok((Caller::new(session, &config), config))
     }
 
@@ -67,7 +75,7 @@ impl Select {
         &self,
         infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
     ) -> Result<(Caller, Vec<Found>), session::ZenohError> {
-        let (caller, config) = self.open()?;
+        let (caller, config) = self.open(Some(CONNECTING))?;
         let (all, refused) = self.look_with(&caller, &config, infos)?;
         for (robot, agent) in refused {
             line(refusal(&robot, &agent))?;

@@ -128,6 +128,7 @@ fn run(command: FleetCommand) -> Done {
             }
             let signals = signals::catch()?;
             let joined = Joined::join(config)?;
+            let signals = signals.awaited();
             loop {
                 if let Some(end) = joined.wait(LOOK) {
                     return Err(end.into());
@@ -156,6 +157,7 @@ fn run(command: FleetCommand) -> Done {
             }
             let signals = signals::catch()?;
             let serving = Serving::bind(&config)?;
+            let signals = signals.awaited();
             line(format_args!("Serving {}", serving.endpoint()))?;
             if let Some(endpoint) = serving.publishes() {
                 line(format_args!("Publishing {endpoint}"))?;
@@ -180,6 +182,7 @@ fn run(command: FleetCommand) -> Done {
             }
             let signals = signals::catch()?;
             let session = session::open(&links, true)?;
+            let signals = signals.awaited();
             line(format_args!("Routing at {}", links.listen.join(", ")))?;
             let signal = signals.recv()?;
             session.close().wait()?;

@@ -1,8 +1,10 @@
 //! Sessions of Zenoh: opened with the fleet's settings, and who is there.
 
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 use serde_json::{Value, json};
+use tracing::warn;
 use zenoh::handlers::CallbackDrop;
 use zenoh::query::Reply;
 use zenoh::sample::SampleKind;
@@ -24,6 +26,8 @@ const WAIT_US: u32 = 50_000;
 const WAIT_LONG_US: u32 = 500_000;
 /// Longest pause before a connection is tried again.
 const RETRY_MS: u32 = 1000;
+/// How long to wait for a router before the log says so.
+const UNREACHED: Duration = Duration::from_secs(3);
 
 /// Zenoh's settings: connections to the named routers, and to nobody else.
 fn settings(links: &Links, mode: &str) -> Value {
@@ -71,14 +75,54 @@ fn settings(links: &Links, mode: &str) -> Value {
     all
 }
 
-/// Opens a session: of a client of routers, or of a router.
+/// Opens a session: of a router, or of a client of routers, which waits until it reaches one.
 ///
 /// # Errors
 /// Zenoh's: for example an address that is taken.
 pub fn open(links: &Links, is_router: bool) -> Result<Session, ZenohError> {
-    let mode = if is_router { "router" } else { "client" };
-    let config = Config::from_json5(&settings(links, mode).to_string())?;
-    zenoh::open(config).wait()
+    if is_router {
+        let config = Config::from_json5(&settings(links, "router").to_string())?;
+        return zenoh::open(config).wait();
+    }
+    let config = client(links)?;
+    let text = format!("No {} yet; trying again", reached(links));
+    let (opened, opens) = channel::<()>();
+    let thread = std::thread::Builder::new().name("ztl-fleet-opening".to_owned());
+    thread.spawn(move || {
+        if opens.recv_timeout(UNREACHED) == Err(RecvTimeoutError::Timeout) {
+            warn!(target: "fleet", "{text}.");
+        }
+    })?;
+    let session = zenoh::open(config).wait();
+    drop(opened);
+    session
+}
+
+/// Opens a session of a client, if it reaches a router within `limit`.
+///
+/// # Errors
+/// That it does not, or Zenoh's.
+pub fn open_within(links: &Links, limit: Duration) -> Result<Session, ZenohError> {
+    let mut config = client(links)?;
+    config.insert_json5("connect/timeout_ms", &limit.as_millis().to_string())?;
+    // Zenoh's own reasons are in the log.
+    zenoh::open(config).wait().map_err(|_| {
+        let limit = limit.as_secs();
+        let reached = reached(links);
+        format!("no {reached} within {limit} s, so no robot was asked; start a router there, or correct the file").into()
+    })
+}
+
+fn client(links: &Links) -> Result<Config, ZenohError> {
+    if links.routers.is_empty() {
+        return Err("the file names no router; write routers: [tcp/10.0.0.1:7447]".into());
+    }
+    Config::from_json5(&settings(links, "client").to_string())
+}
+
+/// What a client waits for, as the end of a sentence.
+fn reached(links: &Links) -> String {
+    format!("router is reached at {}", links.routers.join(" or "))
 }
 
 /// The key of something that an agent offers.

@@ -22,7 +22,8 @@ impl Select {
     /// Ends with a signal.
     pub(crate) fn watch(self) -> Done {
         let signals = signals::catch()?;
-        let (caller, config) = self.open()?;
+        let (caller, config) = self.open(None)?;
+        let signals = signals.awaited();
         let mut seen: BTreeMap<String, Seen> = BTreeMap::new();
         let mut refused = Vec::new();
         loop {

@@ -1,5 +1,6 @@
 //! The commands that look at a fleet, and the end of those that serve it.
 
+use std::path::PathBuf;
 use std::process::Command;
 use std::sync::mpsc::channel;
 
@@ -75,6 +76,53 @@ fn a_signal_ends_each_part_of_a_fleet_in_order() {
     assert_eq!(endpoint.code, Some(143), "{endpoint:?}");
     let router = ended(fleet.router, "TERM");
     assert_eq!(router.code, Some(143), "{router:?}");
+}
+
+/// The file of an endpoint, and of an agent, whose router does not run, and its address.
+fn without_router(scratch: &Scratch) -> (PathBuf, PathBuf, String) {
+    let address = format!("tcp/127.0.0.1:{}", reserve_port());
+    let (endpoint, arm) = (scratch.path("endpoint.yaml"), scratch.path("arm.yaml"));
+    let text = format!("port: 0\nrouters: {address}\nrobots: arm\n");
+    std::fs::write(&endpoint, text).unwrap();
+    let text = format!("name: arm\nserver: tcp://127.0.0.1:9\nrouters: {address}\n");
+    std::fs::write(&arm, text).unwrap();
+    (endpoint, arm, address)
+}
+
+#[test]
+fn a_command_that_reaches_no_router_says_so_and_fails() {
+    let scratch = Scratch::new();
+    let (file, _, address) = without_router(&scratch);
+    let commands = [
+        (&["stop-all"][..], &[][..]),
+        (&["ls"], &[]),
+        (&["abort"], &["arm/test", "7"]),
+    ];
+    let started = commands.map(|(words, more)| Process::start(fleet(words, &file).args(more)));
+    for process in started {
+        let ended = process.end(PATIENCE);
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        let told = format!("no router is reached at {address} within 5 s, so no robot was asked");
+        assert!(ended.stderr.contains(&told), "{ended:?}");
+    }
+}
+
+#[test]
+fn a_part_of_a_fleet_that_waits_for_a_router_says_so_and_a_signal_ends_it() {
+    let scratch = Scratch::new();
+    let (endpoint, arm, address) = without_router(&scratch);
+    let started = [
+        ("join", &arm),
+        ("endpoint", &endpoint),
+        ("watch", &endpoint),
+    ]
+    .map(|(word, file)| Process::start(&mut fleet(&[word], file)));
+    let signals = [("TERM", 143), ("INT", 0), ("TERM", 143)];
+    for (process, (signal, code)) in started.into_iter().zip(signals) {
+        process.wait_for(&format!("No router is reached at {address} yet"));
+        let ended = ended(process, signal);
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+    }
 }
 
 /// The agent of robots that these tests make up.
