@@ -262,14 +262,28 @@ fn links<'d>(
     for node in routers.map_or(&[][..], one_or_more) {
         links.routers.extend(address(reading, node, what));
     }
+    let listen = match is_router {
+        true => fields.required("listen", "listen: [tcp/0.0.0.0:7447]"),
+        false => None,
+    };
     if is_router {
-        let listen = fields.required("listen", "listen: [tcp/0.0.0.0:7447]");
         let what = "where to listen, as tcp/0.0.0.0:7447";
         for node in listen.map_or(&[][..], one_or_more) {
             links.listen.extend(address(reading, node, what));
         }
     }
-    if let Some(node) = fields.optional("tls") {
+    let tls = fields.optional("tls");
+    let mut addresses = links.routers.iter().chain(&links.listen);
+    if tls.is_none()
+        && let Some(address) = addresses.find(|address| address.starts_with("tls/"))
+        && let Some(node) = routers.or(listen)
+    {
+        let message = format!(
+            "{address} needs certificates; write tls: {{ca: ca.pem, certificate: arm.pem, key: arm.key}}"
+        );
+        reading.wrong(node, message);
+    }
+    if let Some(node) = tls {
         let what = "certificates: ca: ca.pem, certificate: arm.pem, key: arm.key";
         let read = reading.fields(node, what);
         links.tls = read.and_then(|mut fields| {
@@ -468,6 +482,10 @@ mod tests {
             (
                 "name: a\nserver: tcp://h:7\nrouters: []\ntls: {ca: no.pem}\n",
                 "agent.yaml:4:11: cannot read",
+            ),
+            (
+                "name: a\nserver: tcp://h:7\nrouters: tls/h:7\n",
+                "agent.yaml:3:10: tls/h:7 needs certificates; write tls: {ca: ca.pem,",
             ),
             (
                 "name: a\nserver: tcp://h:7\nrouters: []\ngruops: x\n",

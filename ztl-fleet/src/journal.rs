@@ -57,8 +57,11 @@ impl Journal {
     fn open_in(directory: &Path, random: ClientId) -> io::Result<(Self, Found)> {
         fs::create_dir_all(directory)?;
         let lock = File::create(directory.join("lock"))?;
-        lock.try_lock()
-            .map_err(|_| io::Error::other("another agent uses this directory"))?;
+        lock.try_lock().map_err(|_| {
+            io::Error::other(
+                "another agent uses this directory; stop it, or name another one as 'state'",
+            )
+        })?;
         let id = directory.join("id");
         let known = fs::read_to_string(&id).unwrap_or_default();
         let agent = match from_hex(known.trim()) {

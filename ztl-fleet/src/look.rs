@@ -80,6 +80,9 @@ impl Select {
         for (robot, agent) in refused {
             line(refusal(&robot, &agent))?;
         }
+        if let Some(group) = self.group.as_ref().filter(|_| all.is_empty()) {
+            return Err(format!("no robot is known to belong to group '{group}'").into());
+        }
         Ok((caller, all))
     }
 
@@ -187,11 +190,18 @@ impl Select {
             return Err(format!("'{scope}' is not the scope of a robot, as arm-1/lab").into());
         };
         let (caller, all) = self.find()?;
-        let found = all
-            .into_iter()
-            .find(|found| found.name == name && found.agent.is_some());
+        let mut there = all.into_iter().filter(|found| found.agent.is_some());
+        let mut others = Vec::new();
+        let found = there.find(|found| {
+            others.push(found.name.clone());
+            found.name == name
+        });
         let Some(found) = found else {
-            return Err(format!("robot '{name}' is not there").into());
+            let others = match others.is_empty() {
+                true => "and no other is".to_owned(),
+                false => format!("there are: {}", others.join(", ")),
+            };
+            return Err(format!("robot '{name}' is not there; {others}").into());
         };
         let all = [found];
         let end = Instant::now() + STOPPING;
@@ -230,6 +240,9 @@ impl Select {
             None => vec![None; agents.len()],
             Some(_) => caller.infos(agents, LIMIT),
         })?;
+        if all.is_empty() {
+            return Err("no robot is there, so none was stopped".into());
+        }
         let mut good = true;
         let answers = ask(&caller, &all, AgentQuery::Stop, b"", STOPPING);
         for (found, answer) in all.iter().zip(answers) {

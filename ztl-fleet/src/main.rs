@@ -95,7 +95,10 @@ fn main() -> ExitCode {
     let command = Cli::parse().command;
     let level = match &command {
         FleetCommand::Demo(demo) => demo.level(),
-        _ => LevelFilter::INFO,
+        FleetCommand::Join(_) | FleetCommand::Endpoint { .. } | FleetCommand::Router(_) => {
+            LevelFilter::INFO
+        }
+        _ => LevelFilter::WARN,
     };
     tracing_subscriber::fmt()
         .with_max_level(level)

@@ -1,5 +1,6 @@
 //! Sessions of Zenoh: opened with the fleet's settings, and who is there.
 
+use std::net::{TcpStream, ToSocketAddrs as _};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
@@ -28,6 +29,8 @@ const WAIT_LONG_US: u32 = 500_000;
 const RETRY_MS: u32 = 1000;
 /// How long to wait for a router before the log says so.
 const UNREACHED: Duration = Duration::from_secs(3);
+/// How long to look why one is not reached.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Zenoh's settings: connections to the named routers, and to nobody else.
 fn settings(links: &Links, mode: &str) -> Value {
@@ -82,15 +85,16 @@ fn settings(links: &Links, mode: &str) -> Value {
 pub fn open(links: &Links, is_router: bool) -> Result<Session, ZenohError> {
     if is_router {
         let config = Config::from_json5(&settings(links, "router").to_string())?;
-        return zenoh::open(config).wait();
+        let opened = zenoh::open(config).wait();
+        return opened.map_err(|error| cannot_route(links, &error.to_string()).into());
     }
     let config = client(links)?;
-    let text = format!("No {} yet; trying again", reached(links));
+    let routers = links.routers.clone();
     let (opened, opens) = channel::<()>();
     let thread = std::thread::Builder::new().name("ztl-fleet-opening".to_owned());
     thread.spawn(move || {
         if opens.recv_timeout(UNREACHED) == Err(RecvTimeoutError::Timeout) {
-            warn!(target: "fleet", "{text}.");
+            warn!(target: "fleet", "No router is reached yet; trying again. {}.", obstacles(&routers));
         }
     })?;
     let session = zenoh::open(config).wait();
@@ -105,11 +109,10 @@ pub fn open(links: &Links, is_router: bool) -> Result<Session, ZenohError> {
 pub fn open_within(links: &Links, limit: Duration) -> Result<Session, ZenohError> {
     let mut config = client(links)?;
     config.insert_json5("connect/timeout_ms", &limit.as_millis().to_string())?;
-    // Zenoh's own reasons are in the log.
+    // Zenoh tells no reason.
     zenoh::open(config).wait().map_err(|_| {
-        let limit = limit.as_secs();
-        let reached = reached(links);
-        format!("no {reached} within {limit} s, so no robot was asked; start a router there, or correct the file").into()
+        let (limit, why) = (limit.as_secs(), obstacles(&links.routers));
+        format!("no router is reached within {limit} s, so no robot was asked: {why}").into()
     })
 }
 
@@ -120,9 +123,39 @@ fn client(links: &Links) -> Result<Config, ZenohError> {
     Config::from_json5(&settings(links, "client").to_string())
 }
 
-/// What a client waits for, as the end of a sentence.
-fn reached(links: &Links) -> String {
-    format!("router is reached at {}", links.routers.join(" or "))
+/// Why each of these routers may not be reached, and what helps.
+fn obstacles(routers: &[String]) -> String {
+    let of = |address: &String| {
+        let place = address.split_once('/').map_or("", |(_, place)| place);
+        let connected = place.to_socket_addrs().and_then(|mut all| {
+            let at = all.next().ok_or(std::io::ErrorKind::NotFound)?;
+            TcpStream::connect_timeout(&at, LOOK)
+        });
+        match connected {
+            Ok(_) => format!(
+                "{address}: something listens there, but it is not a router, or one of the two does not accept the other; compare 'tls', and the address's name and protocol, at both ends"
+            ),
+            Err(error) => {
+                format!("{address}: {error}; start a router there, or correct 'routers'")
+            }
+        }
+    };
+    routers.iter().map(of).collect::<Vec<_>>().join("; ")
+}
+
+/// Why a router does not start, by what Zenoh says, which includes places in its source.
+fn cannot_route(links: &Links, said: &str) -> String {
+    let mut listen = links.listen.iter();
+    let taken = listen.find(|address| {
+        let place = address.split_once('/').map_or("", |(_, place)| place);
+        said.contains("Address already in use") && said.contains(place)
+    });
+    match taken {
+        Some(address) => format!(
+            "cannot listen at {address}: the port is in use; stop what uses it, or choose another port"
+        ),
+        None => said.split(" at /").next().unwrap_or(said).to_owned(),
+    }
 }
 
 /// The key of something that an agent offers.

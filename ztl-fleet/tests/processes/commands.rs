@@ -25,6 +25,7 @@ fn ended(process: Process, signal: &str) -> Ended {
 fn watch_tells_who_comes_and_what_starts_and_ends_and_abort_ends_a_task() {
     let (fleet, server) = (Fleet::new(), Server::naps());
     let file = fleet.scratch.path("endpoint.yaml");
+    let text = std::fs::read_to_string(&file).unwrap();
     let watch = Process::start(&mut self::fleet(&["watch"], &file));
     watch.wait_for("arm  is not there");
     let agent = fleet.join(&server, "");
@@ -51,15 +52,23 @@ fn watch_tells_who_comes_and_what_starts_and_ends_and_abort_ends_a_task() {
     watch.wait_for(&format!("{id}  /arm/test  COMPLETED"));
     for (scope, id, told) in [
         ("arm/test", "7", "unknown: Invalid ID '7'"),
-        ("leg/test", "7", "robot 'leg' is not there"),
+        ("leg/test", "7", "robot 'leg' is not there; there are: arm"),
         ("arm", "7", "'arm' is not the scope of a robot"),
     ] {
         let ended = abort(scope, id);
         assert_eq!(ended.code, Some(1), "{ended:?}");
         assert!(format!("{ended:?}").contains(told), "{ended:?}");
     }
+    // A group that is misspelled is not a group that has stopped.
+    std::fs::write(&file, text.replace("robots: [arm, leg]\n", "")).unwrap();
+    let stopped = Process::run(self::fleet(&["stop-all"], &file).args(["--group", "flor"]));
+    assert_eq!(stopped.code, Some(1), "{stopped:?}");
+    let told = "no robot is known to belong to group 'flor'";
+    assert!(stopped.stderr.contains(told), "{stopped:?}");
     let agent = ended(agent, "TERM");
     assert_eq!(agent.code, Some(143), "{agent:?}");
+    let stopped = Process::run(&mut self::fleet(&["stop-all"], &file));
+    assert_eq!(stopped.code, Some(1), "{stopped:?}");
     watch.wait_for("arm  is not there");
     let watch = ended(watch, "INT");
     assert_eq!(watch.code, Some(0), "{watch:?}");
@@ -90,6 +99,16 @@ fn without_router(scratch: &Scratch) -> (PathBuf, PathBuf, String) {
 }
 
 #[test]
+fn a_router_whose_port_is_taken_says_so() {
+    let fleet = Fleet::new();
+    let file = fleet.scratch.path("router.yaml");
+    let ended = Process::run(&mut self::fleet(&["router"], &file));
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    let told = format!("cannot listen at {}: the port is in use", fleet.address);
+    assert!(ended.stderr.contains(&told), "{ended:?}");
+}
+
+#[test]
 fn a_command_that_reaches_no_router_says_so_and_fails() {
     let scratch = Scratch::new();
     let (file, _, address) = without_router(&scratch);
@@ -102,7 +121,9 @@ fn a_command_that_reaches_no_router_says_so_and_fails() {
     for process in started {
         let ended = process.end(PATIENCE);
         assert_eq!(ended.code, Some(1), "{ended:?}");
-        let told = format!("no router is reached at {address} within 5 s, so no robot was asked");
+        let told = format!(
+            "no router is reached within 5 s, so no robot was asked: {address}: Connection refused"
+        );
         assert!(ended.stderr.contains(&told), "{ended:?}");
     }
 }
@@ -119,7 +140,9 @@ fn a_part_of_a_fleet_that_waits_for_a_router_says_so_and_a_signal_ends_it() {
     .map(|(word, file)| Process::start(&mut fleet(&[word], file)));
     let signals = [("TERM", 143), ("INT", 0), ("TERM", 143)];
     for (process, (signal, code)) in started.into_iter().zip(signals) {
-        process.wait_for(&format!("No router is reached at {address} yet"));
+        process.wait_for(&format!(
+            "No router is reached yet; trying again. {address}: Connection refused"
+        ));
         let ended = ended(process, signal);
         assert_eq!(ended.code, Some(code), "{ended:?}");
     }

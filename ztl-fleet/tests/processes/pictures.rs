@@ -205,6 +205,23 @@ fn three_universities_over_the_internet() {
     let path = |scratch: &Scratch, name: &str| scratch.path(name).display().to_string();
     let ca = path(&study.scratch, "ca.pem");
     let theirs = [path(&other, "other.pem"), path(&other, "other.key.pem")];
+    // A command tells that from a router that does not run.
+    let file = study.scratch.path("endpoint.yaml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let foreign = [
+        ("certificate: study.pem", &theirs[0]),
+        ("key: study.key.pem", &theirs[1]),
+    ];
+    let text = foreign.iter().fold(text, |text, (own, other)| {
+        let key = own.split(' ').next().unwrap();
+        text.replace(own, &format!("{key} {other}"))
+    });
+    let file = study.scratch.path("foreign.yaml");
+    std::fs::write(&file, text).unwrap();
+    let listed = Process::run(&mut fleet(&["ls"], &file));
+    assert_eq!(listed.code, Some(1), "{listed:?}");
+    let told = format!("{}: something listens there, but", addresses[0].1);
+    assert!(listed.stderr.contains(&told), "{listed:?}");
     let ours = [
         path(&study.scratch, "study.pem"),
         path(&study.scratch, "study.key.pem"),
