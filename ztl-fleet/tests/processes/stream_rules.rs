@@ -108,8 +108,8 @@ fn who_subscribes_to_many_topics_of_a_scope_starts_no_stream_of_a_hidden_one() {
     );
     let agent = Process::start(&mut self::fleet(&["join"], &agent));
     agent.wait_for("has joined");
-    // What is published comes last: once it is heard, all topics have arrived.
-    let unused = (0..=MOST_TOPICS).map(|number| format!("/arm/test/unused-{number}"));
+    // None begins as another one. What is published comes last: once it is heard, all topics have arrived.
+    let unused = (0..=MOST_TOPICS).map(|number| format!("/arm/test/unused-{number:03}"));
     let topics = unused.chain(["/arm/test/count".to_owned()]);
     let builder = Subscriber::builder().keys(anna, desk.public());
     let builder = topics.fold(builder, |builder, topic| builder.scope(&topic));
