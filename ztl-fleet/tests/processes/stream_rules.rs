@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use ztl_fleet::streams::MOST_TOPICS;
+use ztl_fleet::streams::{LONGEST_TOPIC, MOST_TOPICS};
 use ztl_std::Subscriber;
 use ztl_std::publish::Heard;
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, until, ztl};
 
 use crate::streams::{DESK, Streaming, TURN, keys, next, next_within, number};
-use crate::{Fleet, fleet, kill, python};
+use crate::{Fleet, kill, python};
 
 /// A robot whose file has these streams, and the port of its publisher.
 fn robot(scratch: &Scratch, publish: u16, streams: &str) -> (Server, u16) {
@@ -101,12 +101,11 @@ fn who_subscribes_to_many_topics_of_a_scope_starts_no_stream_of_a_hidden_one() {
     let port = fleet.endpoint.wait_for_port("Publishing ");
     let (server, at) = robot(&fleet.scratch, 0, &streams(&log));
     let arm = "fleet-key: arm.key_secret\nclient-keys: desk.key\n";
-    let agent = fleet.agent_file(
+    let agent = fleet.start_agent(
         "arm",
-        &server.endpoint(),
+        &server,
         &format!("publish: tcp://127.0.0.1:{at}\n{arm}"),
     );
-    let agent = Process::start(&mut self::fleet(&["join"], &agent));
     agent.wait_for("has joined");
     // None begins as another one. What is published comes last: once it is heard, all topics have arrived.
     let unused = (0..=MOST_TOPICS).map(|number| format!("/arm/test/unused-{number:03}"));
@@ -116,6 +115,45 @@ fn who_subscribes_to_many_topics_of_a_scope_starts_no_stream_of_a_hidden_one() {
     let mut limited = builder.connect(&format!("tcp://127.0.0.1:{port}")).unwrap();
     hear_only_open(&mut limited, 50);
     assert!(!log.exists(), "the hidden stream runs");
+}
+
+#[test]
+fn a_topic_with_more_hidden_scopes_than_an_agent_takes_leaves_the_others() {
+    let scratch = Scratch::new();
+    let [_, desk, anna, _] = keys(&scratch);
+    let clients = "key: desk.key_secret\nclient-keys: [/arm/open=anna.key, /arm/test=anna.key]\n";
+    let fleet = Streaming::fleet(scratch, &format!("{DESK}{clients}"));
+    let port = fleet.endpoint.wait_for_port("Publishing ");
+    // Each one is an exception of the topic /test/.
+    let hidden = (0..LONGEST_TOPIC / 50).map(|number| format!("/test/{number:050}"));
+    let nap = "{nap: {for: sleep}}";
+    let scopes = ["/open".to_owned(), "/test".to_owned()]
+        .into_iter()
+        .chain(hidden);
+    let scopes: Vec<String> = scopes.map(|scope| format!("{scope}: {nap}")).collect();
+    let count = "{count: {shell: 'while sleep 0.02; do echo 7; done', frame: json}}";
+    let file = fleet.scratch.path("robot.yaml");
+    let text = format!(
+        "port: 0\npublish: 0\nscopes: {{{}}}\nstreams: {{/open: {count}, /test: {count}}}\n",
+        scopes.join(", ")
+    );
+    std::fs::write(&file, text).unwrap();
+    let server = Server::start(ztl().arg("serve").arg(&file));
+    let at = server.process.wait_for_port("Publishing ");
+    let arm = format!(
+        "publish: tcp://127.0.0.1:{at}\nfleet-key: arm.key_secret\nclient-keys: desk.key\n"
+    );
+    let agent = fleet.start_agent("arm", &server, &arm);
+    agent.wait_for("has joined");
+    let builder = Subscriber::builder().keys(anna, desk.public());
+    let builder = builder.scope("/arm/test").scope("/arm/open");
+    let mut limited = builder.connect(&format!("tcp://127.0.0.1:{port}")).unwrap();
+    for _ in 0..10 {
+        let heard = until("the other scope", PATIENCE, || {
+            next_within(&mut limited, TURN)
+        });
+        assert_eq!(heard.topic, "/arm/open/count");
+    }
 }
 
 #[test]
