@@ -83,7 +83,7 @@ fn passed_on(bytes: &[u8]) {
     let all = [wanted, head.scope.into_iter().collect(), scopes].concat();
     let are_taken = all.iter().all(|topic| topic.len() <= LONGEST_TOPIC);
     if are_taken {
-        // The empty topic begins all: whoever may hear everything subscribes.
+        // The subscribers may hear everything.
         assert!(is_wanted(topic, &fewest(all, || vec![String::new()])));
     }
 }

@@ -57,6 +57,17 @@ impl Bench {
         device
     }
 
+    /// A line of simulated nodes that take updates, with buttons, and what the gateway calls it.
+    fn shared_line(&self, nodes: [&str; 2]) -> (Process, String) {
+        let (path, key) = (self.path("line"), self.path("lab.firmware_key"));
+        let on = format!("pty:{path}");
+        let mut command = ztl();
+        command.args(["device", "--bus", "--buttons", "--on", &on]);
+        let line = Process::start(command.args(["--firmware-key", &key]).args(nodes));
+        line.wait_for("Serve it with");
+        (line, format!("arm=rs485:{path}?wait=100"))
+    }
+
     /// A device `name` with this rate, and what the gateway calls it.
     pub(crate) fn served(&self, name: &str, options: &[&str]) -> (Process, String) {
         let path = self.path(name);
@@ -396,19 +407,8 @@ fn without_its_gateway_new_firmware_goes_back() {
 #[test]
 fn a_node_of_a_shared_line_is_updated_while_another_one_moves() {
     let bench = Bench::new();
-    let path = bench.path("line");
-    let key = bench.path("lab.firmware_key");
-    let mut command = ztl();
-    command.args([
-        "device",
-        "--bus",
-        "left=sim:gripper@1",
-        "right=sim:gripper@2",
-    ]);
-    command.args(["--on", &format!("pty:{path}"), "--firmware-key", &key]);
-    let line = Process::start(&mut command);
-    line.wait_for("Serve it with");
-    let gateway = Server::gateway(&[&format!("arm=rs485:{path}?wait=100")]);
+    let (_line, arm) = bench.shared_line(["left=sim:gripper@1", "right=sim:gripper@2"]);
+    let gateway = Server::gateway(&[&arm]);
     gateway.wait_ready("arm.left");
     gateway.wait_ready("arm.right");
     let port = gateway.port.to_string();
@@ -428,16 +428,9 @@ fn a_node_of_a_shared_line_is_updated_while_another_one_moves() {
 #[test]
 fn a_board_with_another_name_at_the_address_ends_the_update_and_is_named() {
     let bench = Bench::new();
-    let path = bench.path("line");
-    let key = bench.path("lab.firmware_key");
-    let mut command = ztl();
-    command.args(["device", "--bus", "left=sim:gripper@3", "right=sim:head@3"]);
-    command.args(["--buttons", "--on", &format!("pty:{path}")]);
-    command.args(["--firmware-key", &key]);
-    let mut line = Process::start(&mut command);
-    line.wait_for("Serve it with");
+    let (mut line, arm) = bench.shared_line(["left=sim:gripper@3", "right=sim:head@3"]);
     line.write_line("right off");
-    let gateway = Server::gateway(&[&format!("arm=rs485:{path}?wait=100")]);
+    let gateway = Server::gateway(&[&arm]);
     gateway.wait_ready("arm.left");
     let image = bench.image("1.1.0", "self-test: 100\n");
     let running = Process::start(&mut update(&gateway, &["arm.left", &image]));

@@ -4,8 +4,8 @@ use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
-use ztl_ros1::Pace;
 
+use ztl_ros1::Pace;
 use ztl_ros1::xmlrpc::Value;
 use ztl_tests::lab::PATIENCE;
 

@@ -39,12 +39,17 @@ pub(crate) fn search(project: &Project, target: Option<&str>, seconds: u32) -> R
 
 /// Lints the targets, and runs each on the same inputs every time: the result depends only on the code.
 pub(crate) fn smoke(project: &Project) -> Result<()> {
-    // They are not in the workspace, so no other step lints them.
-    cargo(project, "clippy")?
-        .args(["--all-targets", "--", "-D", "warnings"])
-        .run()?;
+    lint(project)?;
     project.sh.remove_path(project.target.join("fuzz/same"))?;
     fuzz(project, &targets(&project.sh)?, "same", &SAME_INPUTS)
+}
+
+/// Lints the targets, which are not in the workspace.
+pub(crate) fn lint(project: &Project) -> Result<()> {
+    let clippy = cargo(project, "clippy")?;
+    Ok(clippy
+        .args(["--all-targets", "--", "-D", "warnings"])
+        .run()?)
 }
 
 /// Runs targets with these options. Keeps inputs that reach new code in the directory `kept`.

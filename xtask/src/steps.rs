@@ -77,7 +77,7 @@ const AFTER: [Step; 3] = [
 #[rustfmt::skip]
 const CHECK: [Step; 4] = [
     step("fmt", "all code is formatted, also outside the workspace", format),
-    step("clippy", "no lint fires in the workspace", clippy_workspace),
+    step("clippy", "no lint fires in the workspace or the fuzz targets", clippy_check),
     step("units", "unit tests", units),
     step("wire", "the codec's recorded cases, and the original package against ours", wire),
 ];
@@ -203,6 +203,12 @@ fn format(project: &Project) -> Result<()> {
 fn clippy_workspace(project: &Project) -> Result<()> {
     let words = "clippy --workspace --all-targets -- -D warnings";
     Ok(project.cargo(words).run()?)
+}
+
+/// A change of a public function that a fuzz target calls is noticed before a commit, too.
+fn clippy_check(project: &Project) -> Result<()> {
+    clippy_workspace(project)?;
+    fuzz::lint(project)
 }
 
 /// Crates without some of the features that a build of the workspace turns on.

@@ -172,7 +172,7 @@ fn router() -> Result<(Session, String), ZenohError> {
             listen: vec![address.clone()],
             ..Links::default()
         };
-        match session::open(&links, true) {
+        match session::open_router(&links) {
             Ok(router) => return Ok((router, address)),
             Err(error) if tries > 3 => return Err(error),
             Err(_) => {}

@@ -129,7 +129,7 @@ impl Joined {
         let (mut journal, found) = Journal::open(&config.state, random::id()?)?;
         let agent = Agent::new(now(), random::boot()?, &found.entries, found.complete);
         journal.rewrite(&agent.entries())?;
-        let session = session::open(&config.links, false)?;
+        let session = session::open(&config.links)?;
         let robot = config.name.clone();
         let since = UNIX_EPOCH.elapsed().unwrap_or_default().as_secs();
         let (sender, ends) = channel();

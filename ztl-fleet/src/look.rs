@@ -61,7 +61,7 @@ impl Select {
         let config = EndpointConfig::load(&self.file)?;
         let session = match limit {
             Some(limit) => session::open_within(&config.links, limit)?,
-            None => session::open(&config.links, false)?,
+            None => session::open(&config.links)?,
         };
         Ok((Caller::new(session, &config), config))
     }
@@ -301,7 +301,7 @@ pub(crate) fn tasks(caller: &Caller, all: &[Found]) -> Vec<Option<Tasks>> {
             let probe = probe?;
             let probe = Message::parse(&probe).ok()?;
             let probe = Description::read(probe.payload.to_owned()).ok()?;
-            all.unread = probe.unread;
+            all.unread = all.unread.saturating_add(probe.unread);
             for (id, scope) in probe.running.into_iter().flatten() {
                 let task = Task {
                     scope,
@@ -317,7 +317,12 @@ pub(crate) fn tasks(caller: &Caller, all: &[Found]) -> Vec<Option<Tasks>> {
 fn listed(body: &[u8]) -> Option<Tasks> {
     let message = Message::parse(body).ok()?;
     let told: Value = serde_json::from_str(message.payload).ok()?;
-    let mut all = Tasks::default();
+    // They run in scopes that the agent's key may not use.
+    let elsewhere = told.get("elsewhere").and_then(Value::as_u64);
+    let mut all = Tasks {
+        unread: usize::try_from(elsewhere.unwrap_or_default()).unwrap_or(usize::MAX),
+        ..Tasks::default()
+    };
     for task in told.get("tasks")?.as_array()? {
         let text = |key| task.get(key).and_then(Value::as_str).unwrap_or_default();
         let state = task.get("state").and_then(Value::as_i64);

@@ -184,7 +184,7 @@ fn run(command: FleetCommand) -> Done {
                 return fine(&file);
             }
             let signals = signals::catch()?;
-            let session = session::open(&links, true)?;
+            let session = session::open_router(&links)?;
             let signals = signals.awaited();
             line(format_args!("Routing at {}", links.listen.join(", ")))?;
             let signal = signals.recv()?;

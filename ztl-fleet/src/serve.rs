@@ -63,7 +63,7 @@ impl Serving {
         Ok(Self {
             server,
             streams: streams.transpose()?,
-            caller: Caller::new(session::open(&config.links, false)?, config),
+            caller: Caller::new(session::open(&config.links)?, config),
             access,
         })
     }

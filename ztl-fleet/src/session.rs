@@ -78,16 +78,21 @@ fn settings(links: &Links, mode: &str) -> Value {
     all
 }
 
-/// Opens a session: of a router, or of a client of routers, which waits until it reaches one.
+/// Opens the session of a router.
 ///
 /// # Errors
-/// Zenoh's: for example an address that is taken.
-pub fn open(links: &Links, is_router: bool) -> Result<Session, ZenohError> {
-    if is_router {
-        let config = Config::from_json5(&settings(links, "router").to_string())?;
-        let opened = zenoh::open(config).wait();
-        return opened.map_err(|error| cannot_route(links, &error.to_string()).into());
-    }
+/// Zenoh's, or that an address is taken.
+pub fn open_router(links: &Links) -> Result<Session, ZenohError> {
+    let config = Config::from_json5(&settings(links, "router").to_string())?;
+    let opened = zenoh::open(config).wait();
+    opened.map_err(|error| cannot_route(links, &error.to_string()).into())
+}
+
+/// Opens the session of a client, which waits until it reaches a router.
+///
+/// # Errors
+/// Zenoh's.
+pub fn open(links: &Links) -> Result<Session, ZenohError> {
     let config = client(links)?;
     let routers = links.routers.clone();
     let (opened, opens) = channel::<()>();
@@ -102,7 +107,7 @@ pub fn open(links: &Links, is_router: bool) -> Result<Session, ZenohError> {
     session
 }
 
-/// Opens a session of a client, if it reaches a router within `limit`.
+/// Opens the session of a client, if it reaches a router within `limit`.
 ///
 /// # Errors
 /// That it does not, or Zenoh's.

@@ -23,6 +23,8 @@ const PIECE: usize = 96;
 /// How long a script may take from one change of the flash to the next that it stops at. QEMU runs code slowly that is in the
 /// same page as a stop: it may be that of the verification.
 const LIMIT: Duration = PATIENCE.saturating_mul(5);
+/// An update and a way back make about 35,000 changes.
+const MOST_CHANGES: usize = 50_000;
 
 /// The versions of the two images.
 pub(crate) const OLD: &str = "1.0.0";
@@ -164,6 +166,7 @@ impl Rig {
         mut at_change: impl FnMut(&mut DebuggedBoard, Change) -> bool,
     ) -> End {
         let mut last_progress = Instant::now();
+        let mut changes = 0;
         let mut is_restarted = false;
         let mut last = None;
         self.talk.greet(&mut self.board.serial);
@@ -193,6 +196,8 @@ impl Rig {
                     return End::Stopped;
                 }
                 last_progress = Instant::now();
+                changes += 1;
+                assert!(changes < MOST_CHANGES, "{script:?} has no end");
                 self.board.run();
                 continue;
             }

@@ -70,7 +70,7 @@ pub(crate) fn measure() {
         routers: vec![routers.addresses[0].clone()],
         ..Links::default()
     };
-    let observer = session::open(&links, false).expect("a router");
+    let observer = session::open(&links).expect("a router");
     let (sender, events) = channel();
     session::watch_presence(&observer, "*", move |_, _, is_there| {
         // The receiver is there until the end.

@@ -136,7 +136,7 @@ fn an_undecided_init_from_before_a_restart_is_asked_of_the_server() {
     for (told, expected) in [
         (&b"$ztl;1;42;opening"[..], Verdict::Answer(ANSWER.to_vec())),
         (
-            // The server may have forgotten it: nobody knows when it was forwarded.
+            // This agent does not know when it was forwarded, so the server may have forgotten it.
             b"$ztl;2;0;never seen since boot 5",
             Verdict::Unknown("whether it was started".to_owned()),
         ),
@@ -320,4 +320,21 @@ fn clients_and_bytes_are_bounded() {
     }
     agent.handle_timeout(at(2000 + KEEP_MS));
     assert_eq!((agent.records.len(), agent.bytes), (0, 0));
+}
+
+#[test]
+fn what_the_server_has_never_seen_was_not_started_only_while_it_remembers() {
+    let not_started = Verdict::NotStarted("the robot's server did not get it".to_owned());
+    let unknown = Verdict::Unknown("whether it was started".to_owned());
+    for (answered, expected) in [(60_009, not_started), (60_010, unknown)] {
+        let mut agent = agent();
+        let id = rules(1, 0).id;
+        let sent = agent.handle_init(at(10), 1, rules(1, 2000), BODY, Some(5));
+        assert_eq!(forwards(&sent), 1);
+        let asked = agent.handle_server(at(1000), id, ServerSaid::Silence);
+        assert_eq!(asked, [AgentEffect::AskServer(id)]);
+        let told = b"$ztl;2;0;never seen since boot 5";
+        let told = agent.handle_server_outcome(at(answered), id, Some(told));
+        assert_eq!(verdicts(&told), [(1, expected)]);
+    }
 }

@@ -23,12 +23,12 @@ pub(super) struct Question {
     allowed: Allowed,
 }
 
-/// What a client may use, and so what it is told: robots ask for their own rights, which are those of the endpoint.
+/// What a client may use. Robots answer by the rights of the endpoint, so their answers are limited to this.
 #[derive(Debug, Default)]
 struct Allowed {
-    /// Robots of which it may use everything.
+    /// Robots of which it may use all scopes.
     robots: BTreeSet<String>,
-    /// Scopes with their robots' names.
+    /// Scopes as the endpoint names them.
     scopes: BTreeSet<String>,
 }
 
@@ -76,17 +76,13 @@ impl Endpoint {
         let mut allowed = Allowed::default();
         let mut here = Vec::new();
         for (name, agent) in self.robots() {
-            let info = self.robots.get(name).and_then(|robot| robot.info.as_ref());
-            let scopes = info.into_iter().flat_map(|info| &info.scopes);
-            let mut scopes = scopes.map(|scope| format!("/{name}{scope}")).peekable();
             let before = allowed.scopes.len();
-            if scopes.peek().is_some() && may_use(&format!("/{name}")) {
-                allowed.robots.insert(name.to_owned());
-            } else {
-                allowed.scopes.extend(scopes.filter(|scope| may_use(scope)));
-            }
-            if allowed.robots.contains(name) || allowed.scopes.len() > before {
+            let scopes = self.scopes_of(name);
+            allowed.scopes.extend(scopes.filter(|scope| may_use(scope)));
+            if allowed.scopes.len() > before {
                 here.push((name.to_owned(), agent.to_owned()));
+                let whole = Some(name).filter(|name| may_use(&format!("/{name}")));
+                allowed.robots.extend(whole.map(str::to_owned));
             }
         }
         let (kind, to, question) = match word {
@@ -108,9 +104,9 @@ impl Endpoint {
                         (from / STEP, here.into_iter().nth(nth), "")
                     }
                     Some((name, scope)) => {
-                        let is_it = |(known, _): &(String, String)| known == name;
-                        let named = here.into_iter().find(is_it);
-                        let named = named.filter(|_| allowed.has(name, scope));
+                        let mut named = here.into_iter();
+                        let named =
+                            named.find(|(known, _)| known == name && allowed.has(name, scope));
                         // There is no next robot.
                         (robots, named, scope)
                     }
@@ -190,18 +186,20 @@ impl Endpoint {
         vec![EndpointEffect::Answer { request, body }]
     }
 
+    /// The scopes of a robot, as the endpoint names them.
+    fn scopes_of(&self, robot: &str) -> impl Iterator<Item = String> {
+        let info = self.robots.get(robot).and_then(|robot| robot.info.as_ref());
+        let scopes = info.into_iter().flat_map(|info| &info.scopes);
+        scopes.map(move |scope| format!("/{robot}{scope}"))
+    }
+
     /// The answer to `probe`.
     fn probed(&self, may_use: &impl Fn(&str) -> bool) -> String {
         let mut scopes = Vec::new();
         for (name, _) in self.robots() {
-            let info = self.robots.get(name).and_then(|robot| robot.info.as_ref());
-            for scope in info.into_iter().flat_map(|info| &info.scopes) {
-                let scope = format!("/{name}{scope}");
-                if may_use(&scope) {
-                    // JSON is YAML, too.
-                    scopes.push(format!("{}: {{}}", Value::from(scope)));
-                }
-            }
+            let allowed = self.scopes_of(name).filter(|scope| may_use(scope));
+            // JSON is YAML, too.
+            scopes.extend(allowed.map(|scope| format!("{}: {{}}", Value::from(scope))));
         }
         let (version, boot, scopes) = (ztl_core::VERSION, self.boot, scopes.join(", "));
         format!(

@@ -152,7 +152,7 @@ fn list(answer: &[u8]) -> Option<Running> {
     let list: List = serde_json::from_str(message.payload).ok()?;
     let unknown = (list.elsewhere > 0).then(|| {
         let elsewhere = list.elsewhere;
-        format!("its server does not let the agent's key stop {elsewhere} more that run")
+        format!("{elsewhere} tasks run in scopes that the agent's key may not use")
     });
     let running = list.tasks.into_iter().filter(|task| task.state < 2);
     let task = |task: Listed| (task.scope, task.id.to_string());
@@ -169,7 +169,7 @@ mod tests {
         assert_eq!(listed(""), Some((BTreeSet::new(), None)));
         assert_eq!(listed(",\"elsewhere\":0"), listed(""));
         let (running, unknown) = listed(",\"elsewhere\":2").unwrap();
-        let says = "its server does not let the agent's key stop 2 more that run";
+        let says = "2 tasks run in scopes that the agent's key may not use";
         assert_eq!((running.len(), unknown.as_deref()), (0, Some(says)));
     }
 }

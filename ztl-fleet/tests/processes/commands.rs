@@ -157,7 +157,7 @@ fn session(router: &str) -> zenoh::Session {
         routers: vec![router.to_owned()],
         ..Links::default()
     };
-    session::open(&links, false).unwrap()
+    session::open(&links).unwrap()
 }
 
 #[test]

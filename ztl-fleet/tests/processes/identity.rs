@@ -3,7 +3,7 @@
 use ztl_fleet::seal::agent_of;
 use ztl_std::keys::KeyPair;
 use ztl_std::{RemoteTask, State, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, end, start, until};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, end, start, until, ztl};
 
 use crate::{Fleet, fleet, python, tasks};
 
@@ -198,4 +198,39 @@ fn rules_of_the_robot_and_of_the_endpoint_name_robot_scope_and_client() {
     guarded
         .agent
         .wait_for("its key is not among the robot's 'client-keys'");
+}
+
+#[test]
+fn tasks_in_scopes_that_the_agents_key_may_not_use_are_not_taken_for_none() {
+    let fleet = Fleet::new();
+    let [_, boss, own] = keys(&fleet.scratch, ["agent", "boss", "server"]);
+    let file = fleet.scratch.path("serve.yaml");
+    let rights = "key: server.key_secret\nclient-keys: [/test=agent.key, boss.key]\n";
+    let nap = "{nap: {for: sleep}}";
+    let text = format!("port: 0\n{rights}scopes: {{/test: {nap}, /priv: {nap}}}\n");
+    std::fs::write(&file, text).unwrap();
+    let server = Server::start(ztl().arg("serve").arg(&file));
+    let key = "key: agent.key_secret\nserver-key: server.key\n";
+    let _agent = fleet.join(&server, key);
+    let remote = connect_to(&server.endpoint(), "/priv");
+    let mut remote = remote.with_keys(boss, own.public()).unwrap();
+    let task = start(&mut remote, "nap", "for", "60");
+    let file = fleet.scratch.path("endpoint.yaml");
+    let told = |command: &str| Process::run(&mut self::fleet(&[command], &file));
+    for (command, says) in [
+        ("ps", "arm  unknown: 1 more tasks run"),
+        (
+            "stop-all",
+            "arm  not confirmed: 1 tasks run in scopes that the agent's key may not use",
+        ),
+    ] {
+        let told = told(command);
+        assert!(told.stdout.contains(says), "{told:?}");
+        assert_eq!(told.code, Some(1), "{told:?}");
+    }
+    assert_eq!(remote.status(task).unwrap().state, State::Accepted);
+    remote.abort(task).unwrap();
+    end(&mut remote, task);
+    let told = told("stop-all");
+    assert!(told.stdout.contains("arm  stopped: 0 tasks"), "{told:?}");
 }

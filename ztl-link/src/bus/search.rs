@@ -144,7 +144,7 @@ impl Search {
     /// The next node that gets an address, and a free one. Only when all nodes are known: one may have it already.
     fn next_without(&self) -> Option<(u64, u8)> {
         let has = |address| self.found.iter().any(|node| node.address == address);
-        // Switches are mostly set to low addresses, and the node with such a switch may be off.
+        // A node with a switch may be off now. Most switches are set to low addresses.
         let free = (1..=ADDR_MOST)
             .rev()
             .find(|address| !self.taken.contains(address) && !has(*address));
