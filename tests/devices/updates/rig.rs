@@ -23,6 +23,9 @@ const PIECE: usize = 96;
 /// How long a script may take from one change of the flash to the next that it stops at. QEMU runs code slowly that is in the
 /// same page as a stop: it may be that of the verification.
 const LIMIT: Duration = PATIENCE.saturating_mul(5);
+/// How long a node verifies before it is asked again. It verifies nothing while it sends an answer, and where QEMU is slow, one
+/// answer after the other would leave it no time.
+const VERIFY: Duration = Duration::from_millis(50);
 /// An update and a way back make about 35,000 changes.
 const MOST_CHANGES: usize = 50_000;
 
@@ -205,6 +208,9 @@ impl Rig {
                 self.talk.retry(&mut self.board.serial);
                 continue;
             };
+            if matches!(said, Said::Phase(UpdatePhase::Verifying)) {
+                std::thread::sleep(VERIFY);
+            }
             if let Some(end) = self.answer(script, said, &mut is_restarted) {
                 self.board.halt();
                 return end;
