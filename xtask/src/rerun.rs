@@ -8,7 +8,9 @@
 use std::collections::BTreeSet;
 use std::env;
 use std::io::{BufRead as _, BufReader};
+use std::num::NonZero;
 use std::process::{Command, Stdio};
+use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result, ensure};
@@ -114,6 +116,9 @@ fn show_and_read(cargo: Cmd<'_>, stalls: &Stalls) -> Result<Ran> {
             .get_envs()
             .filter_map(|(name, value)| Some((name, value?))),
     );
+    if env::var_os("RUST_TEST_THREADS").is_none() {
+        shell.env("RUST_TEST_THREADS", test_threads().to_string());
+    }
     shell
         .env("CARGO_TERM_COLOR", "never")
         .stdout(Stdio::piped());
@@ -139,6 +144,12 @@ fn show_and_read(cargo: Cmd<'_>, stalls: &Stalls) -> Result<Ran> {
         output,
         stalled,
     })
+}
+
+/// Two for each processor: tests mostly wait for programs, boards and timeouts, so that the integration tests take
+/// half the time.
+fn test_threads() -> usize {
+    2 * thread::available_parallelism().map_or(1, NonZero::get)
 }
 
 /// The test that has just failed, by a line of the output.

@@ -38,8 +38,7 @@ impl Transport {
     }
 
     /// Whether connections can be encrypted. By libzmq, that depends on how it was built.
-    #[must_use]
-    pub fn can_encrypt(self) -> bool {
+    pub(crate) fn can_encrypt(self) -> bool {
         match self {
             Self::Native => true,
             #[cfg(feature = "libzmq")]
