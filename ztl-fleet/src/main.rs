@@ -161,7 +161,8 @@ fn run(command: FleetCommand) -> Done {
             let signals = signals::catch()?;
             let serving = Serving::bind(&config)?;
             let signals = signals.awaited();
-            line(format_args!("Serving {}", serving.endpoint()))?;
+            let (endpoint, who) = (serving.endpoint(), serving.reachable());
+            line(format_args!("Serving {endpoint}. Reachable for {who}."))?;
             if let Some(endpoint) = serving.publishes() {
                 line(format_args!("Publishing {endpoint}"))?;
             }

@@ -41,6 +41,7 @@ pub struct Serving {
     streams: Option<Bound>,
     caller: Caller,
     access: Access,
+    bind: String,
 }
 
 impl Serving {
@@ -65,6 +66,7 @@ impl Serving {
             streams: streams.transpose()?,
             caller: Caller::new(session::open(&config.links)?, config),
             access,
+            bind: bind.to_owned(),
         })
     }
 
@@ -72,6 +74,12 @@ impl Serving {
     #[must_use]
     pub fn endpoint(&self) -> &str {
         self.server.endpoint()
+    }
+
+    /// Who can reach it; continues `Reachable for`.
+    #[must_use]
+    pub fn reachable(&self) -> String {
+        self.access.reachable_at(&self.bind)
     }
 
     /// Where it publishes streams, if it does.

@@ -165,7 +165,7 @@ pub(crate) struct ListenPlace {
 impl ListenPlace {
     /// Who can reach the server, for people.
     pub(crate) fn reachable(&self) -> String {
-        reachable(&self.bind, &self.access)
+        self.access.reachable_at(&self.bind)
     }
 
     /// What keeps clients with keys out of a server with these scopes, and may not be intended.
@@ -383,54 +383,5 @@ impl AccessOptions {
             }
         }
         Ok((access, warnings))
-    }
-}
-
-/// Who can reach a server that listens at this address.
-fn reachable(bind: &str, access: &Access) -> String {
-    let address = bind.trim_start_matches('[').trim_end_matches(']');
-    let address = address
-        .parse()
-        .map(|address: IpAddr| address.to_canonical());
-    access.describe(match (bind, address) {
-        ("*", _) => "everybody in its networks",
-        (_, Ok(address)) if address.is_unspecified() => "everybody in its networks",
-        ("localhost", _) => "only this machine",
-        (_, Ok(address)) if address.is_loopback() => "only this machine",
-        _ => "everybody in that network",
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn who_can_reach_a_server_follows_from_its_address() {
-        for (who, binds) in [
-            (
-                "only this machine",
-                &[
-                    "127.0.0.1",
-                    "127.8.0.1",
-                    "localhost",
-                    "::1",
-                    "[::1]",
-                    "::ffff:127.0.0.1",
-                ][..],
-            ),
-            (
-                "everybody in its networks",
-                &["*", "0.0.0.0", "::", "[::]", "0:0:0:0:0:0:0:0"],
-            ),
-            (
-                "everybody in that network",
-                &["192.168.1.7", "[fe80::1]", "127.example.org", "eth0"],
-            ),
-        ] {
-            for bind in binds {
-                assert_eq!(reachable(bind, &Access::everybody()), who, "{bind}");
-            }
-        }
     }
 }

@@ -1,13 +1,13 @@
 //! Sockets in the file system, and IPv6.
 
 use std::net::TcpListener;
-use std::os::unix::net::UnixListener;
+use std::os::unix::net::{UnixListener, UnixStream};
 
 use ztl_std::{
     BindError, ExecutableTask, State, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer,
 };
-use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, connect};
+use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, connect, until};
 
 use crate::socket::{Socket, assert_serves};
 
@@ -48,6 +48,10 @@ fn a_socket_in_the_file_system_is_served_and_removed() {
     // What a killed server leaves.
     drop(UnixListener::bind(&path).expect("a socket"));
     assert!(path.exists(), "it leaves nothing");
+    // A process that another test has just started may still hold the socket.
+    until("the socket is closed", LIMIT, || {
+        UnixStream::connect(&path).err()
+    });
     for _ in 0..2 {
         let server = TaskServer::bind(&endpoint).expect("a place");
         assert_eq!(server.endpoint(), endpoint);

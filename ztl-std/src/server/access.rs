@@ -75,11 +75,21 @@ impl Access {
         self.clients_of.keys().map(String::as_str)
     }
 
-    /// A description for people, which continues `Reachable for`; `where_from` says who can reach the
-    /// server at all.
+    /// Who can reach a server that listens at this address; continues `Reachable for`.
     #[must_use]
-    pub fn describe(&self, where_from: &str) -> String {
-        let mut said = where_from.to_owned();
+    pub fn reachable_at(&self, bind: &str) -> String {
+        let address = bind.trim_start_matches('[').trim_end_matches(']');
+        let address = address
+            .parse()
+            .map(|address: IpAddr| address.to_canonical());
+        let mut said = match (bind, address) {
+            ("*", _) => "everybody in its networks",
+            (_, Ok(address)) if address.is_unspecified() => "everybody in its networks",
+            ("localhost", _) => "only this machine",
+            (_, Ok(address)) if address.is_loopback() => "only this machine",
+            _ => "everybody in that network",
+        }
+        .to_owned();
         if !self.networks.is_empty() {
             let networks: Vec<String> = self.networks.iter().map(IpNet::to_string).collect();
             said = format!("{said}, if its address is in {}", networks.join(" or "));
@@ -222,5 +232,39 @@ impl CurrentAccess {
             *current = access;
         }
         possible
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_can_reach_a_server_follows_from_its_address() {
+        for (who, binds) in [
+            (
+                "only this machine",
+                &[
+                    "127.0.0.1",
+                    "127.8.0.1",
+                    "localhost",
+                    "::1",
+                    "[::1]",
+                    "::ffff:127.0.0.1",
+                ][..],
+            ),
+            (
+                "everybody in its networks",
+                &["*", "0.0.0.0", "::", "[::]", "0:0:0:0:0:0:0:0"],
+            ),
+            (
+                "everybody in that network",
+                &["192.168.1.7", "[fe80::1]", "127.example.org", "eth0"],
+            ),
+        ] {
+            for bind in binds {
+                assert_eq!(Access::everybody().reachable_at(bind), who, "{bind}");
+            }
+        }
     }
 }
