@@ -49,7 +49,7 @@ fn a_socket_in_the_file_system_is_served_and_removed() {
     drop(UnixListener::bind(&path).expect("a socket"));
     assert!(path.exists(), "it leaves nothing");
     // A process that another test has just started may still hold the socket.
-    until("the socket is closed", LIMIT, || {
+    until("the socket is closed", PATIENCE, || {
         UnixStream::connect(&path).err()
     });
     for _ in 0..2 {
