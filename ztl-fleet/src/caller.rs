@@ -177,6 +177,8 @@ impl Caller {
                 Ok(sample) => (sample.payload().to_bytes(), false),
                 Err(error) => (error.payload().to_bytes(), true),
             };
+            // Zenoh says so itself.
+            let is_late = is_refusal && *payload == *b"Timeout";
             let shared = identity.robots.get(&robot);
             let opened = shared.and_then(|(_, shared)| shared.open_answer(&asked, &payload));
             if let Some(verdict) = opened {
@@ -191,6 +193,8 @@ impl Caller {
                 }
             } else if !identity.told.may() {
                 // The log has said so.
+            } else if is_late {
+                warn!(target: "fleet", "Robot '{robot}' does not answer a request.");
             } else if is_refusal {
                 let said = brief(&String::from_utf8_lossy(&payload));
                 warn!(target: "fleet", "Robot '{robot}', or somebody for it, refuses a request: {said}.");

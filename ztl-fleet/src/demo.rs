@@ -18,7 +18,7 @@ use ztl_fleet::session::{self, ZenohError};
 use ztl_std::keys::KeyPair;
 use ztl_std::listen::Listen;
 use ztl_std::{
-    ExecutableTask, RemoteId, RemoteTask, RequestError, RunningServer, State, TaskContext,
+    Access, ExecutableTask, RemoteId, RemoteTask, RequestError, RunningServer, State, TaskContext,
     TaskController, TaskError, TaskRequest, TaskServer,
 };
 
@@ -126,6 +126,7 @@ impl Demo {
             listen: Listen::default(),
             robots: known,
             fleet_key: Some(desk),
+            access: Ok(Access::everybody()),
             links: links(&address),
         })?;
         let endpoint = serving.endpoint().to_owned();

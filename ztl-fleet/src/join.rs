@@ -25,6 +25,7 @@ use crate::caller::Caller;
 use crate::config::AgentConfig;
 use crate::journal::Journal;
 use crate::random;
+use crate::routers;
 use crate::seal;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError, key};
@@ -130,6 +131,7 @@ impl Joined {
         let agent = Agent::new(now(), random::boot()?, &found.entries, found.complete);
         journal.rewrite(&agent.entries())?;
         let session = session::open(&config.links)?;
+        routers::watch(&session, &config.links)?;
         let robot = config.name.clone();
         let since = UNIX_EPOCH.elapsed().unwrap_or_default().as_secs();
         let (sender, ends) = channel();

@@ -14,7 +14,11 @@ pub mod join;
 #[cfg(feature = "processes")]
 pub mod journal;
 #[cfg(feature = "processes")]
+mod obstacles;
+#[cfg(feature = "processes")]
 pub mod random;
+#[cfg(feature = "processes")]
+pub mod routers;
 #[cfg(feature = "seal")]
 pub mod seal;
 #[cfg(feature = "processes")]
@@ -24,4 +28,6 @@ pub mod serve;
 #[cfg(feature = "processes")]
 pub mod session;
 pub mod streams;
+#[cfg(feature = "processes")]
+mod tls;
 pub mod wire;

@@ -78,7 +78,8 @@ impl Select {
         let (caller, config) = self.open(Some(CONNECTING))?;
         let (all, refused) = self.look_with(&caller, &config, infos)?;
         for (robot, agent) in refused {
-            line(refusal(&robot, &agent))?;
+            // Also if nobody reads it, `stop-all` stops.
+            let _ = line(refusal(&robot, &agent));
         }
         if let Some(group) = self.group.as_ref().filter(|_| all.is_empty()) {
             return Err(format!("no robot is known to belong to group '{group}'").into());

@@ -8,19 +8,22 @@ mod panics;
 mod signals;
 mod watch;
 
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::filter::LevelFilter;
+use tracing::warn;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 use zenoh::Wait as _;
 use ztl_fleet::config::{AgentConfig, EndpointConfig, Links};
 use ztl_fleet::join::Joined;
 use ztl_fleet::serve::Serving;
-use ztl_fleet::session;
+use ztl_fleet::{routers, session};
 use ztl_yaml::Diagnostics;
 
 /// Robots of many rooms and buildings behind one ZTL endpoint, over Eclipse Zenoh
@@ -100,17 +103,36 @@ fn main() -> ExitCode {
         }
         _ => LevelFilter::WARN,
     };
+    let mut shown = Targets::new()
+        .with_default(level)
+        // What it warns of, this program tells in its own words.
+        .with_target("zenoh", LevelFilter::ERROR.min(level));
+    let more = std::env::var("RUST_LOG").map(|text| text.parse::<Targets>());
+    if let Ok(Ok(more)) = &more {
+        shown = shown.with_default(more.default_level().unwrap_or(level));
+        shown.extend(more.iter());
+    }
     tracing_subscriber::fmt()
-        .with_max_level(level)
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(std::io::stderr)
         .with_ansi(false)
+        .finish()
+        .with(shown)
         .init();
+    if let Ok(Err(error)) = more {
+        warn!(target: "fleet", "RUST_LOG is ignored: {error}; expected a level, or targets with levels, as fleet=info,zenoh=debug.");
+    }
     let done = run(command);
     panics::forget();
     match done {
         Ok(code) => code,
         Err(error) => {
             let mut stderr = std::io::stderr();
+            // Whoever read the output has enough, as `head`.
+            let is_unread = |error: &std::io::Error| error.kind() == ErrorKind::BrokenPipe;
+            if error.downcast_ref().is_some_and(is_unread) {
+                return ExitCode::FAILURE;
+            }
             if error.is::<Diagnostics>() {
                 // Editors expect the place first in the line.
                 let _ = write!(stderr, "{error}");
@@ -127,7 +149,7 @@ fn run(command: FleetCommand) -> Done {
         FleetCommand::Join(File { file, check }) => {
             let config = AgentConfig::load(&file)?;
             if check {
-                return fine(&file);
+                return fine(&file, &config.links);
             }
             let signals = signals::catch()?;
             let joined = Joined::join(config)?;
@@ -147,7 +169,7 @@ fn run(command: FleetCommand) -> Done {
             publish,
         } => {
             let mut config = EndpointConfig::load(&file)?;
-            config.access()?;
+            config.access.as_ref().map_err(Clone::clone)?;
             config.listen.port = port.or(config.listen.port);
             config.listen.publish = publish.or(config.listen.publish);
             if let Some(port) = config.listen.port.filter(|port| *port != 0)
@@ -156,7 +178,7 @@ fn run(command: FleetCommand) -> Done {
                 return Err(format!("port {port} is for tasks; publish at another port").into());
             }
             if check {
-                return fine(&file);
+                return fine(&file, &config.links);
             }
             let signals = signals::catch()?;
             let serving = Serving::bind(&config)?;
@@ -182,10 +204,11 @@ fn run(command: FleetCommand) -> Done {
         FleetCommand::Router(File { file, check }) => {
             let links = Links::load_router(&file)?;
             if check {
-                return fine(&file);
+                return fine(&file, &links);
             }
             let signals = signals::catch()?;
             let session = session::open_router(&links)?;
+            routers::watch_each(&session, &links)?;
             let signals = signals.awaited();
             line(format_args!("Routing at {}", links.listen.join(", ")))?;
             let signal = signals.recv()?;
@@ -201,7 +224,11 @@ fn run(command: FleetCommand) -> Done {
     }
 }
 
-fn fine(file: &std::path::Path) -> Done {
+/// The end of `--check`, where a wrong date is a mistake, too.
+fn fine(file: &std::path::Path, links: &Links) -> Done {
+    if let Some(mistake) = links.misdated.clone() {
+        return Err(Diagnostics::from(mistake).into());
+    }
     line(format_args!("{}: no mistakes", file.display()))?;
     Ok(ExitCode::SUCCESS)
 }

@@ -19,6 +19,7 @@ use crate::caller::Caller;
 use crate::config::EndpointConfig;
 use crate::endpoint::{Ask, ClientRequest, Endpoint, EndpointEffect, robot_of};
 use crate::random;
+use crate::routers;
 use crate::seal::Request;
 use crate::seldom::Seldom;
 use crate::session::{self, ZenohError};
@@ -50,7 +51,7 @@ impl Serving {
     /// # Errors
     /// [`BindError`], what is wrong with keys, or Zenoh's.
     pub fn bind(config: &EndpointConfig) -> Result<Self, ZenohError> {
-        let access = config.access()?;
+        let access = config.access.clone()?;
         let bind = config.listen.bind.as_deref().unwrap_or("127.0.0.1");
         let port = config.listen.port.unwrap_or_default();
         let endpoint = format!("tcp://{bind}:{port}");
@@ -61,10 +62,13 @@ impl Serving {
             let endpoint = format!("tcp://{bind}:{port}");
             Bound::bind(&endpoint, access.clone(), limits)
         });
+        let streams = streams.transpose()?;
+        let session = session::open(&config.links)?;
+        routers::watch(&session, &config.links)?;
         Ok(Self {
             server,
-            streams: streams.transpose()?,
-            caller: Caller::new(session::open(&config.links)?, config),
+            streams,
+            caller: Caller::new(session, config),
             access,
             bind: bind.to_owned(),
         })

@@ -1,8 +1,7 @@
 //! Sessions of Zenoh: opened with the fleet's settings, and who is there.
 
-use std::net::{TcpStream, ToSocketAddrs as _};
-use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::time::Duration;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tracing::warn;
@@ -12,6 +11,7 @@ use zenoh::sample::SampleKind;
 use zenoh::{Config, Session, Wait as _};
 
 use crate::config::Links;
+use crate::obstacles::obstacles;
 use crate::wire::{ROOT, Verdict, from_hex, is_name};
 
 /// What failed in Zenoh.
@@ -25,33 +25,40 @@ const LONGEST: usize = 8 << 20;
 /// fragments, the second.
 const WAIT_US: u32 = 50_000;
 const WAIT_LONG_US: u32 = 500_000;
-/// Longest pause before a connection is tried again.
-const RETRY_MS: u32 = 1000;
+/// Pause before routers are tried again, at first and at most.
+const RETRY: Duration = Duration::from_millis(100);
+const LONGEST_RETRY: Duration = Duration::from_secs(1);
+/// How long to try a router before the next one's turn: it may accept a connection and say nothing. With a limit for all, at least
+/// the second.
+const TURN: Duration = Duration::from_secs(3);
+const SHORTEST_TURN: Duration = Duration::from_millis(500);
 /// How long to wait for a router before the log says so.
 const UNREACHED: Duration = Duration::from_secs(3);
-/// How long to look why one is not reached.
-const LOOK: Duration = Duration::from_secs(1);
 
 /// Zenoh's settings: connections to the named routers, and to nobody else.
-fn settings(links: &Links, mode: &str) -> Value {
+fn settings(links: &Links, mode: &str, turn: Duration) -> Value {
     let mut all = json!({
         "mode": mode,
         "connect": {
             "endpoints": links.routers,
-            "timeout_ms": -1,
+            // Zenoh would try the first router of a client until that is reached.
+            "timeout_ms": { "router": -1, "client": 0 },
             "exit_on_failure": false,
             "retry": {
-                "period_init_ms": 100,
-                "period_max_ms": RETRY_MS,
+                "period_init_ms": millis(RETRY),
+                "period_max_ms": millis(LONGEST_RETRY),
                 "period_increase_factor": 2,
             },
         },
         "listen": { "endpoints": links.listen },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-        "transport": { "link": {
-            "tx": { "lease": LEASE_MS },
-            "rx": { "max_message_size": LONGEST },
-        } },
+        "transport": {
+            "unicast": { "open_timeout": millis(turn) },
+            "link": {
+                "tx": { "lease": LEASE_MS },
+                "rx": { "max_message_size": LONGEST },
+            },
+        },
     });
     // A router would make others wait meanwhile.
     if mode == "client"
@@ -83,7 +90,8 @@ fn settings(links: &Links, mode: &str) -> Value {
 /// # Errors
 /// Zenoh's, or that an address is taken.
 pub fn open_router(links: &Links) -> Result<Session, ZenohError> {
-    let config = Config::from_json5(&settings(links, "router").to_string())?;
+    warn_of_dates(links);
+    let config = Config::from_json5(&settings(links, "router", TURN).to_string())?;
     let opened = zenoh::open(config).wait();
     opened.map_err(|error| cannot_route(links, &error.to_string()).into())
 }
@@ -93,18 +101,20 @@ pub fn open_router(links: &Links) -> Result<Session, ZenohError> {
 /// # Errors
 /// Zenoh's.
 pub fn open(links: &Links) -> Result<Session, ZenohError> {
-    let config = client(links)?;
-    let routers = links.routers.clone();
-    let (opened, opens) = channel::<()>();
-    let thread = std::thread::Builder::new().name("ztl-fleet-opening".to_owned());
-    thread.spawn(move || {
-        if opens.recv_timeout(UNREACHED) == Err(RecvTimeoutError::Timeout) {
-            warn!(target: "fleet", "No router is reached yet; trying again. {}.", obstacles(&routers));
+    warn_of_dates(links);
+    let began = Instant::now();
+    let (mut pause, mut is_told) = (RETRY, false);
+    loop {
+        if let Some(session) = round(links, TURN)? {
+            return Ok(session);
         }
-    })?;
-    let session = zenoh::open(config).wait();
-    drop(opened);
-    session
+        if !is_told && began.elapsed() >= UNREACHED {
+            is_told = true;
+            warn!(target: "fleet", "No router is reached yet; trying again. {}.", obstacles(links));
+        }
+        sleep(pause);
+        pause = (2 * pause).min(LONGEST_RETRY);
+    }
 }
 
 /// Opens the session of a client, if it reaches a router within `limit`.
@@ -112,40 +122,48 @@ pub fn open(links: &Links) -> Result<Session, ZenohError> {
 /// # Errors
 /// That it does not, or Zenoh's.
 pub fn open_within(links: &Links, limit: Duration) -> Result<Session, ZenohError> {
-    let mut config = client(links)?;
-    config.insert_json5("connect/timeout_ms", &limit.as_millis().to_string())?;
-    // Zenoh tells no reason.
-    zenoh::open(config).wait().map_err(|_| {
-        let (limit, why) = (limit.as_secs(), obstacles(&links.routers));
-        format!("no router is reached within {limit} s, so no robot was asked: {why}").into()
-    })
+    warn_of_dates(links);
+    let end = Instant::now() + limit;
+    let count = u32::try_from(links.routers.len())
+        .unwrap_or(u32::MAX)
+        .max(1);
+    loop {
+        let left = end.saturating_duration_since(Instant::now());
+        let turn = (left / count).clamp(SHORTEST_TURN, TURN);
+        if let Some(session) = round(links, turn)? {
+            return Ok(session);
+        }
+        if Instant::now() + RETRY >= end {
+            let (limit, why) = (limit.as_secs(), obstacles(links));
+            return Err(format!(
+                "no router is reached within {limit} s, so no robot was asked: {why}"
+            )
+            .into());
+        }
+        sleep(RETRY);
+    }
 }
 
-fn client(links: &Links) -> Result<Config, ZenohError> {
+/// Tries each router once, in turn. Returns the session of a client if one is reached.
+fn round(links: &Links, turn: Duration) -> Result<Option<Session>, ZenohError> {
     if links.routers.is_empty() {
         return Err("the file names no router; write routers: [tcp/10.0.0.1:7447]".into());
     }
-    Config::from_json5(&settings(links, "client").to_string())
+    // A new id each time: a router may still hold a connection of the last one.
+    let config = Config::from_json5(&settings(links, "client", turn).to_string())?;
+    // Zenoh tells no reason.
+    Ok(zenoh::open(config).wait().ok())
 }
 
-/// Why each of these routers may not be reached, and what helps.
-fn obstacles(routers: &[String]) -> String {
-    let of = |address: &String| {
-        let place = address.split_once('/').map_or("", |(_, place)| place);
-        let connected = place.to_socket_addrs().and_then(|mut all| {
-            let at = all.next().ok_or(std::io::ErrorKind::NotFound)?;
-            TcpStream::connect_timeout(&at, LOOK)
-        });
-        match connected {
-            Ok(_) => format!(
-                "{address}: something listens there, but it is not a router, or one of the two does not accept the other; compare 'tls', and the address's name and protocol, at both ends"
-            ),
-            Err(error) => {
-                format!("{address}: {error}; start a router there, or correct 'routers'")
-            }
-        }
-    };
-    routers.iter().map(of).collect::<Vec<_>>().join("; ")
+/// The certificate is used anyway: the clock may be wrong.
+fn warn_of_dates(links: &Links) {
+    if let Some(mistake) = &links.misdated {
+        warn!(target: "fleet", "{}.", mistake.sentence());
+    }
+}
+
+fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Why a router does not start, by what Zenoh says, which includes places in its source.

@@ -8,7 +8,9 @@
 )]
 
 mod busy;
+mod certificates;
 mod commands;
+mod connections;
 mod faults;
 mod identity;
 #[expect(dead_code, reason = "the benchmark uses the rest")]
