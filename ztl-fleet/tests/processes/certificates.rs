@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 use std::net::TcpStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ztl_std::keys::KeyPair;
@@ -84,7 +84,7 @@ impl Authority {
     }
 }
 
-fn check(file: &PathBuf) -> Ended {
+fn check(file: &Path) -> Ended {
     Process::run(fleet(&["endpoint", "--check"], file).env("LANG", "C"))
 }
 

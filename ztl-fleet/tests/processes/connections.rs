@@ -120,12 +120,11 @@ fn a_robot_that_is_late_does_not_refuse_a_request() {
         ..Links::default()
     };
     let robot = session::open(&links).unwrap();
-    let [arm, desk] = ["arm", "desk"].map(|name| {
+    let [arm, _] = ["arm", "desk"].map(|name| {
         let pair = KeyPair::generate();
         pair.write(&scratch.path(name)).unwrap();
         pair
     });
-    drop(desk);
     let agent = agent_of(&arm.public());
     let asked = robot.declare_queryable(key("arm", &agent, "sealed")).wait();
     let _asked = asked.unwrap();
