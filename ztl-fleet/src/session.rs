@@ -28,9 +28,10 @@ const WAIT_LONG_US: u32 = 500_000;
 /// Pause before routers are tried again, at first and at most.
 const RETRY: Duration = Duration::from_millis(100);
 const LONGEST_RETRY: Duration = Duration::from_secs(1);
-/// How long to try a router before the next one's turn: it may accept a connection and say nothing. With a limit for all, at least
-/// the second.
+/// How long to try a router before the next one's turn: it may accept a connection and say nothing. Each round gives more time, up
+/// to the second, as the machine or the line may be slow. With a limit for all, at least the third.
 const TURN: Duration = Duration::from_secs(3);
+const LONGEST_TURN: Duration = Duration::from_secs(10);
 const SHORTEST_TURN: Duration = Duration::from_millis(500);
 /// How long to wait for a router before the log says so.
 const UNREACHED: Duration = Duration::from_secs(3);
@@ -103,14 +104,19 @@ pub fn open_router(links: &Links) -> Result<Session, ZenohError> {
 pub fn open(links: &Links) -> Result<Session, ZenohError> {
     warn_of_dates(links);
     let began = Instant::now();
-    let (mut pause, mut is_told) = (RETRY, false);
+    let (mut turn, mut pause, mut is_told) = (TURN, RETRY, false);
     loop {
-        if let Some(session) = round(links, TURN)? {
+        let tried = Instant::now();
+        if let Some(session) = round(links, turn)? {
             return Ok(session);
         }
         if !is_told && began.elapsed() >= UNREACHED {
             is_told = true;
             warn!(target: "fleet", "No router is reached yet; trying again. {}.", obstacles(links));
+        }
+        // A router that does not run is no sign of a slow line.
+        if tried.elapsed() >= turn {
+            turn = (2 * turn).min(LONGEST_TURN);
         }
         sleep(pause);
         pause = (2 * pause).min(LONGEST_RETRY);
@@ -129,7 +135,7 @@ pub fn open_within(links: &Links, limit: Duration) -> Result<Session, ZenohError
         .max(1);
     loop {
         let left = end.saturating_duration_since(Instant::now());
-        let turn = (left / count).clamp(SHORTEST_TURN, TURN);
+        let turn = (left / count).max(SHORTEST_TURN);
         if let Some(session) = round(links, turn)? {
             return Ok(session);
         }

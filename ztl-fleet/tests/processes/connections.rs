@@ -2,6 +2,7 @@
 
 use std::net::TcpListener;
 use std::process::Stdio;
+use std::time::Duration;
 
 use zenoh::Wait as _;
 use ztl_fleet::config::Links;
@@ -11,6 +12,7 @@ use ztl_std::State;
 use ztl_std::keys::KeyPair;
 use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, start, until};
 
+use crate::line::{Line, Mode};
 use crate::{Fleet, fleet, kill};
 
 /// A router's address where connections are accepted and nothing is said.
@@ -47,6 +49,20 @@ fn routers_are_tried_in_turn_also_after_one_that_says_nothing() {
         assert_eq!(ended.code, Some(0), "{ended:?}");
         assert!(ended.stdout.starts_with(told), "{ended:?}");
     }
+}
+
+#[test]
+fn a_router_behind_a_slow_line_is_reached() {
+    let (fleet, server) = (Fleet::new(), Server::naps());
+    let line = Line::to(&fleet.address);
+    // Four messages have to pass.
+    line.set(Mode::Slow(Duration::from_secs(1)));
+    let file = fleet.agent_file("arm", &server.endpoint(), "");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let text = text.replace(&fleet.address, &line.address);
+    std::fs::write(&file, text).unwrap();
+    let agent = Process::start(&mut self::fleet(&["join"], &file));
+    agent.wait_for("has joined");
 }
 
 #[test]
