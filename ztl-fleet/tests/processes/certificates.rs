@@ -235,6 +235,7 @@ fn strangers_that_do_not_speak_tls_do_not_keep_others_out() {
         })
         .collect();
     let ended = Process::run(&mut fleet(&["ls"], &own.endpoint(&address, "arm")));
-    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let help = "was zenoh-link-tls built before .cargo/config.toml changed? run: cargo clean -p zenoh-link-tls, and build again";
+    assert_eq!(ended.code, Some(0), "{help}: {ended:?}");
     drop(strangers);
 }
