@@ -112,7 +112,12 @@ pub fn open(links: &Links) -> Result<Session, ZenohError> {
         }
         if !is_told && began.elapsed() >= UNREACHED {
             is_told = true;
-            warn!(target: "fleet", "No router is reached yet; trying again. {}.", obstacles(links));
+            let links = links.clone();
+            let thread = std::thread::Builder::new().name("ztl-fleet-obstacles".to_owned());
+            // Nothing waits for a slow resolver.
+            thread.spawn(move || {
+                warn!(target: "fleet", "No router is reached yet; trying again. {}.", obstacles(&links));
+            })?;
         }
         // A router that does not run is no sign of a slow line.
         if tried.elapsed() >= turn {

@@ -1,10 +1,10 @@
 //! Certificates in PEM, read before Zenoh uses them, so that each mistake has its place; and why a connection over TLS fails.
 
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use rustls::client::verify_server_cert_signed_by_trust_anchor;
 use rustls::crypto::{CryptoProvider, ring};
@@ -19,6 +19,9 @@ use ztl_std::time::rfc3339;
 
 /// Longest file in bytes.
 const LONGEST: u64 = 1 << 20;
+
+/// How long a handshake may take that only looks.
+const LONGEST_TALK: Duration = Duration::from_secs(2);
 
 /// Certificates for connections over TLS.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -214,14 +217,7 @@ pub(crate) fn obstacle(tls: &Tls, host: &str, mut stream: TcpStream) -> Option<S
         Ok(connection) => connection,
         Err(why) => return Some(why),
     };
-    // Whether the own certificate is accepted is told after the handshake.
-    let tried = (|| {
-        while connection.is_handshaking() {
-            connection.complete_io(&mut stream)?;
-        }
-        connection.complete_io(&mut stream)
-    })();
-    let error = tried.err()?;
+    let error = talk(&mut connection, &mut stream).err()?;
     let inner = error.get_ref().and_then(|inner| inner.downcast_ref());
     match inner {
         Some(rustls::Error::AlertReceived(alert)) => {
@@ -240,6 +236,29 @@ pub(crate) fn obstacle(tls: &Tls, host: &str, mut stream: TcpStream) -> Option<S
         None => Some(format!(
             "the connection over TLS ends: {error}; is it a router with tls/… there?"
         )),
+    }
+}
+
+/// Shakes hands, and then listens once: whether the own certificate is accepted is told after the handshake.
+fn talk(connection: &mut ClientConnection, stream: &mut TcpStream) -> io::Result<()> {
+    let end = Instant::now() + LONGEST_TALK;
+    loop {
+        while connection.wants_write() {
+            connection.write_tls(stream)?;
+        }
+        let is_last = !connection.is_handshaking();
+        if connection.read_tls(stream)? == 0 {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        let read = connection.process_new_packets();
+        read.map_err(|error| io::Error::new(ErrorKind::InvalidData, error))?;
+        if is_last {
+            return Ok(());
+        }
+        // Somebody may send a byte now and then.
+        if Instant::now() >= end {
+            return Err(ErrorKind::TimedOut.into());
+        }
     }
 }
 

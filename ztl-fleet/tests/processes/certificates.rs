@@ -1,12 +1,13 @@
 //! Certificates that `--check` reads, that are out of date, or that another part does not accept.
 
 use std::io::Write as _;
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use ztl_std::keys::KeyPair;
-use ztl_tests::lab::{Ended, Process, Scratch, reserve_port};
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, reserve_port};
 
 use crate::fleet;
 
@@ -196,6 +197,32 @@ fn certificates_of_two_authorities_are_told_at_both_ends() {
     let told = format!(
         "{address}: about the router: the certificate is not signed by an authority in 'ca'"
     );
+    assert!(ended.stderr.contains(&told), "{ended:?}");
+}
+
+#[test]
+fn who_sends_a_byte_now_and_then_does_not_hold_up_a_command() {
+    let own = Authority::new();
+    own.make("arm");
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("tls/{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        for mut near in listener.incoming().flatten() {
+            std::thread::spawn(move || {
+                // The beginning of a record of 16 KiB.
+                let mut sent = near.write_all(&[22, 3, 3, 64, 0]);
+                while sent.is_ok() {
+                    // The time is the fault.
+                    std::thread::sleep(Duration::from_millis(100));
+                    sent = near.write_all(&[2]);
+                }
+            });
+        }
+    });
+    let ls = Process::start(&mut fleet(&["ls"], &own.endpoint(&address, "arm")));
+    let ended = ls.end(PATIENCE);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    let told = format!("{address}: something listens there, but it does not answer as a router");
     assert!(ended.stderr.contains(&told), "{ended:?}");
 }
 
