@@ -22,7 +22,7 @@ use ztl_core::Instant;
 use ztl_core::Message;
 use ztl_core::envelope::ClientId;
 
-use crate::wire::{InitId, InitRules, LONGEST_VALID_MS, Verdict};
+use crate::wire::{ANOTHER_INIT, InitId, InitRules, LONGEST_VALID_MS, Verdict, checksum};
 use record::{Record, Stage};
 
 /// How long a decided INIT is remembered after its validity.
@@ -210,9 +210,7 @@ impl Agent {
                 return reply(Verdict::NotStarted(GIVEN_UP.to_owned()));
             }
             if record.hash != hash {
-                return reply(Verdict::NotStarted(
-                    "another INIT has this number".to_owned(),
-                ));
+                return reply(Verdict::NotStarted(ANOTHER_INIT.to_owned()));
             }
             return record.tell(now, query, id);
         }
@@ -481,12 +479,6 @@ impl Agent {
             stays
         });
     }
-}
-
-/// FNV-1a: tells apart what a client did not mean to be the same. Its clients choose both.
-fn checksum(bytes: &[u8]) -> u64 {
-    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
 }
 
 #[cfg(test)]

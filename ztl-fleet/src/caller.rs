@@ -1,25 +1,32 @@
 //! Asks robots, in plain queries or in sealed ones, which only the robot's key can answer.
 
+mod stop;
+
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tracing::{error, warn};
 use zenoh::handlers::CallbackDrop;
 use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
+use zenoh::sample::Locality;
 use zenoh::{Session, Wait as _};
+use ztl_core::Instant;
 use ztl_std::keys::KeyPair;
+use ztl_std::time::now;
 
 use crate::config::EndpointConfig;
+use crate::lives::Lives;
 use crate::random;
 use crate::seal::{Request, Shared, agent_of};
-use crate::seldom::{Seldom, brief};
+use crate::seldom::{SeldomOf, brief};
 use crate::session::{ZenohError, key, verdict};
 use crate::wire::{AgentQuery, RobotInfo, Verdict, fresh, is_abort};
+pub use stop::StopAnswer;
 
 /// How long a question may act after it was sent, by the robot's clock.
 const VALID_MS: u64 = 2500;
@@ -36,15 +43,15 @@ struct Told {
 pub struct Caller {
     session: Session,
     identity: Option<Arc<Identity>>,
+    machines: Arc<Machines>,
 }
 
 struct Identity {
     own: KeyPair,
     /// The agent that alone has a name, and what its key shares with the own one.
     robots: BTreeMap<String, (String, Shared)>,
-    told: Seldom,
-    /// Robots of which two agents have the key.
-    copied: Mutex<BTreeSet<String>>,
+    /// Limits what is told of strangers, by robots.
+    told: SeldomOf<String>,
 }
 
 impl Identity {
@@ -52,13 +59,40 @@ impl Identity {
         Self {
             own,
             robots,
-            told: Seldom::default(),
-            copied: Mutex::default(),
+            told: SeldomOf::default(),
         }
     }
+}
 
-    fn copied(&self) -> MutexGuard<'_, BTreeSet<String>> {
-        self.copied.lock().unwrap_or_else(PoisonError::into_inner)
+/// What answers as which agent of which robot.
+#[derive(Default)]
+struct Machines(Mutex<BTreeMap<(String, String), Lives>>);
+
+impl Machines {
+    fn all(&self) -> MutexGuard<'_, BTreeMap<(String, String), Lives>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn are_two(&self, robot: &str, agent: &str) -> bool {
+        let mut all = self.all();
+        let lives = all.get_mut(&(robot.to_owned(), agent.to_owned()));
+        lives.is_some_and(|lives| lives.are_two(now()))
+    }
+
+    /// An agent has answered a question that was asked then.
+    fn note(&self, robot: &str, agent: &str, has_key: bool, asked: Instant, verdict: &Verdict) {
+        let Some(boot) = boot(verdict) else { return };
+        let mut all = self.all();
+        let lives = all.entry((robot.to_owned(), agent.to_owned()));
+        let is_news = lives.or_default().note(now(), boot, asked);
+        drop(all);
+        if is_news {
+            let (what, own) = match has_key {
+                true => ("have the key", "key"),
+                false => ("have the name and the id", "'state' directory"),
+            };
+            error!(target: "fleet", "Two agents {what} of robot '{robot}'. Nothing but 'stop' is sent to it until one of them has been silent for a minute; give each robot its own {own}.");
+        }
     }
 }
 
@@ -75,14 +109,21 @@ impl Caller {
             let robots = robots.collect();
             Arc::new(Identity::new(own, robots))
         });
-        Self { session, identity }
+        Self {
+            session,
+            identity,
+            machines: Arc::default(),
+        }
     }
 
     /// Asks in plain queries.
     #[must_use]
-    pub const fn plain(session: Session) -> Self {
-        let identity = None;
-        Self { session, identity }
+    pub fn plain(session: Session) -> Self {
+        Self {
+            session,
+            identity: None,
+            machines: Arc::default(),
+        }
     }
 
     /// Asks agents that have a robot's own key: whoever answers is a copy of it.
@@ -94,6 +135,7 @@ impl Caller {
         Self {
             session,
             identity: Some(Arc::new(identity)),
+            machines: Arc::default(),
         }
     }
 
@@ -116,6 +158,20 @@ impl Caller {
         self.identity.is_none() || self.bound(robot) == Some(agent)
     }
 
+    /// Whether two machines answer as this agent, so that only `info` and `stop` are sent to it.
+    #[must_use]
+    pub fn is_in_doubt(&self, robot: &str, agent: &str) -> bool {
+        self.machines.are_two(robot, agent)
+    }
+
+    /// Whether more than one boot has answered as this agent: two machines, or one that was restarted meanwhile.
+    #[must_use]
+    pub fn hears_several(&self, robot: &str, agent: &str) -> bool {
+        let all = self.machines.all();
+        let lives = all.get(&(robot.to_owned(), agent.to_owned()));
+        lives.is_some_and(|lives| lives.count() > 1)
+    }
+
     /// Sends a question to a robot's agent. Its first true reply, then the end go to the functions.
     ///
     /// # Errors
@@ -128,24 +184,47 @@ impl Caller {
         on_reply: impl Fn(Verdict) + Send + Sync + 'static,
         on_end: impl FnMut() + Send + Sync + 'static,
     ) -> Result<(), ZenohError> {
+        let answered = AtomicBool::new(false);
+        let first = move |verdict| {
+            // Whoever answers more often is not heard.
+            if !answered.swap(true, Ordering::Relaxed) {
+                on_reply(verdict);
+            }
+        };
+        self.ask_each(agent, request, limit, first, on_end)
+    }
+
+    /// The same with all true replies: `info` and `stop` go to each machine that has the agent's name and id.
+    fn ask_each(
+        &self,
+        agent: &str,
+        request: &Request<'_>,
+        limit: Duration,
+        on_reply: impl Fn(Verdict) + Send + Sync + 'static,
+        on_end: impl FnMut() + Send + Sync + 'static,
+    ) -> Result<(), ZenohError> {
+        let is_for_all = [AgentQuery::Info.name(), AgentQuery::Stop.name()].contains(&request.what);
+        if !is_for_all && self.is_in_doubt(request.robot, agent) {
+            return Err(format!("two machines answer as robot '{}'", request.robot).into());
+        }
         // Routers and links pass it on before what waits there.
         let is_urgent = request.what == AgentQuery::Stop.name() || is_abort(request.body);
         let priority = match is_urgent {
             true => Priority::RealTime,
             false => Priority::DEFAULT,
         };
+        let (robot, name) = (request.robot.to_owned(), agent.to_owned());
+        let (machines, asked_at) = (Arc::clone(&self.machines), now());
         let Some(identity) = &self.identity else {
             let mut selector = key(request.robot, agent, request.what);
             // Without keys, a clock is for INITs only.
             if request.parameters.contains("client=") {
                 selector = format!("{selector}?{}", request.parameters);
             }
-            let answered = AtomicBool::new(false);
             let callback = move |reply: Reply| {
-                // Whoever answers more often is not heard.
-                if !answered.swap(true, Ordering::Relaxed) {
-                    on_reply(verdict(&reply));
-                }
+                let verdict = verdict(&reply);
+                machines.note(&robot, &name, false, asked_at, &verdict);
+                on_reply(verdict);
             };
             let handler = CallbackDrop {
                 callback,
@@ -155,23 +234,22 @@ impl Caller {
             // "Express": neither the question nor its answer waits for a batch. Without consolidation, the answer does not wait
             // for the end of the query, which follows it through all routers.
             let query = query.express(true).consolidation(ConsolidationMode::None);
+            let query = query.target(match is_for_all {
+                true => QueryTarget::All,
+                false => QueryTarget::BestMatching,
+            });
+            let query = query.allowed_destination(Locality::Remote);
             let query = query.payload(request.body).timeout(limit);
             return query.with(handler).wait();
         };
-        let robot = request.robot.to_owned();
         let known = identity.robots.get(&robot);
         let Some((_, shared)) = known.filter(|(bound, _)| bound == agent) else {
             return Err(format!("agent {agent} does not have the key of robot '{robot}'").into());
         };
-        if identity.copied().contains(&robot) {
-            return Err(format!("two agents have the key of robot '{robot}'").into());
-        }
         let asked = random::nonce()?;
         let sealed = shared.request(&identity.own.public(), &asked, request);
         let sealed = sealed.ok_or("the request's parameters are too long")?;
         let identity = Arc::clone(identity);
-        // The boot of the agent that has answered, where it tells it.
-        let answered: OnceLock<Option<u32>> = OnceLock::new();
         let callback = move |reply: Reply| {
             let (payload, is_refusal) = match reply.result() {
                 Ok(sample) => (sample.payload().to_bytes(), false),
@@ -182,16 +260,9 @@ impl Caller {
             let shared = identity.robots.get(&robot);
             let opened = shared.and_then(|(_, shared)| shared.open_answer(&asked, &payload));
             if let Some(verdict) = opened {
-                let boot = boot(&verdict);
-                if answered.set(boot).is_ok() {
-                    on_reply(verdict);
-                } else if boot.is_some()
-                    && answered.get() != Some(&boot)
-                    && identity.copied().insert(robot.clone())
-                {
-                    error!(target: "fleet", "Two agents have the key of robot '{robot}'. It is not used any more; give each robot its own key, and restart.");
-                }
-            } else if !identity.told.may() {
+                machines.note(&robot, &name, true, asked_at, &verdict);
+                on_reply(verdict);
+            } else if !identity.told.may(&robot) {
                 // The log has said so.
             } else if is_late {
                 warn!(target: "fleet", "Robot '{robot}' does not answer a request.");
@@ -212,6 +283,7 @@ impl Caller {
             .priority(priority)
             .express(true)
             .target(QueryTarget::All)
+            .allowed_destination(Locality::Remote)
             .consolidation(ConsolidationMode::None);
         query.payload(sealed).timeout(limit).with(handler).wait()
     }
@@ -222,8 +294,8 @@ impl Caller {
         let Some(identity) = &self.identity else {
             return Some(Cow::Borrowed(payload));
         };
-        let (_, shared) = identity.robots.get(robot)?;
-        if identity.copied().contains(robot) {
+        let (agent, shared) = identity.robots.get(robot)?;
+        if self.is_in_doubt(robot, agent) {
             return None;
         }
         shared.open_stream(payload).map(Cow::Owned)
@@ -300,13 +372,14 @@ impl Caller {
     }
 }
 
-/// The boot of the agent that answers what its robot is.
+/// The boot of the agent that answers, where it tells it.
 fn boot(verdict: &Verdict) -> Option<u32> {
     match verdict {
-        Verdict::Answer(body) => {
+        Verdict::Answer(body) if body.first() == Some(&b'{') => {
             let info: Option<RobotInfo> = serde_json::from_slice(body).ok();
             info.map(|info| info.boot)
         }
+        Verdict::Stale { boot, .. } => Some(*boot),
         _ => None,
     }
 }

@@ -10,13 +10,13 @@ mod questions;
 mod requests;
 mod robots;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use ztl_core::Instant;
 use ztl_core::envelope::{ClientId, Envelope};
 
-use crate::wire::{InitId, InitRules, RobotInfo, Verdict};
+use crate::wire::{ANOTHER_INIT, InitId, InitRules, RobotInfo, Verdict};
 use questions::Question;
 pub use requests::robot_of;
 use robots::Robot;
@@ -117,6 +117,8 @@ pub struct ClientRequest<'a> {
 pub struct Endpoint {
     boot: u32,
     robots: BTreeMap<String, Robot>,
+    /// Robots that belong to the fleet, whether or not they were ever there.
+    expected: BTreeSet<String>,
     inits: BTreeMap<ClientId, LastInit>,
     pending: BTreeMap<u64, Pending>,
     questions: BTreeMap<u64, Question>,
@@ -129,6 +131,8 @@ struct LastInit {
     number: u64,
     robot: String,
     agent: String,
+    /// Checksum of its scope and payload.
+    hash: u64,
     rules: Option<InitRules>,
     /// What it was answered; without its scope.
     answer: Option<Vec<u8>>,
@@ -169,6 +173,7 @@ impl Endpoint {
         Self {
             boot,
             robots: BTreeMap::new(),
+            expected: BTreeSet::new(),
             inits: BTreeMap::new(),
             pending: BTreeMap::new(),
             questions: BTreeMap::new(),
@@ -217,6 +222,8 @@ impl Endpoint {
                 // Another copy of it may have been sent with other rules meanwhile.
                 let is_latest = id.is_some_and(|id| self.is_latest(id, &pending.what));
                 let is_refused = !matches!(verdict, Verdict::Answer(_));
+                let is_another =
+                    matches!(&verdict, Verdict::NotStarted(why) if why == ANOTHER_INIT);
                 let body = match verdict {
                     Verdict::Answer(body) => with_scope(&body, &robot_scope, &scope),
                     // Only an INIT can be known not to have acted.
@@ -226,7 +233,7 @@ impl Endpoint {
                     }
                     _ => return vec![EndpointEffect::Silence { request }],
                 };
-                if let Some(id) = id {
+                if let Some(id) = id.filter(|_| !is_another) {
                     self.note_answer(now, id, &body);
                     if is_refused {
                         self.give_up(id);

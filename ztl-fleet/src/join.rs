@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::sync::atomic::AtomicUsize;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use tracing::{info, warn};
 use zenoh::query::Query;
@@ -21,20 +21,18 @@ use ztl_std::relay::RelayClient;
 use ztl_std::time::now;
 
 use crate::agent::Agent;
-use crate::caller::Caller;
 use crate::config::AgentConfig;
 use crate::journal::Journal;
 use crate::random;
 use crate::routers;
 use crate::seal;
-use crate::seldom::Seldom;
+use crate::seldom::{Seldom, SeldomOf};
 use crate::session::{self, ZenohError, key};
 use crate::wire::{AgentQuery, RobotInfo, Verdict};
 use asked::{Asked, Clients, Seen};
-use requests::Rules;
+use requests::{Aborting, Rules};
 use server::ServerState;
 use stop::Started;
-pub use stop::Stopped;
 use streams::Subscriptions;
 use threads::Job;
 
@@ -57,7 +55,7 @@ pub enum JoinEnd {
         /// The agent that has it.
         by: String,
     },
-    /// Another agent has the robot's key.
+    /// Another agent has the robot's name and its key, or a copy of its directory.
     Copied {
         /// The robot's name.
         robot: String,
@@ -73,7 +71,7 @@ impl std::fmt::Display for JoinEnd {
             ),
             Self::Copied { robot } => write!(
                 f,
-                "another agent has the name and the key of robot '{robot}'; give each robot its own, or stop that agent"
+                "another agent has the name and the key of robot '{robot}', or its id; give each robot its own name, key and 'state' directory, or stop that agent"
             ),
         }
     }
@@ -87,6 +85,8 @@ struct Shared {
     /// The agent's id.
     id: String,
     since: u64,
+    /// When it claimed the name.
+    claimed: Instant,
     session: Session,
     client: RelayClient,
     /// Who may ask, if the robot has a key.
@@ -99,6 +99,7 @@ struct Shared {
     subscriptions: Mutex<Subscriptions>,
     busy: AtomicUsize,
     waiting: AtomicUsize,
+    aborting: Aborting,
     /// Threads that wait for a query.
     idle: Mutex<Vec<Sender<Job>>>,
     ends: Mutex<Sender<JoinEnd>>,
@@ -110,6 +111,9 @@ struct Told {
     refusals: Seldom,
     rivals: Seldom,
     claims: Seldom,
+    copies: Seldom,
+    /// By the keys that ask for what they may not use.
+    rights: SeldomOf<Option<[u8; 32]>>,
 }
 
 /// A robot's agent, which runs until it is dropped.
@@ -129,7 +133,13 @@ impl Joined {
         let client = RelayClient::new(&config.server, keys)?;
         let (mut journal, found) = Journal::open(&config.state, random::id()?)?;
         let agent = Agent::new(now(), random::boot()?, &found.entries, found.complete);
-        journal.rewrite(&agent.entries())?;
+        if let Err(error) = journal.rewrite(&agent.entries()) {
+            // With the mark, nothing acts that cannot be written, and a later agent knows that entries are missing.
+            if journal.mark().is_err() {
+                return Err(error.into());
+            }
+            warn!(target: "fleet", "The journal cannot be written, so no task starts until it can: {error}");
+        }
         let session = session::open(&config.links)?;
         routers::watch(&session, &config.links)?;
         let robot = config.name.clone();
@@ -149,6 +159,7 @@ impl Joined {
                 seal::agent_of(&identity.own.public())
             }),
             since,
+            claimed: Instant::now(),
             rules: Mutex::new(Rules {
                 agent,
                 journal,
@@ -161,6 +172,7 @@ impl Joined {
             session: session.clone(),
             busy: AtomicUsize::new(0),
             waiting: AtomicUsize::new(0),
+            aborting: Aborting::default(),
             idle: Mutex::default(),
             ends: Mutex::new(sender),
             config,
@@ -171,21 +183,12 @@ impl Joined {
         let has_key = shared.config.identity.is_some();
         let mut others = present.into_iter().filter(|(_, agent)| agent != id);
         if let Some((_, other)) = others.next().filter(|_| !has_key) {
-            // That one is told, too.
-            let (told, end) = channel();
-            let on_end = move || {
-                let _ = told.send(());
-            };
-            session::claim(&session, &robot, &other, id, CLAIM, on_end)?;
-            let _ = end.recv();
+            shared.tell_refused(&session, &other)?;
             return Err(JoinEnd::NameTaken { robot, by: other }.into());
         }
-        if let Some(identity) = &shared.config.identity {
-            let caller = Caller::of_itself(session.clone(), &robot, &identity.own);
-            let copies = caller.infos(&[(robot.clone(), id.clone())], CLAIM);
-            if copies.iter().any(Option::is_some) {
-                return Err(JoinEnd::Copied { robot }.into());
-            }
+        if shared.others_with_id(&session).is_some() {
+            shared.tell_refused(&session, id)?;
+            return Err(JoinEnd::Copied { robot }.into());
         }
         shared.probe();
         shared.offer(&session)?;
@@ -193,6 +196,10 @@ impl Joined {
             shared.run(|rules| rules.agent.handle_timeout(now()));
         })?;
         shared.spawn("ztl-fleet-probe", server::AGAIN, Shared::probe)?;
+        let asks = session.clone();
+        shared.spawn("ztl-fleet-copies", rivals::AGAIN, move |shared| {
+            shared.look_for_copy(&asks);
+        })?;
         let alive = session.liveliness().declare_token(key(&robot, id, "alive"));
         // It lasts as long as the session.
         std::mem::forget(alive.wait()?);
@@ -275,11 +282,19 @@ impl Shared {
             let answer = Arc::new(answer);
             let weak = Arc::downgrade(self);
             let key = key(&self.config.name, &self.id, what);
-            let queryable = session.declare_queryable(key).complete(true);
+            let queryable = session.declare_queryable(key.clone()).complete(true);
             let queryable = queryable.callback(move |query| {
                 let Some(shared) = weak.upgrade() else {
                     return;
                 };
+                if query.key_expr().as_str() != key {
+                    // Who looks at everything, as with `ztl/**`, does not mean to stop or to start anything.
+                    let reason = format!("ask exactly {key}");
+                    let _ = query
+                        .reply_err(Verdict::NotStarted(reason).to_string())
+                        .wait();
+                    return;
+                }
                 let (refused, answer) = (query.clone(), Arc::clone(&answer));
                 if !shared.spawn_busy(move |shared| answer(shared, query)) {
                     // An earlier copy may have acted. (A client with a key believes a sealed answer only.)
@@ -332,6 +347,7 @@ impl Shared {
             boot: rules.agent.boot(),
             clock_ms: now().as_millis(),
             since: self.since,
+            held_ms: u64::try_from(self.claimed.elapsed().as_millis()).unwrap_or(u64::MAX),
             groups: self.config.groups.clone(),
             streams: self.config.publish.is_some(),
             ready: server.problem.is_none(),

@@ -26,6 +26,8 @@ pub struct Journal {
     longest: u64,
     /// The last entry may have been written in part.
     torn: bool,
+    /// Of this start of the system and this directory.
+    place: String,
     /// Held for as long as the agent runs.
     _lock: File,
 }
@@ -37,7 +39,8 @@ pub struct Found {
     pub agent: String,
     /// The entries, oldest first.
     pub entries: Vec<Entry>,
-    /// Whether none can be missing: all were written since the system was started, so that a power failure lost none.
+    /// Whether none can be missing: all were written since the system was started, so that a power failure lost none, and in
+    /// this directory, not in one of which it is a copy.
     pub complete: bool,
 }
 
@@ -79,7 +82,8 @@ impl Journal {
         let system = lines.next().unwrap_or_default().trim_end();
         let lacks = system.starts_with(LACKS);
         let system = system.strip_prefix(WHOLE).unwrap_or_default();
-        let complete = !system.is_empty() && system == system_boot();
+        let place = place(&lock);
+        let complete = !system.is_empty() && system == place;
         // The last line may be incomplete: it was being written when the agent was killed, so it was not acted on.
         let whole = lines.filter(|line| line.ends_with('\n'));
         let entries = whole.filter_map(|line| serde_json::from_str(line).ok());
@@ -95,6 +99,7 @@ impl Journal {
             written: 0,
             longest: LONGEST,
             torn: false,
+            place,
             _lock: lock,
         };
         Ok((journal, found))
@@ -105,7 +110,7 @@ impl Journal {
     /// # Errors
     /// The system's, with the path. The journal is as before then.
     pub fn rewrite(&mut self, entries: &[Entry]) -> io::Result<()> {
-        let mut bytes = format!("{WHOLE}{}\n", system_boot()).into_bytes();
+        let mut bytes = format!("{WHOLE}{}\n", self.place).into_bytes();
         for entry in entries {
             line(entry, &mut bytes)?;
         }
@@ -180,10 +185,25 @@ fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<File> {
     })
 }
 
-/// Identifies the start of the system; empty where it cannot be told.
-fn system_boot() -> String {
+/// Identifies the start of the system, and the directory by a file that a copy does not share; empty where it cannot be told.
+fn place(file: &File) -> String {
     let id = fs::read_to_string("/proc/sys/kernel/random/boot_id");
-    id.unwrap_or_default().trim().to_owned()
+    match (id.unwrap_or_default().trim(), inode(file)) {
+        (boot, Some(inode)) if !boot.is_empty() => format!("{boot} {inode}"),
+        _ => String::new(),
+    }
+}
+
+#[cfg(unix)]
+fn inode(file: &File) -> Option<u64> {
+    use std::os::unix::fs::MetadataExt as _;
+
+    file.metadata().ok().map(|metadata| metadata.ino())
+}
+
+#[cfg(not(unix))]
+fn inode(_: &File) -> Option<u64> {
+    None
 }
 
 #[cfg(test)]
@@ -239,6 +259,27 @@ mod tests {
         assert_eq!(found.entries, [Entry::Boot(7), given_up(4)]);
         assert!(found.complete);
         fs::remove_dir_all(directory).unwrap();
+    }
+
+    #[test]
+    fn a_copy_of_a_directory_does_not_take_its_journal_for_complete() {
+        let (first, copy) = (directory("first"), directory("copy"));
+        let (mut journal, _) = Journal::open(&first, ClientId([1; 16])).unwrap();
+        journal.rewrite(&[Entry::Boot(7)]).unwrap();
+        fs::create_dir(&copy).unwrap();
+        for file in ["id", "journal", "lock"] {
+            fs::copy(first.join(file), copy.join(file)).unwrap();
+        }
+        drop(journal);
+        let complete = [&first, &copy].map(|directory| {
+            let (_journal, found) = Journal::open(directory, ClientId([2; 16])).unwrap();
+            assert_eq!(found.agent, "01".repeat(16));
+            found.complete
+        });
+        assert_eq!(complete, [true, false]);
+        for directory in [first, copy] {
+            fs::remove_dir_all(directory).unwrap();
+        }
     }
 
     #[test]

@@ -14,6 +14,8 @@ pub mod join;
 #[cfg(feature = "processes")]
 pub mod journal;
 #[cfg(feature = "processes")]
+mod lives;
+#[cfg(feature = "processes")]
 mod obstacles;
 #[cfg(feature = "processes")]
 pub mod random;

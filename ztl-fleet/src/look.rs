@@ -7,11 +7,10 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 use ztl_core::Message;
-use ztl_fleet::caller::Caller;
+use ztl_fleet::caller::{Caller, StopAnswer};
 use ztl_fleet::config::EndpointConfig;
-use ztl_fleet::join::Stopped;
 use ztl_fleet::session;
-use ztl_fleet::wire::{AgentQuery, RobotInfo, Verdict};
+use ztl_fleet::wire::{AgentQuery, RobotInfo, Stopped, Verdict};
 use ztl_std::time::rfc3339;
 use ztl_std::{Description, RemoteId, State};
 
@@ -50,6 +49,34 @@ pub(crate) struct Found {
     pub(crate) name: String,
     /// Its agent, and what that says, if it answers.
     pub(crate) agent: Option<(String, Option<RobotInfo>)>,
+    /// Whether several machines answered as this agent.
+    pub(crate) is_doubted: bool,
+}
+
+/// What is seen of a fleet.
+pub(crate) struct Looked {
+    /// The robots that are there or should be.
+    pub(crate) found: Vec<Found>,
+    /// Agents that do not have the key of their name.
+    pub(crate) refused: Agents,
+    /// That no robot is known to belong to the group, and which groups there are.
+    pub(crate) note: Option<String>,
+}
+
+fn no_group(group: &str, infos: &[Option<RobotInfo>]) -> Option<String> {
+    let known = infos.iter().flatten().flat_map(|info| &info.groups);
+    let known: BTreeSet<&str> = known.map(String::as_str).collect();
+    if known.contains(group) {
+        return None;
+    }
+    let known: Vec<&str> = known.into_iter().collect();
+    let others = match known.is_empty() {
+        true => "no robot tells a group".to_owned(),
+        false => format!("there are: {}", known.join(", ")),
+    };
+    Some(format!(
+        "no robot is known to belong to group '{group}'; {others}"
+    ))
 }
 
 impl Select {
@@ -67,32 +94,43 @@ impl Select {
     }
 
     fn find(&self) -> Result<(Caller, Vec<Found>), session::ZenohError> {
-        self.find_with(|caller, agents| caller.infos(agents, LIMIT))
-    }
-
-    /// The same; `infos` asks what the agents say.
-    fn find_with(
-        &self,
-        infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
-    ) -> Result<(Caller, Vec<Found>), session::ZenohError> {
-        let (caller, config) = self.open(Some(CONNECTING))?;
-        let (all, refused) = self.look_with(&caller, &config, infos)?;
-        for (robot, agent) in refused {
-            // Also if nobody reads it, `stop-all` stops.
-            let _ = line(refusal(&robot, &agent));
-        }
-        if let Some(group) = self.group.as_ref().filter(|_| all.is_empty()) {
-            return Err(format!("no robot is known to belong to group '{group}'").into());
-        }
+        let (caller, all, _) = self.find_with(|caller, agents| caller.infos(agents, LIMIT))?;
         Ok((caller, all))
     }
 
-    /// The robots that are there or should be, and agents that do not have the key of their name.
+    /// The same, and whether the file names no robots; `infos` asks what the agents say.
+    fn find_with(
+        &self,
+        infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
+    ) -> Result<(Caller, Vec<Found>, bool), session::ZenohError> {
+        let (caller, config) = self.open(Some(CONNECTING))?;
+        let mut looked = self.look_with(&caller, &config, infos)?;
+        for found in &mut looked.found {
+            if let Some((agent, _)) = &found.agent {
+                // A command does not look twice.
+                found.is_doubted |= caller.hears_several(&found.name, agent);
+            }
+        }
+        // Also if nobody reads this, `stop-all` stops.
+        for (robot, agent) in looked.refused {
+            let _ = line(refusal(&robot, &agent));
+        }
+        if let Some(note) = looked.note {
+            if looked.found.is_empty() {
+                return Err(note.into());
+            }
+            // Some of those that do not answer may belong to it.
+            let _ = line(note);
+        }
+        Ok((caller, looked.found, config.robots.is_empty()))
+    }
+
+    /// Looks who is there.
     pub(crate) fn look(
         &self,
         caller: &Caller,
         config: &EndpointConfig,
-    ) -> Result<(Vec<Found>, Agents), session::ZenohError> {
+    ) -> Result<Looked, session::ZenohError> {
         self.look_with(caller, config, |caller, agents| caller.infos(agents, LIMIT))
     }
 
@@ -101,17 +139,22 @@ impl Select {
         caller: &Caller,
         config: &EndpointConfig,
         infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
-    ) -> Result<(Vec<Found>, Agents), session::ZenohError> {
+    ) -> Result<Looked, session::ZenohError> {
         let present = session::present(caller.session(), "*", LIMIT)?;
         let (agents, refused): (Agents, Agents) = present
             .into_iter()
             .partition(|(robot, agent)| caller.accepts(robot, agent));
         let infos = infos(caller, &agents);
+        let note = self
+            .group
+            .as_ref()
+            .and_then(|group| no_group(group, &infos));
         let there: BTreeSet<&String> = agents.iter().map(|(robot, _)| robot).collect();
         let missing = config.robots.keys().filter(|name| !there.contains(name));
         let missing = missing.map(|name| Found {
             name: name.clone(),
             agent: None,
+            is_doubted: false,
         });
         let mut all: Vec<Found> = missing.collect();
         for ((name, agent), info) in agents.into_iter().zip(infos) {
@@ -121,12 +164,21 @@ impl Select {
                 _ => true,
             };
             if fits {
+                let is_doubted = caller.is_in_doubt(&name, &agent);
                 let agent = Some((agent, info));
-                all.push(Found { name, agent });
+                all.push(Found {
+                    name,
+                    agent,
+                    is_doubted,
+                });
             }
         }
         all.sort_by(|a, b| a.name.cmp(&b.name));
-        Ok((all, refused))
+        Ok(Looked {
+            found: all,
+            refused,
+            note,
+        })
     }
 
     /// Exit code 0 if all robots are there and ready.
@@ -137,13 +189,25 @@ impl Select {
             let name = &found.name;
             let (is_ready, state, more) = match &found.agent {
                 None => (false, "not there", String::new()),
+                Some((agent, _)) if found.is_doubted => {
+                    let more = format!("several machines answer as agent {agent}");
+                    (false, "in doubt", more)
+                }
                 Some((agent, None)) => (false, "does not answer", format!("agent {agent}")),
                 Some((_, Some(info))) => match &info.problem {
                     None => {
                         let scopes = info.scopes.join(" ");
                         let streams = if info.streams { "  streams" } else { "" };
                         let since = wall(info.since);
-                        (true, "ready", format!("{scopes}  since {since}{streams}"))
+                        let groups = match info.groups.is_empty() {
+                            true => String::new(),
+                            false => format!("  in {}", info.groups.join(", ")),
+                        };
+                        (
+                            true,
+                            "ready",
+                            format!("{scopes}  since {since}{groups}{streams}"),
+                        )
                     }
                     Some(problem) => (false, "not ready", problem.clone()),
                 },
@@ -160,9 +224,14 @@ impl Select {
         let mut good = true;
         for (found, tasks) in all.iter().zip(tasks(&caller, &all)) {
             let name = &found.name;
-            let Some(tasks) = tasks else {
+            let Some(tasks) = tasks.filter(|_| !found.is_doubted) else {
                 good = false;
-                line(format_args!("{name}  unknown: it does not list its tasks"))?;
+                let why = match &found.agent {
+                    None => "it is not there",
+                    Some(_) if found.is_doubted => "several machines answer as this robot",
+                    Some(_) => "it does not list its tasks",
+                };
+                line(format_args!("{name}  unknown: {why}"))?;
                 continue;
             };
             for (id, task) in tasks.of {
@@ -204,8 +273,19 @@ impl Select {
             };
             return Err(format!("robot '{name}' is not there; {others}").into());
         };
+        if found.is_doubted {
+            return Err(format!("several machines answer as robot '{name}'; stop all tasks with stop-all, and give each robot its own name").into());
+        }
+        if let Some((_, Some(info))) = &found.agent
+            && !info.scopes.is_empty()
+            && !info.scopes.iter().any(|scope| scope == own)
+        {
+            let scopes = info.scopes.join(", ");
+            return Err(format!("robot '{name}' has no scope '{own}'; it has: {scopes}").into());
+        }
         let all = [found];
         let end = Instant::now() + STOPPING;
+        let mut is_first = true;
         loop {
             let body = format!("{own};3;{id};abort command");
             let answer = ask(&caller, &all, AgentQuery::Request, body.as_bytes(), LIMIT);
@@ -222,21 +302,29 @@ impl Select {
                     return Ok(code(false));
                 }
                 Some(state) if state.is_final() => {
-                    line(format_args!("{id}  /{scope}  {state}  {text}"))?;
+                    let said = match (state, is_first) {
+                        (State::Aborted, _) => "it has stopped",
+                        (_, true) => "it has ended by itself, before it was aborted",
+                        (_, false) => "it has ended by itself",
+                    };
+                    line(format_args!("{id}  /{scope}  {state}: {said}"))?;
                     return Ok(code(true));
                 }
                 _ if Instant::now() >= end => {
                     line(format_args!("{id}  /{scope}  may still run: {text}"))?;
                     return Ok(code(false));
                 }
-                _ => std::thread::sleep(PAUSE),
+                _ => {
+                    is_first = false;
+                    std::thread::sleep(PAUSE);
+                }
             }
         }
     }
 
     /// Exit code 0 if every robot has confirmed that nothing runs.
     pub(crate) fn stop_all(self) -> Done {
-        let (caller, all) = self.find_with(|caller, agents| match self.group {
+        let (caller, all, names_none) = self.find_with(|caller, agents| match self.group {
             // No robot waits for what another one says.
             None => vec![None; agents.len()],
             Some(_) => caller.infos(agents, LIMIT),
@@ -244,24 +332,76 @@ impl Select {
         if all.is_empty() {
             return Err("no robot is there, so none was stopped".into());
         }
+        let mut agents = Agents::new();
         let mut good = true;
-        let answers = ask(&caller, &all, AgentQuery::Stop, b"", STOPPING);
-        for (found, answer) in all.iter().zip(answers) {
-            let name = &found.name;
-            let told = answer.and_then(|body| serde_json::from_slice::<Stopped>(&body).ok());
-            let (has_confirmed, said) = match (&found.agent, told) {
-                (None, _) => (false, "was not there".to_owned()),
-                (Some(_), None) => (false, "not reached: it did not confirm".to_owned()),
-                (Some(_), Some(told)) => match (&told.running[..], told.unknown) {
-                    ([], None) => (true, format!("stopped: {} tasks", told.stopped.len())),
-                    ([], Some(why)) => (false, format!("not confirmed: {why}")),
-                    (running, _) => (false, format!("still running: {}", running.join(", "))),
-                },
-            };
+        for found in all {
+            match found.agent {
+                Some((agent, _)) => agents.push((found.name, agent)),
+                None => {
+                    good = false;
+                    // Also if nobody reads this, the others stop.
+                    let _ = line(format_args!("{}  was not there", found.name));
+                }
+            }
+        }
+        let mut printed = Ok(());
+        caller.stop_all(&agents, STOPPING, |index, answer| {
+            let name = agents.get(index).map_or("", |(name, _)| name);
+            let (has_confirmed, said) = stopped(answer);
             good &= has_confirmed;
-            line(format_args!("{name}  {said}"))?;
+            let done = line(format_args!("{name}  {said}"));
+            // The others are stopped nevertheless.
+            printed = std::mem::replace(&mut printed, Ok(())).and(done);
+        });
+        printed?;
+        if names_none {
+            good = false;
+            line(
+                "others  unknown: the file names no 'robots', so nobody can tell which are not there",
+            )?;
         }
         Ok(code(good))
+    }
+}
+
+/// Whether a robot has confirmed that nothing runs, and what it said.
+fn stopped(answer: StopAnswer) -> (bool, String) {
+    let of = |told: &Stopped| match (&told.running[..], &told.unknown) {
+        ([], None) => (true, format!("stopped: {} tasks", told.stopped.len())),
+        ([], Some(why)) => (false, format!("not confirmed: {why}")),
+        (running, None) => (false, format!("still running: {}", running.join(", "))),
+        (running, Some(why)) => (
+            false,
+            format!("still running: {}; {why}", running.join(", ")),
+        ),
+    };
+    let each = |machines: &[Stopped]| {
+        let all = machines.iter().map(|told| of(told).1);
+        all.collect::<Vec<_>>().join("; ")
+    };
+    let reason = answer
+        .reason
+        .unwrap_or_else(|| "it did not confirm".to_owned());
+    match &answer.machines[..] {
+        [] if answer.is_refused => (false, format!("refused: {reason}")),
+        [] if answer.misses_one => (false, format!("not confirmed: {reason}")),
+        [] => (false, format!("not reached: {reason}")),
+        [told] if !answer.misses_one => of(told),
+        [told] => (
+            false,
+            format!(
+                "not confirmed: another machine with its name and id was heard, or is waited for, and has not confirmed; this one: {}",
+                of(told).1
+            ),
+        ),
+        machines => (
+            false,
+            format!(
+                "not confirmed: {} machines have its name and id, and there may be more; {}",
+                machines.len(),
+                each(machines)
+            ),
+        ),
     }
 }
 
@@ -304,6 +444,10 @@ pub(crate) fn tasks(caller: &Caller, all: &[Found]) -> Vec<Option<Tasks>> {
             let probe = Description::read(probe.payload.to_owned()).ok()?;
             all.unread = all.unread.saturating_add(probe.unread);
             for (id, scope) in probe.running.into_iter().flatten() {
+                if !scope.starts_with('/') {
+                    all.unread = all.unread.saturating_add(1);
+                    continue;
+                }
                 let task = Task {
                     scope,
                     ..Task::default()
@@ -334,7 +478,11 @@ fn listed(body: &[u8]) -> Option<Tasks> {
             text: text("text").to_owned(),
             state: state.and_then(State::from_code),
         };
-        all.of.insert(id, task);
+        // Behind the robot's name, another text could name another robot.
+        match task.scope.starts_with('/') {
+            true => drop(all.of.insert(id, task)),
+            false => all.unread = all.unread.saturating_add(task.may_run().into()),
+        }
     }
     Some(all)
 }
@@ -376,5 +524,20 @@ fn code(good: bool) -> ExitCode {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_lists_no_task_of_another_one() {
+        let list = br#"$ztl;5;0;{"tasks": [
+            {"id": 4, "scope": "/lab", "state": 1}, {"id": 5, "scope": "-1/lab", "state": 1},
+            {"id": 6, "scope": "-1/lab", "state": 4}, {"id": 7, "state": 1}], "elsewhere": 2}"#;
+        let tasks = listed(list).unwrap();
+        assert_eq!(tasks.of.into_keys().collect::<Vec<_>>(), ["4"]);
+        assert_eq!(tasks.unread, 4);
     }
 }

@@ -116,6 +116,8 @@ fn main() -> ExitCode {
         .with_max_level(LevelFilter::TRACE)
         .with_writer(std::io::stderr)
         .with_ansi(false)
+        // A log that cannot be written ends nothing.
+        .log_internal_errors(false)
         .finish()
         .with(shown)
         .init();

@@ -21,7 +21,7 @@ use crate::endpoint::{Ask, ClientRequest, Endpoint, EndpointEffect, robot_of};
 use crate::random;
 use crate::routers;
 use crate::seal::Request;
-use crate::seldom::Seldom;
+use crate::seldom::SeldomOf;
 use crate::session::{self, ZenohError};
 use crate::wire::{AgentQuery, InitId, InitRules, RobotInfo, Verdict, fresh, is_abort};
 use arrivals::{Arrivals, Known};
@@ -43,6 +43,8 @@ pub struct Serving {
     caller: Caller,
     access: Access,
     bind: String,
+    /// The robots of the file.
+    robots: Vec<String>,
 }
 
 impl Serving {
@@ -71,6 +73,7 @@ impl Serving {
             caller: Caller::new(session, config),
             access,
             bind: bind.to_owned(),
+            robots: config.robots.keys().cloned().collect(),
         })
     }
 
@@ -117,11 +120,13 @@ impl Serving {
         session::watch_presence(self.caller.session(), "*", move |robot, agent, is_there| {
             presence.put_presence((robot.to_owned(), agent.to_owned()), is_there);
         })?;
+        let mut machine = Endpoint::new(random::boot()?);
+        machine.expect(self.robots);
         let loops = Loop {
-            machine: Endpoint::new(random::boot()?),
+            machine,
             streams: streams.transpose()?,
             caller: self.caller,
-            told: Seldom::default(),
+            told: SeldomOf::default(),
             answers: self.server.answers(),
             access: self.access,
             events: Arc::clone(&events),
@@ -154,8 +159,8 @@ struct Loop {
     /// What the thread of the streams has to know.
     streams: Option<Arc<Arrivals>>,
     caller: Caller,
-    /// Limits how often it is told who claims a name.
-    told: Seldom,
+    /// Limits how often it is told who claims a name: that of a robot with a known key, and any other.
+    told: SeldomOf<Option<String>>,
     answers: RelayAnswers,
     access: Access,
     events: Arc<Events>,
@@ -224,6 +229,11 @@ impl Loop {
                     };
                     client.is_none_or(may)
                 };
+                let robot = robot_of(asked.body.unwrap_or_default());
+                if let Some(agent) = self.machine.served(robot) {
+                    let is_doubted = self.caller.is_in_doubt(robot, agent);
+                    self.machine.handle_doubt(robot, is_doubted);
+                }
                 // Its client has waited since then.
                 self.machine.handle_request(arrived, asked, may_use)
             }
@@ -305,10 +315,11 @@ impl Loop {
 
     /// Tells who claims a name that is bound to another key, and who has it.
     fn refuse(&self, robot: &str, agent: &str) {
-        if !self.told.may() {
+        let bound = self.caller.bound(robot);
+        if !self.told.may(&bound.map(|_| robot.to_owned())) {
             return;
         }
-        let Some(bound) = self.caller.bound(robot) else {
+        let Some(bound) = bound else {
             warn!(target: "fleet", "Agent {agent} claims the name '{robot}', for which no key is known here; it is not served.");
             return;
         };

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use crate::look::{Found, Select, Task, refusal, tasks};
+use crate::look::{Found, Looked, Select, Task, refusal, tasks};
 use crate::{Done, line, signals};
 
 /// Pause between two looks.
@@ -26,8 +26,19 @@ impl Select {
         let signals = signals.awaited();
         let mut seen: BTreeMap<String, Seen> = BTreeMap::new();
         let mut refused = Vec::new();
+        let mut noted = None;
         loop {
-            let (all, now_refused) = self.look(&caller, &config)?;
+            let Looked {
+                found: all,
+                refused: now_refused,
+                note: now_noted,
+            } = self.look(&caller, &config)?;
+            if noted != now_noted
+                && let Some(note) = &now_noted
+            {
+                line(note)?;
+            }
+            noted = now_noted;
             for (robot, agent) in &now_refused {
                 if !refused.contains(&(robot.clone(), agent.clone())) {
                     line(refusal(robot, agent))?;
@@ -63,6 +74,7 @@ impl Select {
 fn state(found: &Found) -> String {
     match &found.agent {
         None => "is not there".to_owned(),
+        Some(_) if found.is_doubted => "is in doubt: several machines answer as it".to_owned(),
         Some((_, None)) => "does not answer".to_owned(),
         Some((_, Some(info))) => match &info.problem {
             None => "is there".to_owned(),

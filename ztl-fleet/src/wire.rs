@@ -56,6 +56,16 @@ impl AgentQuery {
     }
 }
 
+/// Why an INIT starts nothing whose number belongs to another one. What became of that one stays as it is.
+pub const ANOTHER_INIT: &str = "another INIT has this number";
+
+/// FNV-1a: tells apart INITs that a client did not mean to be the same. Its clients choose both.
+#[must_use]
+pub fn checksum(bytes: &[u8]) -> u64 {
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
+}
+
 /// Identifies an INIT: its client, and the client's number for it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct InitId {
@@ -264,6 +274,9 @@ pub struct RobotInfo {
     pub clock_ms: u64,
     /// When the agent claimed the name: seconds since 1970.
     pub since: u64,
+    /// For how long it has had the name, in milliseconds.
+    #[serde(default)]
+    pub held_ms: u64,
     /// The groups that it belongs to.
     #[serde(default)]
     pub groups: Vec<String>,
@@ -281,6 +294,20 @@ pub struct RobotInfo {
     /// Its scopes, if they are known.
     #[serde(default)]
     pub scopes: Vec<String>,
+}
+
+/// What became of the tasks of a robot that was told to stop.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Stopped {
+    /// The agent's boot id, which tells apart machines that answer as one robot.
+    #[serde(default)]
+    pub boot: u32,
+    /// Tasks that have ended now: `/scope id`.
+    pub stopped: Vec<String>,
+    /// Tasks that have not, with the reason.
+    pub running: Vec<String>,
+    /// Why the robot cannot tell whether more tasks run; `None` if it can.
+    pub unknown: Option<String>,
 }
 
 /// Whether a text can be a robot's name, which is a chunk of a key and the first part of a scope.

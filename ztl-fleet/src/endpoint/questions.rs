@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Map, Value, json};
 use ztl_core::{Instant, Message, Request};
+use ztl_std::{Description, Offers};
 
 use super::requests::split;
 use super::{
@@ -34,7 +35,9 @@ struct Allowed {
 
 impl Allowed {
     fn has(&self, robot: &str, scope: &str) -> bool {
-        self.robots.contains(robot) || self.scopes.contains(&format!("/{robot}{scope}"))
+        // Behind the robot's name, another text could name another robot.
+        scope.starts_with('/')
+            && (self.robots.contains(robot) || self.scopes.contains(&format!("/{robot}{scope}")))
     }
 }
 
@@ -44,8 +47,8 @@ enum Kind {
     Tasks,
     /// A mapping whose keys are scopes.
     ByScope,
-    /// Components from this robot on, of so many robots.
-    Describe { robot: u64, robots: u64 },
+    /// Components from this one of this robot on, of so many robots.
+    Describe { robot: u64, inner: u64, robots: u64 },
 }
 
 impl Endpoint {
@@ -115,7 +118,11 @@ impl Endpoint {
                 let inner = from % STEP;
                 let question = format!("describe {scope};{inner}");
                 (
-                    Kind::Describe { robot, robots },
+                    Kind::Describe {
+                        robot,
+                        inner,
+                        robots,
+                    },
                     to.into_iter().collect(),
                     question,
                 )
@@ -193,13 +200,26 @@ impl Endpoint {
         scopes.map(move |scope| format!("/{robot}{scope}"))
     }
 
+    /// What a robot's server says that its scopes offer.
+    fn offers_of(&self, robot: &str) -> BTreeMap<String, Offers> {
+        let info = self.robots.get(robot).and_then(|robot| robot.info.as_ref());
+        let probed = info.and_then(|info| info.server.clone());
+        let told = probed.and_then(|probed| Description::read(probed).ok());
+        told.map(|told| told.scopes).unwrap_or_default()
+    }
+
     /// The answer to `probe`.
     fn probed(&self, may_use: &impl Fn(&str) -> bool) -> String {
         let mut scopes = Vec::new();
         for (name, _) in self.robots() {
             let allowed = self.scopes_of(name).filter(|scope| may_use(scope));
+            let offers = self.offers_of(name);
             // JSON is YAML, too.
-            scopes.extend(allowed.map(|scope| format!("{}: {{}}", Value::from(scope))));
+            scopes.extend(allowed.map(|scope| {
+                let own = scope.get(1 + name.len()..).unwrap_or_default();
+                let offers = json!(offers.get(own).cloned().unwrap_or_default());
+                format!("{}: {offers}", Value::from(scope))
+            }));
         }
         let (version, boot, scopes) = (ztl_core::VERSION, self.boot, scopes.join(", "));
         format!(
@@ -224,7 +244,11 @@ impl Question {
                 }
                 Value::Object(all)
             }
-            Kind::Describe { robot, robots } => self.components(robot, robots),
+            Kind::Describe {
+                robot,
+                inner,
+                robots,
+            } => self.components(robot, inner, robots),
         };
         about_server(5, &value.to_string())
     }
@@ -245,13 +269,14 @@ impl Question {
         json!({ "tasks": tasks, "more": more, "elsewhere": elsewhere })
     }
 
-    fn components(&self, robot: u64, robots: u64) -> Value {
+    fn components(&self, robot: u64, asked: u64, robots: u64) -> Value {
         let mut all = Vec::new();
         let mut next = None;
         for (name, part) in &self.parts {
             all.extend(self.scoped(name, part.get("components")).0);
             let inner = part.get("next").and_then(Value::as_u64);
-            next = inner.map(|inner| inner.min(STEP - 1));
+            // A robot that does not count on hides no other one.
+            next = inner.filter(|inner| *inner > asked && *inner < STEP);
         }
         let base = if robot < robots { robot * STEP } else { 0 };
         let next = match next {

@@ -9,7 +9,7 @@ use super::{
     LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, VALID_MS, about_server, rejection,
     with_any_scope,
 };
-use crate::wire::is_name;
+use crate::wire::{ANOTHER_INIT, checksum, is_name};
 
 /// The robot and its own scope in a scope of the endpoint: `/NAME/scope`.
 pub(super) fn split(scope: &str) -> Option<(&str, &str)> {
@@ -45,8 +45,11 @@ impl Endpoint {
             }
             None => return answer(rejection("", "Unknown protocol")),
         };
-        let code = message.code().ok().and_then(|code| code.value());
-        let kind = code.and_then(Request::from_code);
+        // A server that reads other digits, as the original's, might take it for an INIT or an ABORT.
+        let (Ok(code), Ok(_)) = (message.code(), message.number()) else {
+            return answer(rejection(message.scope, "Invalid request"));
+        };
+        let kind = code.value().and_then(Request::from_code);
         if message.scope == "$ztl" {
             return self.on_reserved(now, asked, kind, &message, may_use);
         }
@@ -56,12 +59,18 @@ impl Endpoint {
             return answer(unknown());
         };
         let is_init = kind == Some(Request::Init);
+        let hash = checksum(format!("{robot_scope};{}", message.payload).as_bytes());
         let silence = vec![EndpointEffect::Silence { request }];
         let robot = self.robots.get(name);
         let agent = robot.and_then(|robot| robot.agent.clone());
         let refused = match (robot, &agent) {
-            (None, _) => Some(format!("No controller for scope: {scope}")),
+            (None, _) if !self.expected.contains(name) => {
+                Some(format!("No controller for scope: {scope}"))
+            }
             (_, None) => Some(format!("robot '{name}' is not connected")),
+            (Some(robot), _) if robot.is_doubted => Some(format!(
+                "two machines answer as robot '{name}', so neither gets a task"
+            )),
             // No flood of other requests keeps a task from being ended.
             _ if self.is_full(1)
                 && (kind != Some(Request::Abort) || self.pending.len() >= 2 * MOST) =>
@@ -74,7 +83,7 @@ impl Endpoint {
             // Nothing is sent, so nothing is started. An endpoint that has just started does not know all robots, and a
             // task may run there.
             return match refused {
-                Some(reason) if is_init => self.refuse(now, asked, scope, name, &reason),
+                Some(reason) if is_init => self.refuse(now, asked, scope, name, hash, &reason),
                 _ => silence,
             };
         };
@@ -94,7 +103,7 @@ impl Endpoint {
                 until_ms: clock_ms.saturating_add(VALID_MS),
             };
             if asked.envelope.is_some() {
-                match self.note_init(now, name, &agent, new) {
+                match self.note_init(now, name, &agent, hash, new) {
                     // The robot's agent knows it, or its boot.
                     Ok(first) => new = first.unwrap_or(new),
                     Err(reason) => return answer(rejection(scope, reason)),
@@ -179,6 +188,7 @@ impl Endpoint {
                     number,
                     robot: String::new(),
                     agent: String::new(),
+                    hash: 0,
                     rules: None,
                     answer: None,
                     void: true,
@@ -197,6 +207,7 @@ impl Endpoint {
         asked: ClientRequest<'_>,
         scope: &str,
         robot: &str,
+        hash: u64,
         reason: &str,
     ) -> Vec<EndpointEffect> {
         let request = asked.request;
@@ -208,7 +219,7 @@ impl Endpoint {
                 boot: 0,
                 until_ms: 0,
             };
-            match self.note_init(now, robot, "", rules) {
+            match self.note_init(now, robot, "", hash, rules) {
                 Ok(Some(_)) => return vec![EndpointEffect::Silence { request }],
                 Ok(None) => {
                     self.note_answer(now, id, &body);
@@ -226,6 +237,7 @@ impl Endpoint {
         now: Instant,
         robot: &str,
         agent: &str,
+        hash: u64,
         rules: InitRules,
     ) -> Result<Option<InitRules>, &'static str> {
         let id = rules.id;
@@ -237,8 +249,8 @@ impl Endpoint {
             if last.number > id.number || last.number == id.number && last.void {
                 return Err("this INIT was given up by its client");
             }
-            if last.number == id.number && last.robot != robot {
-                return Err("another INIT has this number");
+            if last.number == id.number && (last.robot != robot || last.hash != hash) {
+                return Err(ANOTHER_INIT);
             }
             if last.number == id.number {
                 return Ok(last.rules);
@@ -248,6 +260,7 @@ impl Endpoint {
             number: id.number,
             robot: robot.to_owned(),
             agent: agent.to_owned(),
+            hash,
             rules: Some(rules),
             answer: None,
             void: false,

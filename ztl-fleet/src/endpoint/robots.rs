@@ -18,6 +18,8 @@ pub(super) struct Robot {
     pub(super) agent: Option<String>,
     /// Other agents that claim the name.
     rivals: BTreeSet<String>,
+    /// Whether two machines answer as its agent.
+    pub(super) is_doubted: bool,
     /// What it last said.
     pub(super) info: Option<RobotInfo>,
     /// The agent's boot id and its clock in milliseconds, and when that was heard.
@@ -46,6 +48,7 @@ impl Endpoint {
             .or_insert_with(|| Robot {
                 agent: None,
                 rivals: BTreeSet::new(),
+                is_doubted: false,
                 info: None,
                 clock: (0, 0, Instant::ZERO),
             });
@@ -96,12 +99,26 @@ impl Endpoint {
     }
 
     /// What an agent says of its robot.
-    pub fn handle_info(&mut self, now: Instant, robot: &str, agent: &str, info: RobotInfo) {
+    pub fn handle_info(&mut self, now: Instant, robot: &str, agent: &str, mut info: RobotInfo) {
+        // Behind the robot's name, another text could name another robot.
+        info.scopes.retain(|scope| scope.starts_with('/'));
         self.on_clock(now, robot, agent, info.boot, info.clock_ms);
         if let Some(known) = self.robots.get_mut(robot)
             && known.agent.as_deref() == Some(agent)
         {
             known.info = Some(info);
+        }
+    }
+
+    /// Robots that belong to the fleet, whether or not they are there.
+    pub fn expect(&mut self, robots: impl IntoIterator<Item = String>) {
+        self.expected.extend(robots);
+    }
+
+    /// Whether two machines answer as a robot's agent: INITs are refused then.
+    pub fn handle_doubt(&mut self, robot: &str, is_doubted: bool) {
+        if let Some(known) = self.robots.get_mut(robot) {
+            known.is_doubted = is_doubted;
         }
     }
 

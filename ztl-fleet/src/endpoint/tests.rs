@@ -14,6 +14,7 @@ fn info(boot: u32) -> RobotInfo {
         boot,
         clock_ms: 500,
         since: 0,
+        held_ms: 0,
         groups: Vec::new(),
         streams: false,
         ready: true,
@@ -321,4 +322,103 @@ fn who_may_use_one_scope_is_told_of_others_only_how_many_tasks_run() {
     let devices = r#"{"/priv":{"a":1},"/lab":{"b":2}}"#;
     let only_lab = r#"$ztl;5;0;{"/arm/lab":{"b":2}}"#;
     assert_eq!(told(4, "devices", devices), only_lab);
+}
+
+#[test]
+fn a_repeated_number_of_another_init_leaves_what_became_of_the_first_one() {
+    let started = "/arm/lab;1;42;on";
+    let another = "/arm/lab;2;-1;another INIT has this number";
+    let mut endpoint = endpoint();
+    let (query, _) = asked(&ask(&mut endpoint, 0, 1, Some(2), "/arm/lab;1;-1;x"));
+    let other = ask(&mut endpoint, 1, 2, Some(2), "/arm/lab;1;-1;y");
+    assert_eq!(answered(&other), another);
+    let told = endpoint.handle_verdict(at(2), query, Verdict::Answer(b"/lab;1;42;on".to_vec()));
+    assert_eq!(answered(&told), started);
+    let other = ask(&mut endpoint, 3, 3, Some(2), "/arm/lab;1;-1;y");
+    assert_eq!(answered(&other), another);
+    let told = ask(&mut endpoint, 4, 4, Some(3), "$ztl;2;-1;outcome 2");
+    assert_eq!(answered(&told), "$ztl;1;42;on");
+
+    // An endpoint that was restarted does not know the first one, but its robot does.
+    let mut endpoint = self::endpoint();
+    let (query, _) = asked(&ask(&mut endpoint, 0, 1, Some(2), "/arm/lab;1;-1;y"));
+    let verdict = Verdict::NotStarted("another INIT has this number".to_owned());
+    let told = endpoint.handle_verdict(at(1), query, verdict);
+    assert_eq!(answered(&told), another);
+    let outcome = ask(&mut endpoint, 2, 2, Some(3), "$ztl;2;-1;outcome 2");
+    assert!(matches!(asked(&outcome).1, Ask::Outcome(_)));
+}
+
+#[test]
+fn an_init_is_refused_while_two_machines_answer_and_one_for_a_robot_of_the_file_says_that_it_is_away()
+ {
+    let mut endpoint = endpoint();
+    endpoint.expect(["leg".to_owned()]);
+    endpoint.handle_doubt("arm", true);
+    let refused = ask(&mut endpoint, 0, 1, Some(2), "/arm/lab;1;-1;x");
+    let told = "/arm/lab;2;-1;two machines answer as robot 'arm', so neither gets a task";
+    assert_eq!(answered(&refused), told);
+    let status = ask(&mut endpoint, 0, 2, None, "/arm/lab;2;42;");
+    assert_eq!(status, [EndpointEffect::Silence { request: 2 }]);
+    endpoint.handle_doubt("arm", false);
+    asked(&ask(&mut endpoint, 1, 3, Some(3), "/arm/lab;1;-1;x"));
+    let away = ask(&mut endpoint, 1, 4, None, "/leg/lab;1;-1;x");
+    assert_eq!(
+        answered(&away),
+        "/leg/lab;2;-1;robot 'leg' is not connected"
+    );
+}
+
+#[test]
+fn digits_that_are_not_ascii_are_refused() {
+    let mut endpoint = endpoint();
+    for odd in ["/arm/lab;\u{ff11};-1;x", "/arm/lab;3;\u{0664}2;"] {
+        let told = answered(&ask(&mut endpoint, 0, 1, None, odd));
+        assert_eq!(told, "/arm/lab;2;-1;Invalid request");
+    }
+}
+
+#[test]
+fn a_robot_speaks_for_no_other_one_and_hides_none() {
+    let mut endpoint = endpoint();
+    let scopes = vec!["-1/lab".to_owned(), "/lab".to_owned()];
+    let server = "{ztl: 1, version: '1', boot: 3, scopes: {/lab: {led: [on]}, -1/lab: {x: [y]}}}";
+    let server = Some(server.to_owned());
+    let robot = RobotInfo {
+        scopes,
+        server,
+        ..info(7)
+    };
+    endpoint.handle_info(at(0), "arm", "a", robot);
+    endpoint.handle_alive("arm-1", "b");
+    let second = RobotInfo {
+        name: "arm-1".to_owned(),
+        ..info(8)
+    };
+    endpoint.handle_info(at(0), "arm-1", "b", second);
+    let probe = answered(&ask(&mut endpoint, 0, 1, None, "$ztl;2;-1;probe"));
+    let told = r#"scopes: {"/arm/lab": {"led":["on"]}, "/arm-1/lab": {}}"#;
+    assert!(probe.contains(told), "{probe}");
+    ask(&mut endpoint, 0, 2, None, "$ztl;2;-1;tasks");
+    let part = r#"$ztl;5;0;{"tasks": [{"id": 4, "scope": "-1/lab", "state": 1}]}"#;
+    endpoint.handle_verdict(at(1), 1, Verdict::Answer(part.into()));
+    let told = answered(&endpoint.handle_timeout(at(1900)));
+    assert_eq!(told, r#"$ztl;5;0;{"elsewhere":1,"more":0,"tasks":[]}"#);
+    for (from, next) in [
+        ("", "999999"),
+        ("999999", "999999"),
+        ("7", "7"),
+        ("7", "1000000000"),
+    ] {
+        let question = format!("$ztl;2;-1;describe ;{from}");
+        let question = question.trim_end_matches(';');
+        let (query, _) = asked(&ask(&mut endpoint, 2000, 3, None, question));
+        let part = format!(r#"$ztl;5;0;{{"components": [], "next": {next}}}"#);
+        let told = endpoint.handle_verdict(at(2001), query, Verdict::Answer(part.into()));
+        let expected = match from {
+            "" => "\"next\":999999}",
+            _ => "\"next\":1000000}",
+        };
+        assert!(answered(&told).ends_with(expected), "{from} {next}");
+    }
 }

@@ -88,6 +88,12 @@ impl Asked {
         Some((sender.key, Arc::clone(&sender.shared)))
     }
 
+    /// The key of who sealed it.
+    pub(super) fn key(&self) -> Option<[u8; 32]> {
+        let sender = self.sender.as_ref()?;
+        Some(*sender.key.as_bytes())
+    }
+
     /// Who asks, for the log.
     pub(super) fn who(&self) -> String {
         match &self.sender {

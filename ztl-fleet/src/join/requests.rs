@@ -1,8 +1,8 @@
 //! Requests to the robot's server, and the rules that decide which INIT acts.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tracing::{error, info, warn};
@@ -21,7 +21,9 @@ use crate::wire::{InitId, InitRules, Verdict, is_abort, is_early};
 /// Longest wait for the server's answer: as long as a client waits.
 const ANSWER: Duration = Duration::from_secs(2);
 /// Most queries at a time that may wait for the robot's server, except ABORT and `stop`, which no flood of others may hold up.
-const MOST_WAITING: usize = 128;
+pub(super) const MOST_WAITING: usize = 128;
+/// Most ABORTs at a time that may wait for it. Of one key, at most as many as are free: one has half of them, of two each a third.
+pub(super) const MOST_ABORTS: usize = 256;
 
 /// The rules with what they decide about.
 pub(super) struct Rules {
@@ -45,17 +47,27 @@ impl Shared {
         let Ok(message) = Message::parse(&asked.body) else {
             return refuse("this is not a request");
         };
+        // A server that reads other digits, as the original's, might take it for an INIT.
+        let (Ok(code), Ok(_)) = (message.code(), message.number()) else {
+            return refuse("its state or its id is not a number of ASCII digits");
+        };
+        let code = code.value();
         // What the server says of itself is about all scopes.
         let scope = Some(message.scope).filter(|scope| *scope != "$ztl");
         let named = brief(message.scope);
         if !self.may_use(&asked, scope) {
-            warn!(target: "fleet", "{} may not use scope '{named}'.", asked.who());
+            if self.told.rights.may(&asked.key()) {
+                warn!(target: "fleet", "{} may not use scope '{named}'.", asked.who());
+            }
             return refuse("the robot's 'client-keys' do not allow this");
         }
-        let code = message.code().ok().and_then(|code| code.value());
         let is_abort = is_abort(&asked.body);
-        let slot = (!is_abort).then(|| ServerSlot::take(&self.waiting));
-        if matches!(slot, Some(None)) {
+        let key = asked.key();
+        let slots = match is_abort {
+            true => (None, AbortSlot::take(&self.aborting, key)),
+            false => (ServerSlot::take(&self.waiting), None),
+        };
+        if matches!(slots, (None, None)) {
             return asked.reply(&Verdict::Unknown(TOO_MANY.to_owned()));
         }
         if code == Some(1) {
@@ -151,6 +163,10 @@ impl Shared {
     }
 
     fn forward(&self, id: InitId, body: &[u8], early_end: bool) -> ServerSaid {
+        if self.server_is_away() {
+            // Its client would not wait for so long until that is certain.
+            return ServerSaid::NotSent(NotRelayed::NotSent.to_string());
+        }
         let envelope = Envelope {
             early_end,
             ..envelope(id)
@@ -190,6 +206,41 @@ impl<'a> ServerSlot<'a> {
 impl Drop for ServerSlot<'_> {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// ABORTs that wait for the robot's server, by the keys that sent them.
+#[derive(Debug, Default)]
+pub(super) struct Aborting(Mutex<HashMap<Option<[u8; 32]>, usize>>);
+
+impl Aborting {
+    fn by_key(&self) -> MutexGuard<'_, HashMap<Option<[u8; 32]>, usize>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Lets an ABORT wait for the robot's server, as one of at most [`MOST_ABORTS`].
+struct AbortSlot<'a>(&'a Aborting, Option<[u8; 32]>);
+
+impl<'a> AbortSlot<'a> {
+    fn take(all: &'a Aborting, key: Option<[u8; 32]>) -> Option<Self> {
+        let mut by_key = all.by_key();
+        let free = MOST_ABORTS.saturating_sub(by_key.values().sum());
+        let own = by_key.entry(key).or_default();
+        if *own >= free {
+            return None;
+        }
+        *own += 1;
+        Some(Self(all, key))
+    }
+}
+
+impl Drop for AbortSlot<'_> {
+    fn drop(&mut self) {
+        let mut by_key = self.0.by_key();
+        if let Some(own) = by_key.get_mut(&self.1) {
+            *own = own.saturating_sub(1);
+        }
     }
 }
 
@@ -237,5 +288,27 @@ const fn envelope(id: InitId) -> Envelope {
         client: id.client,
         number: id.number,
         early_end: false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn aborts_of_one_key_leave_room_for_those_of_others() {
+        let aborting = Aborting::default();
+        let take_all = |key: u8| {
+            let take = || AbortSlot::take(&aborting, Some([key; 32]));
+            let all = std::iter::from_fn(take).take(2 * MOST_ABORTS);
+            all.collect::<Vec<_>>()
+        };
+        let first = take_all(1);
+        assert_eq!(first.len(), MOST_ABORTS / 2);
+        let second = take_all(2);
+        assert_eq!(second.len(), MOST_ABORTS / 4);
+        assert!(!take_all(3).is_empty());
+        drop((first, second));
+        assert_eq!(take_all(2).len(), MOST_ABORTS / 2);
     }
 }

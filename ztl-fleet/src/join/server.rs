@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 use ztl_core::Message;
+use ztl_std::relay::NotRelayed;
 use ztl_std::{Description, State};
 
 use super::Shared;
@@ -18,6 +19,8 @@ const LIMIT: Duration = Duration::from_secs(2);
 pub(super) struct ServerState {
     /// Why it cannot be used.
     pub(super) problem: Option<String>,
+    /// Whether there was no connection to it at the last question.
+    pub(super) is_away: bool,
     /// Its answer to `probe`, if it is a server of this project.
     pub(super) probed: Option<String>,
     pub(super) boot: Option<u32>,
@@ -28,6 +31,7 @@ impl Default for ServerState {
     fn default() -> Self {
         Self {
             problem: Some("its server was not asked yet".to_owned()),
+            is_away: false,
             probed: None,
             boot: None,
             scopes: Vec::new(),
@@ -41,6 +45,7 @@ impl Shared {
         let answer = self.client.ask(None, b"$ztl;2;-1;probe", LIMIT);
         let mut server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
         let before = server.problem.clone();
+        server.is_away = answer == Err(NotRelayed::NotSent);
         match answer {
             Ok(answer) => {
                 server.problem = None;
@@ -65,6 +70,12 @@ impl Shared {
                 None => info!(target: "fleet", "Ready: the robot's server answers."),
             }
         }
+    }
+
+    /// Whether there is no connection to it, so that nothing can be sent soon.
+    pub(super) fn server_is_away(&self) -> bool {
+        let server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
+        server.is_away
     }
 
     /// The server's boot id, if it is known.

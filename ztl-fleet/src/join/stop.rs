@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-use tracing::info;
+use serde::Deserialize;
+use tracing::{error, info, warn};
 use ztl_core::Message;
 
 use super::Shared;
 use super::asked::Asked;
-use crate::wire::Verdict;
+use crate::wire::{Stopped, Verdict};
 
 /// How long the server's tasks may take to stop.
 const STOPPING: Duration = Duration::from_secs(5);
@@ -25,17 +25,6 @@ pub(super) struct Started(BTreeSet<(String, String)>);
 
 /// Tasks that run, by scopes and ids, and why there may be more.
 type Running = (BTreeSet<(String, String)>, Option<String>);
-
-/// What became of the tasks of a robot that was told to stop.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Stopped {
-    /// Tasks that have ended now: `/scope id`.
-    pub stopped: Vec<String>,
-    /// Tasks that have not, with the reason.
-    pub running: Vec<String>,
-    /// Why the robot cannot tell whether more tasks run; `None` if it can.
-    pub unknown: Option<String>,
-}
 
 #[derive(Deserialize)]
 struct List {
@@ -79,8 +68,19 @@ impl Shared {
         if self.refuse_stale(asked) {
             return;
         }
-        info!(target: "fleet", "All tasks are stopped by {}.", asked.who());
+        info!(target: "fleet", "{} stops all tasks.", asked.who());
         let stopped = self.stop_all();
+        let (ended, running) = (stopped.stopped.len(), stopped.running.join(", "));
+        match (&stopped.running[..], &stopped.unknown) {
+            ([], None) => info!(target: "fleet", "All tasks have ended: {ended} were stopped."),
+            ([], Some(why)) => {
+                warn!(target: "fleet", "{ended} tasks were stopped, and more may run: {why}.")
+            }
+            (_, why) => {
+                let why = why.as_deref().unwrap_or("they did not stop in time");
+                error!(target: "fleet", "{ended} tasks were stopped, and these still run: {running}: {why}.");
+            }
+        }
         if let Ok(body) = serde_json::to_vec(&stopped) {
             asked.reply(&Verdict::Answer(body));
         }
@@ -88,15 +88,22 @@ impl Shared {
 
     fn stop_all(&self) -> Stopped {
         let end = Instant::now() + STOPPING;
-        let mut all = BTreeSet::new();
+        let (mut all, mut running) = (BTreeSet::new(), BTreeSet::new());
         loop {
-            let (running, unknown) = self.running();
+            let (unknown, is_silent) = match self.running() {
+                Ok((now, unknown)) => {
+                    running = now;
+                    (unknown, false)
+                }
+                // A server that falls silent has not stopped what it was running.
+                Err(error) => (Some(error), true),
+            };
             all.extend(running.iter().cloned());
-            let is_last = Instant::now() >= end;
-            if running.is_empty() || is_last {
+            if running.is_empty() && !is_silent || Instant::now() >= end {
                 let name = |(scope, id): &(String, String)| format!("{scope} {id}");
                 let stopped = all.difference(&running);
                 return Stopped {
+                    boot: self.rules().agent.boot(),
                     stopped: stopped.map(name).collect(),
                     running: running.iter().map(name).collect(),
                     unknown,
@@ -120,20 +127,22 @@ impl Shared {
         }
     }
 
-    /// The tasks that run, and why there may be more.
-    fn running(&self) -> Running {
-        let listed = match self.client.ask(None, b"$ztl;2;-1;tasks", LIMIT) {
-            Ok(answer) => list(&answer),
-            Err(error) => return (BTreeSet::new(), Some(error.to_string())),
-        };
-        if let Some(listed) = listed {
-            return listed;
+    /// The tasks that run, and why there may be more; an error if the server does not answer.
+    fn running(&self) -> Result<Running, String> {
+        let asked = self.client.ask(None, b"$ztl;2;-1;tasks", LIMIT);
+        if let Some(listed) = list(&asked.map_err(|error| error.to_string())?) {
+            return Ok(listed);
         }
         // A server of the original cannot list its tasks.
         let mut running = self.started().0.clone();
+        let mut is_silent = false;
         running.retain(|(scope, id)| {
+            if is_silent {
+                return true;
+            }
             let body = format!("{scope};2;{id};status update");
             let answer = self.client.ask(None, body.as_bytes(), LIMIT);
+            is_silent = answer.is_err();
             let state = answer.ok().and_then(|answer| {
                 let message = Message::parse(&answer).ok()?;
                 message.state.parse::<u8>().ok()
@@ -142,7 +151,7 @@ impl Shared {
         });
         self.started().0.retain(|task| running.contains(task));
         let unknown = "its server cannot list tasks that were not started through the fleet";
-        (running, Some(unknown.to_owned()))
+        Ok((running, Some(unknown.to_owned())))
     }
 }
 

@@ -5,9 +5,10 @@ use std::sync::mpsc::{SendError, Sender, channel};
 use std::sync::{Arc, MutexGuard, PoisonError};
 
 use super::Shared;
+use super::requests::{MOST_ABORTS, MOST_WAITING};
 
-/// Most queries at a time; each has a thread. Beside requests that wait (`requests.rs`), there is room for ABORTs and `stop`.
-const MOST: usize = 256;
+/// Most queries at a time; each has a thread. Beside requests and ABORTs that wait (`requests.rs`), there is room for `stop`.
+const MOST: usize = MOST_WAITING + MOST_ABORTS + 64;
 /// Most threads that wait for a query: starting one takes longer than to wake one.
 const MOST_IDLE: usize = 4;
 

@@ -14,10 +14,10 @@ use ztl_std::time::now;
 use super::turns::{Origin, Taken, Turns};
 use crate::wire::{RobotInfo, Verdict};
 
-/// Of one connection, most requests that are under way to one robot, and most ABORTs. The robot's agent takes more
-/// (`join/requests.rs`, `join/threads.rs`).
-const REQUESTS: usize = 64;
-const ABORTS: usize = 96;
+/// Most requests that are under way to one robot, and most ABORTs: as many as the robot's agent takes of one endpoint
+/// (`join/requests.rs`).
+const REQUESTS: usize = 128;
+const ABORTS: usize = 128;
 /// Most agents that came or went.
 const MOST_AGENTS: usize = 20_000;
 const KINDS: usize = 4;
@@ -233,7 +233,7 @@ mod tests {
         let is_abort = |event: &Event<&str>| matches!(event, Event::Request(_, _, "ABORT"));
         assert!(soon.iter().any(is_abort), "{soon:?}");
         let rest = all(&events);
-        assert_eq!(KINDS + rest.len(), REQUESTS + 1 + MOST_AGENTS);
+        assert_eq!(KINDS + rest.len(), REQUESTS / 2 + 1 + MOST_AGENTS);
         assert!(rest.contains(&"a7 false".to_owned()));
     }
 

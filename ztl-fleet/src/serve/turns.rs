@@ -1,6 +1,7 @@
 //! Requests that wait for the endpoint's rules: each connection has its turn, and within it each robot.
 //!
-//! Of one connection, so many requests may be under way to one robot that the robot's agent has room for others. Further ones
+//! To one robot, so many requests may be under way that the robot's agent has room for others, and of one connection at most as
+//! many as are free: one has half of the room, of two each a third, and there is always some for the next one. Further ones
 //! wait, as long as a client does: an INIT must not act later. If too many wait, the connection with the most of them loses its
 //! newest.
 
@@ -32,12 +33,21 @@ pub(super) struct Taken<R> {
 /// Requests of type `R`.
 #[derive(Debug)]
 pub(super) struct Turns<R> {
-    /// Most requests of one connection that are under way to one robot.
-    window: usize,
+    /// Most requests that are under way to one robot.
+    room: usize,
     clients: HashMap<u64, Client<R>>,
+    robots: HashMap<String, Robot>,
     /// Connections with a request that may be taken.
     ready: VecDeque<u64>,
     waiting: usize,
+}
+
+/// What is under way to a robot.
+#[derive(Debug, Default)]
+struct Robot {
+    under_way: usize,
+    /// Connections that wait for room; the first one has waited the longest.
+    blocked: VecDeque<u64>,
 }
 
 /// A connection.
@@ -58,10 +68,11 @@ struct Line<R> {
 }
 
 impl<R> Turns<R> {
-    pub(super) fn new(window: usize) -> Self {
+    pub(super) fn new(room: usize) -> Self {
         Self {
-            window,
+            room,
             clients: HashMap::new(),
+            robots: HashMap::new(),
             ready: VecDeque::new(),
             waiting: 0,
         }
@@ -102,14 +113,24 @@ impl<R> Turns<R> {
             let robot = client.ready.pop_front()?;
             let line = client.lines.get_mut(&robot)?;
             line.is_ready = false;
+            let has_room = has_room(
+                self.room,
+                &mut self.robots,
+                &robot,
+                connection,
+                line.under_way,
+            );
             let before = line.waiting.len();
             while let Some((arrived, _)) = line.waiting.front()
                 && now.since(*arrived) >= LONGEST
             {
                 line.waiting.pop_front();
             }
-            let next = line.waiting.pop_front();
+            let next = has_room.then(|| line.waiting.pop_front()).flatten();
             line.under_way += usize::from(next.is_some());
+            if let Some(known) = self.robots.get_mut(&robot) {
+                known.under_way += usize::from(next.is_some());
+            }
             let taken = before - line.waiting.len();
             client.waiting -= taken;
             self.waiting -= taken;
@@ -138,8 +159,34 @@ impl<R> Turns<R> {
             return;
         };
         line.under_way = line.under_way.saturating_sub(1);
-        self.make_ready(origin);
-        self.forget_idle(origin);
+        let Some(robot) = self.robots.get_mut(&origin.robot) else {
+            return;
+        };
+        robot.under_way = robot.under_way.saturating_sub(1);
+        let free = self.room.saturating_sub(robot.under_way);
+        if !robot.blocked.contains(&origin.connection) {
+            robot.blocked.push_back(origin.connection);
+        }
+        // Those that have waited the longest are the next ones, as many as there is room for.
+        let (mut left, mut released) = (free, Vec::new());
+        let clients = &self.clients;
+        robot.blocked.retain(|connection| {
+            let client = clients.get(connection);
+            let line = client.and_then(|client| client.lines.get(&origin.robot));
+            let waits = line.filter(|line| !line.waiting.is_empty());
+            let stays = waits.is_some_and(|line| left == 0 || line.under_way >= free);
+            left -= usize::from(waits.is_some() && !stays);
+            if !stays {
+                released.push(*connection);
+            }
+            stays
+        });
+        for connection in released {
+            let robot = origin.robot.clone();
+            let released = Origin { connection, robot };
+            self.make_ready(&released);
+            self.forget_idle(&released);
+        }
     }
 
     /// Gives a line its turn if a request of it may be taken.
@@ -150,7 +197,16 @@ impl<R> Turns<R> {
         let Some(line) = client.lines.get_mut(robot) else {
             return;
         };
-        if line.is_ready || line.waiting.is_empty() || line.under_way >= self.window {
+        if line.is_ready || line.waiting.is_empty() {
+            return;
+        }
+        if !has_room(
+            self.room,
+            &mut self.robots,
+            robot,
+            *connection,
+            line.under_way,
+        ) {
             return;
         }
         line.is_ready = true;
@@ -171,6 +227,10 @@ impl<R> Turns<R> {
         }
         if client.lines.is_empty() {
             self.clients.remove(connection);
+        }
+        let known = self.robots.get(robot);
+        if known.is_some_and(|known| known.under_way == 0 && known.blocked.is_empty()) {
+            self.robots.remove(robot);
         }
     }
 
@@ -195,11 +255,34 @@ impl<R> Turns<R> {
     }
 }
 
+/// Whether a connection, of which so many are under way, may have one more; otherwise it waits for room.
+fn has_room(
+    room: usize,
+    robots: &mut HashMap<String, Robot>,
+    robot: &str,
+    connection: u64,
+    under_way: usize,
+) -> bool {
+    if !robots.contains_key(robot) {
+        robots.insert(robot.to_owned(), Robot::default());
+    }
+    let Some(known) = robots.get_mut(robot) else {
+        return false;
+    };
+    let has_room = under_way < room.saturating_sub(known.under_way);
+    if !has_room && !known.blocked.contains(&connection) {
+        known.blocked.push_back(connection);
+    }
+    has_room
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Of one connection, half of the room.
     const WINDOW: usize = 3;
+    const ROOM: usize = 2 * WINDOW;
 
     fn origin(connection: u64, robot: &str) -> Origin {
         let robot = robot.to_owned();
@@ -229,7 +312,7 @@ mod tests {
 
     #[test]
     fn connections_take_turns_and_their_robots_too() {
-        let mut turns = Turns::new(WINDOW);
+        let mut turns = Turns::new(ROOM);
         put(&mut turns, 1, "arm", 100);
         put(&mut turns, 1, "leg", 1);
         put(&mut turns, 2, "arm", 2);
@@ -239,14 +322,15 @@ mod tests {
             (1, "leg", 0),
             (2, "arm", 1),
             (1, "arm", 1),
-            (1, "arm", 2),
         ];
         let taken = taken.map(|(connection, robot, number)| (connection, robot.to_owned(), number));
         assert_eq!(take(&mut turns, 0), taken);
         assert!(turns.is_quiet());
-        // Room comes back with each end, in order.
+        // Room comes back with each end, also with another connection's, in order.
         turns.end(&origin(2, "arm"));
-        assert!(turns.is_quiet(), "another connection's end");
+        assert_eq!(take(&mut turns, 0), [(1, "arm".to_owned(), 2)]);
+        turns.end(&origin(2, "arm"));
+        assert!(turns.is_quiet(), "half of the room is taken");
         for number in 3..6 {
             turns.end(&origin(1, "arm"));
             assert_eq!(take(&mut turns, 0), [(1, "arm".to_owned(), number)]);
@@ -255,7 +339,7 @@ mod tests {
 
     #[test]
     fn what_has_waited_for_too_long_is_dropped() {
-        let mut turns = Turns::new(WINDOW);
+        let mut turns = Turns::new(ROOM);
         put(&mut turns, 1, "arm", 10);
         assert_eq!(take(&mut turns, 0).len(), WINDOW);
         turns.put(at(500), &origin(1, "arm"), 77);
@@ -269,7 +353,7 @@ mod tests {
 
     #[test]
     fn a_flood_is_bounded_and_displaces_no_other_connection() {
-        let mut turns = Turns::new(WINDOW);
+        let mut turns = Turns::new(ROOM);
         put(&mut turns, 1, "arm", 5000);
         put(&mut turns, 2, "arm", 2);
         for robot in 0..5000 {
@@ -288,21 +372,59 @@ mod tests {
 
     #[test]
     fn nothing_is_kept_of_who_waits_for_nothing() {
-        let mut turns = Turns::new(WINDOW);
+        let mut turns = Turns::new(ROOM);
         for connection in 0..10 {
             put(&mut turns, connection, "arm", 2);
             put(&mut turns, connection, "leg", 1);
         }
-        assert_eq!(take(&mut turns, 0).len(), 30);
-        for connection in 0..10 {
-            for robot in ["arm", "leg", "arm"] {
-                turns.end(&origin(connection, robot));
+        let mut taken = take(&mut turns, 0);
+        let mut count = 0;
+        while !taken.is_empty() {
+            count += taken.len();
+            for (connection, robot, _) in taken {
+                turns.end(&origin(connection, &robot));
             }
+            taken = take(&mut turns, 0);
         }
-        assert!(turns.clients.is_empty() && turns.ready.is_empty());
+        assert_eq!(count, 30);
+        let left = (turns.clients.len(), turns.ready.len(), turns.robots.len());
+        assert_eq!(left, (0, 0, 0));
         // Nor of what was dropped before its turn.
         put(&mut turns, 1, "arm", 5);
         assert_eq!(take(&mut turns, 5000), []);
-        assert!(turns.clients.is_empty() && turns.ready.is_empty());
+        let left = (turns.clients.len(), turns.ready.len(), turns.robots.len());
+        assert_eq!(left, (0, 0, 0));
+    }
+
+    #[test]
+    fn connections_that_wait_for_room_have_it_in_turn() {
+        let mut turns = Turns::new(4);
+        for connection in 0..20 {
+            put(&mut turns, connection, "arm", 5);
+        }
+        let mut counts = [0_u32; 20];
+        let mut under_way = VecDeque::from(take(&mut turns, 0));
+        while let Some((connection, robot, number)) = under_way.pop_front() {
+            counts[usize::try_from(connection).unwrap()] = number + 1;
+            let least = counts.iter().min().unwrap();
+            assert!(number <= least + 2, "{counts:?}");
+            turns.end(&origin(connection, &robot));
+            under_way.extend(take(&mut turns, 0));
+        }
+        assert_eq!(counts, [5; 20]);
+    }
+
+    #[test]
+    fn floods_of_several_connections_leave_room_at_their_robot_for_the_next_one() {
+        let mut turns = Turns::new(128);
+        for connection in 1..=10 {
+            put(&mut turns, connection, "arm", 90);
+        }
+        assert!(take(&mut turns, 0).len() < 128);
+        put(&mut turns, 11, "arm", 1);
+        assert_eq!(take(&mut turns, 0), [(11, "arm".to_owned(), 0)]);
+        // Nor do they take what other robots have.
+        put(&mut turns, 12, "leg", 64);
+        assert_eq!(take(&mut turns, 0).len(), 64);
     }
 }

@@ -187,6 +187,8 @@ fn rules_of_the_robot_and_of_the_endpoint_name_robot_scope_and_client() {
     let file = guarded.fleet.scratch.path("endpoint.yaml");
     let stopped = Process::run(&mut fleet(&["stop-all"], &file));
     assert_eq!(stopped.code, Some(1), "{stopped:?}");
+    let told = "arm  refused: the robot's 'client-keys' do not allow this";
+    assert!(stopped.stdout.contains(told), "{stopped:?}");
 
     // A client that the robot does not know is not heard at all.
     let file = guarded.fleet.scratch.path("stranger.yaml");

@@ -173,6 +173,7 @@ impl World {
             boot: agent.rules.boot(),
             clock_ms: agent.clock(self.now).as_millis(),
             since: 0,
+            held_ms: 0,
             groups: Vec::new(),
             streams: false,
             ready: true,

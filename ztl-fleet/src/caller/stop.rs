@@ -1,0 +1,185 @@
+//! Tells robots to stop all tasks, and asks until each has confirmed it.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Sender, channel};
+use std::time::{Duration, Instant};
+
+use super::{Caller, VALID_MS};
+use crate::seal::Request;
+use crate::wire::{AgentQuery, Stopped, Verdict, fresh};
+
+/// Pause before a robot that has not confirmed is told again.
+const AGAIN: Duration = Duration::from_millis(200);
+/// How often a machine is told with the clock that it has told.
+const MOST: u32 = 3;
+
+/// What a robot answered that was told to stop.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct StopAnswer {
+    /// What each machine says that answered as this robot.
+    pub machines: Vec<Stopped>,
+    /// Whether another machine was heard that did not confirm.
+    pub misses_one: bool,
+    /// Whether the robot does not do it.
+    pub is_refused: bool,
+    /// What it said instead.
+    pub reason: Option<String>,
+}
+
+/// A robot that is told to stop.
+#[derive(Default)]
+struct Told {
+    /// Questions without an end yet.
+    open: u32,
+    /// How often each boot was told, and what it said.
+    machines: BTreeMap<u32, (u32, Option<Stopped>)>,
+    is_refused: bool,
+    reason: Option<String>,
+    /// When to tell it again.
+    again: Option<Instant>,
+    is_known: bool,
+}
+
+/// What arrives: of which robot, by which boot that was named, and the answer; `None` is the end of the question.
+type News = (usize, u32, Option<Verdict>);
+
+impl Told {
+    /// Takes an answer to a question that named a boot. Returns whom to tell with which clock.
+    fn on_verdict(&mut self, named: u32, verdict: Verdict) -> Option<(u32, u64)> {
+        match verdict {
+            Verdict::Stale { boot, clock_ms } => {
+                let (times, _) = self.machines.entry(boot).or_default();
+                // A machine answers so, too, if another one was meant.
+                let is_meant = *times == 0 || named == boot && *times < MOST;
+                *times += u32::from(is_meant);
+                return is_meant.then_some((boot, clock_ms.saturating_add(VALID_MS)));
+            }
+            Verdict::Answer(body) => match serde_json::from_slice::<Stopped>(&body) {
+                Ok(mut told) => {
+                    let (_, before) = self.machines.entry(told.boot).or_default();
+                    // What ended before it was told again.
+                    let ended = before.take().map(|before| before.stopped);
+                    told.stopped.extend(ended.unwrap_or_default());
+                    *before = Some(told);
+                }
+                Err(error) => self.reason = Some(format!("it answers something else: {error}")),
+            },
+            Verdict::NotStarted(reason) => {
+                self.is_refused = true;
+                self.reason = Some(reason);
+            }
+            Verdict::Unknown(reason) => self.reason = Some(reason),
+        }
+        None
+    }
+
+    /// Whether all that were heard have confirmed, or it makes no sense to tell it again.
+    fn is_over(&self) -> bool {
+        let mut told = self.machines.values();
+        self.is_refused || !self.machines.is_empty() && told.all(|(_, told)| told.is_some())
+    }
+
+    fn answer(&mut self) -> StopAnswer {
+        let heard = self.machines.len();
+        let told = std::mem::take(&mut self.machines).into_values();
+        let machines: Vec<Stopped> = told.filter_map(|(_, told)| told).collect();
+        StopAnswer {
+            // Whoever holds up the question may be another machine.
+            misses_one: machines.len() < heard || !machines.is_empty() && self.open > 0,
+            machines,
+            is_refused: self.is_refused,
+            reason: self.reason.take(),
+        }
+    }
+}
+
+impl Caller {
+    /// Tells agents to stop all tasks, again and again until they have confirmed it or the limit has passed. `told` is called
+    /// for each of them, by its place in the list, as soon as its answer is known.
+    pub fn stop_all(
+        &self,
+        agents: &[(String, String)],
+        limit: Duration,
+        mut told: impl FnMut(usize, StopAnswer),
+    ) {
+        let end = Instant::now() + limit;
+        let (sender, news) = channel();
+        let mut robots: Vec<Told> = agents.iter().map(|_| Told::default()).collect();
+        for (index, robot) in robots.iter_mut().enumerate() {
+            self.tell(agents, index, robot, (0, 0), end, &sender);
+        }
+        while robots.iter().any(|robot| !robot.is_known) {
+            let next = robots.iter().filter_map(|robot| robot.again);
+            let next = next.min().unwrap_or(end).min(end);
+            if let Ok((index, named, verdict)) = news.recv_timeout(next - Instant::now().min(next))
+                && let Some(robot) = robots.get_mut(index)
+            {
+                match verdict {
+                    Some(verdict) => {
+                        if let Some(clock) = robot.on_verdict(named, verdict) {
+                            self.tell(agents, index, robot, clock, end, &sender);
+                        }
+                    }
+                    None => robot.open = robot.open.saturating_sub(1),
+                }
+            }
+            let now = Instant::now();
+            for (index, robot) in robots.iter_mut().enumerate() {
+                if robot.is_known {
+                    continue;
+                }
+                if now >= end || robot.open == 0 && robot.is_over() {
+                    robot.is_known = true;
+                    robot.again = None;
+                    let mut answer = robot.answer();
+                    if self.identity.is_none() && robot.open == 0 && answer == StopAnswer::default()
+                    {
+                        let reason = "nobody answers 'stop' there; a robot with a fleet-key answers only files with one";
+                        answer.reason = Some(reason.to_owned());
+                    }
+                    told(index, answer);
+                } else if robot.again.is_some_and(|again| now >= again) {
+                    robot.again = None;
+                    for (times, _) in robot.machines.values_mut() {
+                        *times = 0;
+                    }
+                    self.tell(agents, index, robot, (0, 0), end, &sender);
+                } else if robot.open == 0 && robot.again.is_none() {
+                    robot.again = Some(now + AGAIN);
+                }
+            }
+        }
+    }
+
+    /// Tells a robot, with a boot and a clock of it.
+    fn tell(
+        &self,
+        agents: &[(String, String)],
+        index: usize,
+        told: &mut Told,
+        (boot, until_ms): (u32, u64),
+        end: Instant,
+        sender: &Sender<News>,
+    ) {
+        let Some((robot, agent)) = agents.get(index) else {
+            return;
+        };
+        let request = Request {
+            robot,
+            what: AgentQuery::Stop.name(),
+            parameters: &fresh(boot, until_ms),
+            who: "ztl-fleet",
+            body: b"",
+        };
+        let (replies, ends) = (sender.clone(), sender.clone());
+        // The receiver may be gone: then all is known.
+        let on_reply = move |verdict| drop(replies.send((index, boot, Some(verdict))));
+        let on_end = move || drop(ends.send((index, boot, None)));
+        // Zenoh's own end of the question comes after this one's.
+        let limit = end.saturating_duration_since(Instant::now()) + AGAIN;
+        match self.ask_each(agent, &request, limit, on_reply, on_end) {
+            Ok(()) => told.open += 1,
+            Err(error) => told.reason = Some(error.to_string()),
+        }
+    }
+}
