@@ -304,10 +304,12 @@ fn stop_all_tells_a_busy_robot_again_and_says_why_another_one_does_not_stop() {
 #[test]
 fn stop_all_without_a_key_says_why_a_robot_with_one_does_not_answer() {
     let (fleet, server) = (Fleet::new(), Server::naps());
-    KeyPair::generate()
-        .write(&fleet.scratch.path("arm"))
-        .unwrap();
-    let agent = fleet.start_agent("arm", &server, "fleet-key: arm.key_secret\n");
+    for name in ["arm", "desk"] {
+        let keys = KeyPair::generate();
+        keys.write(&fleet.scratch.path(name)).unwrap();
+    }
+    let keys = "fleet-key: arm.key_secret\nclient-keys: [desk.key]\n";
+    let agent = fleet.start_agent("arm", &server, keys);
     agent.wait_for("has joined");
     let stopped = command(&fleet, &["stop-all"]);
     assert_eq!(stopped.code, Some(1), "{stopped:?}");
