@@ -42,6 +42,8 @@ pub enum BusEvent {
     Silent(u8),
     /// The answers from this address are damaged: by noise, or because two nodes have this address.
     Garbled(u8),
+    /// They are intact again.
+    Intact(u8),
     /// A search has ended: all nodes that answered, by their ids. Two may have one address.
     Found(Vec<Found>),
     /// A search has ended that no node has answered, but there was noise on the line.
@@ -112,6 +114,16 @@ impl Bus {
         }
     }
 
+    /// Begins again without nodes, on a line that was opened again. The addresses that searches have given stay.
+    pub fn reopen(&mut self) {
+        *self = Self {
+            byte_time: self.byte_time,
+            given: std::mem::take(&mut self.given),
+            rounds: self.rounds,
+            ..Self::new(1, self.turnaround)
+        };
+    }
+
     /// Adds the node at an address, 1 to [`ADDR_MOST`](ztl_core::link::ADDR_MOST).
     pub fn add(&mut self, now: Instant, address: u8) {
         self.members.insert(address, Member::new(now));
@@ -120,6 +132,12 @@ impl Bus {
     /// Removes the node at an address: it is not asked any more.
     pub fn remove(&mut self, address: u8) {
         self.members.remove(&address);
+    }
+
+    /// Whether a node answers its questions. A search that finds none says nothing then.
+    #[must_use]
+    pub fn is_answered(&self) -> bool {
+        self.members.values().any(Member::answers)
     }
 
     /// Queues frames for a node: what its session transmits. A newer command replaces an older one that was not sent.
@@ -211,10 +229,8 @@ impl Bus {
             Some(Some(address)) => {
                 let idle = self.decoder.turn() == Some((address, Turn::Idle));
                 let valid = from == Some(address);
-                if let Some(member) = self.members.get_mut(&address)
-                    && member.on_answer(valid, idle)
-                {
-                    self.events.push_back(BusEvent::Garbled(address));
+                if let Some(member) = self.members.get_mut(&address) {
+                    self.events.extend(member.on_answer(address, valid, idle));
                 }
                 if valid && !idle {
                     self.frames.push_back((address, raw));
@@ -254,9 +270,7 @@ impl Bus {
             Some(address) => {
                 if let Some(member) = self.members.get_mut(&address) {
                     let event = if partial {
-                        member
-                            .on_answer(false, false)
-                            .then_some(BusEvent::Garbled(address))
+                        member.on_answer(address, false, false)
                     } else {
                         member.on_silence(now).then_some(BusEvent::Silent(address))
                     };

@@ -5,6 +5,7 @@ use std::time::Duration;
 use ztl_core::Instant;
 use ztl_core::link::{NO_SEQ, Turn};
 
+use super::BusEvent;
 use crate::session::BusNeeds;
 
 /// How often a node with tasks has its turn: no more often if it has nothing to say, and no less often if the line is fast
@@ -16,6 +17,8 @@ const LATEST: Duration = Duration::from_millis(50);
 const REST: (Duration, Duration) = (Duration::from_millis(200), Duration::from_millis(250));
 /// A node that does not answer this often in a row is asked less often.
 const SILENCE: u32 = 3;
+/// A node whose answers were damaged is well again after so many intact ones in a row.
+const INTACT: u32 = 20;
 /// Pause before a silent node is asked again: doubled up to the longest.
 const BACK_OFF: Duration = Duration::from_millis(50);
 const BACK_OFF_MOST: Duration = Duration::from_millis(800);
@@ -55,6 +58,11 @@ pub(super) struct Member {
     more: bool,
     silent: u32,
     garbled: u32,
+    /// Whether its answers are damaged again and again, and how many in a row have been intact since.
+    damaged: bool,
+    intact: u32,
+    /// Whether an answer has arrived intact.
+    heard: bool,
     /// It is not asked before this.
     not_before: Instant,
 }
@@ -70,6 +78,9 @@ impl Member {
             more: false,
             silent: 0,
             garbled: 0,
+            damaged: false,
+            intact: 0,
+            heard: false,
             not_before: Instant::ZERO,
         }
     }
@@ -134,6 +145,11 @@ impl Member {
         answers.then(|| self.polled + LATEST)
     }
 
+    /// Whether one of its last answers has arrived intact.
+    pub(super) const fn answers(&self) -> bool {
+        self.heard && self.silent < SILENCE && self.garbled < SILENCE
+    }
+
     /// Takes the frames of the next question.
     pub(super) fn take(&mut self, now: Instant, address: u8, poll: bool) -> Vec<Vec<u8>> {
         let mut frames = std::mem::take(&mut self.unasked);
@@ -151,15 +167,29 @@ impl Member {
         frames
     }
 
-    /// Handles an answer. Returns whether the answers of this node are damaged again and again.
-    pub(super) fn on_answer(&mut self, valid: bool, idle: bool) -> bool {
+    /// Handles an answer of the node at this address. Returns whether its answers are damaged from now on, or no longer.
+    pub(super) fn on_answer(&mut self, address: u8, valid: bool, idle: bool) -> Option<BusEvent> {
         self.silent = 0;
         self.not_before = Instant::ZERO;
         // A repetition that was queued meanwhile; the session repeats it again if the answer was damaged.
         self.command.take_if(|command| command.bytes == self.sent);
         self.more = valid && !idle;
-        self.garbled = if valid { 0 } else { self.garbled + 1 };
-        self.garbled == SILENCE
+        self.heard |= valid;
+        (self.garbled, self.intact) = match valid {
+            true => (0, self.intact.saturating_add(1)),
+            false => (self.garbled.saturating_add(1), 0),
+        };
+        match self.damaged {
+            false if self.garbled >= SILENCE => {
+                self.damaged = true;
+                Some(BusEvent::Garbled(address))
+            }
+            true if self.intact >= INTACT => {
+                self.damaged = false;
+                Some(BusEvent::Intact(address))
+            }
+            _ => None,
+        }
     }
 
     /// Handles that there was no answer. Returns whether the node has just become silent.

@@ -1,7 +1,7 @@
 //! Finds all nodes of a bus by their ids, without collisions in the end: where several answer at once, the next question
 //! is for half of them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use ztl_core::Instant;
@@ -17,9 +17,6 @@ const REPEATS: u8 = 2;
 const QUESTIONS: u32 = 10_000;
 /// And when it has found so many nodes, of which a line has at most 32: one of them answers for others, or it is noise.
 const MOST: usize = 64;
-
-/// More ids than this that only collisions have shown are noise.
-const UNNAMED: usize = 8;
 
 /// A node that a search has found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -102,11 +99,14 @@ impl Search {
         &self.given
     }
 
-    pub(super) fn into_event(self) -> BusEvent {
-        // Nodes that answer at once are found in the end, at least those with an id of their own.
-        let named = self.found.iter().any(|node| !node.name.is_empty());
-        let unnamed = !(1..=UNNAMED).contains(&self.found.len());
-        match self.collisions > 0 && !named && unnamed {
+    pub(super) fn into_event(mut self) -> BusEvent {
+        let unnamed = self.found.iter().filter(|node| node.name.is_empty());
+        let unnamed: BTreeSet<u64> = unnamed.map(|node| node.id).collect();
+        // Several nodes with one id collide at it only. Noise, or a node that sends all the time, collides at all ids.
+        if unnamed.iter().any(|id| unnamed.contains(&(id ^ 1))) {
+            self.found.retain(|node| !node.name.is_empty());
+        }
+        match self.collisions > 0 && self.found.is_empty() {
             true => BusEvent::Noise,
             false => BusEvent::Found(self.found),
         }

@@ -292,6 +292,22 @@ impl Lab {
         self.corrupt = bytes;
     }
 
+    /// Adds a node with the id and the address of the last one.
+    pub(crate) fn add_twin(&mut self) {
+        let last = self.nodes.last().unwrap();
+        let (id, address) = (last.id, last.address);
+        self.add_node(address);
+        let twin = self.nodes.last_mut().unwrap();
+        twin.id = id;
+        twin.node = fresh_node(id, address, 1, &twin.world);
+    }
+
+    /// The gateway's line is opened again.
+    pub(crate) fn reopen(&mut self) {
+        self.bus.reopen();
+        self.sending.clear();
+    }
+
     pub(crate) fn bus_search(&mut self) {
         let now = self.now();
         self.bus.search(now);

@@ -458,3 +458,103 @@ fn damaged_answers_of_a_search_take_no_longer_than_none() {
     }
     assert_eq!(bus.poll_timeout().unwrap(), silent);
 }
+
+/// Asks the node at the address 1, which answers like this.
+fn polled(bus: &mut Bus, now: &mut Instant, answer: &[u8]) -> Option<BusEvent> {
+    *now = *now + SECOND;
+    bus.handle_timeout(*now);
+    bus.poll_transmit(*now).unwrap();
+    bus.handle_bytes(*now, answer);
+    *now = *now + SECOND;
+    bus.handle_timeout(*now);
+    bus.poll_event()
+}
+
+#[test]
+fn a_bus_is_answered_while_a_node_answers_intact() {
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    let mut now = Instant::ZERO;
+    bus.add(now, 1);
+    let idle = Turn::Idle.encode(1);
+    assert!(!bus.is_answered());
+    for bad in [&[][..], &[7, 7, 0]] {
+        polled(&mut bus, &mut now, bad);
+        polled(&mut bus, &mut now, &idle);
+        assert!(bus.is_answered());
+        for _ in 0..2 {
+            polled(&mut bus, &mut now, bad);
+            assert!(bus.is_answered());
+        }
+        polled(&mut bus, &mut now, bad);
+        assert!(!bus.is_answered(), "{bad:?}");
+    }
+}
+
+#[test]
+fn answers_that_are_damaged_now_and_then_are_told_once() {
+    let mut bus = Bus::new(115_200, TURNAROUND);
+    let mut now = Instant::ZERO;
+    bus.add(now, 1);
+    let mut told = Vec::new();
+    for _ in 0..10 {
+        for answer in [&[7, 7, 0][..]; 4] {
+            told.extend(polled(&mut bus, &mut now, answer));
+        }
+        told.extend(polled(&mut bus, &mut now, &Turn::Idle.encode(1)));
+    }
+    assert_eq!(told, [BusEvent::Garbled(1)]);
+    for _ in 0..30 {
+        told.extend(polled(&mut bus, &mut now, &Turn::Idle.encode(1)));
+    }
+    assert_eq!(told, [BusEvent::Garbled(1), BusEvent::Intact(1)]);
+}
+
+#[test]
+fn a_node_that_sends_all_the_time_is_noise_and_not_several_nodes_with_one_id() {
+    // It begins after a node was found, or from the beginning.
+    for named in [true, false] {
+        let mut bus = Bus::new(115_200, TURNAROUND);
+        let mut now = Instant::from_millis(1);
+        bus.search(now);
+        if named {
+            answered(&mut bus, &mut now, 7, 3);
+            answered(&mut bus, &mut now, 7, 3);
+        }
+        let mut event = None;
+        while event.is_none() {
+            now = now + Duration::from_millis(50);
+            bus.handle_timeout(now);
+            bus.poll_transmit(now);
+            bus.handle_bytes(now, &[0x55, 0xaa, 0]);
+            event = bus.poll_event();
+        }
+        let found = match event {
+            Some(BusEvent::Found(found)) => found.iter().map(|node| node.id).collect(),
+            _ => Vec::new(),
+        };
+        assert_eq!(found, if named { vec![7] } else { vec![] });
+    }
+}
+
+#[test]
+fn several_nodes_with_one_id_are_named() {
+    let mut lab = Lab::empty(1);
+    let id = lab.add_node(1);
+    lab.add_twin();
+    let found = searched(&mut lab);
+    assert_eq!(found, BTreeMap::from([(id, 0)]));
+}
+
+#[test]
+fn a_line_that_is_opened_again_keeps_the_addresses_that_were_given() {
+    let mut lab = Lab::empty(32);
+    let without = lab.add_node(0);
+    assert_eq!(searched(&mut lab), BTreeMap::from([(without, 32)]));
+    lab.reopen();
+    // Its nodes answer the first search.
+    assert_eq!(searched(&mut lab), BTreeMap::from([(without, 32)]));
+    let strapped = lab.add_node(32);
+    searched(&mut lab);
+    let found = searched(&mut lab);
+    assert_eq!(found, BTreeMap::from([(without, 31), (strapped, 32)]));
+}

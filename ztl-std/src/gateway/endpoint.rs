@@ -15,6 +15,10 @@ pub const BAUD: u32 = 115_200;
 /// What a line rate is, for messages.
 pub(super) const BAUD_WANTED: &str = "a line rate in bits a second, as 115200";
 
+/// Why a line is not open.
+pub(super) const NO_PORT: &str = "there is no such port; is it plugged in?";
+pub(super) const CLOSED: &str = "the other end has closed it";
+
 /// Timeout of a read, so that a line can be closed.
 pub const READ_TIMEOUT: Duration = Duration::from_millis(50);
 
@@ -320,6 +324,15 @@ impl Endpoint {
         }
     }
 
+    /// The path of its serial port.
+    pub(super) fn path(&self) -> Option<&str> {
+        match self {
+            Self::Serial { path, .. } => Some(path),
+            Self::Bus { line, .. } => line.path(),
+            _ => None,
+        }
+    }
+
     /// The line rate, if the line has one.
     pub(super) fn baud(&self) -> Option<u32> {
         match self {
@@ -352,10 +365,9 @@ fn for_people(path: &str, error: serialport::Error) -> io::Error {
             ErrorKind::ResourceBusy,
             "another program uses it".to_owned(),
         ),
-        (serialport::ErrorKind::Io(ErrorKind::NotFound), _) => (
-            ErrorKind::NotFound,
-            "there is no such port; is it plugged in?".to_owned(),
-        ),
+        (serialport::ErrorKind::Io(ErrorKind::NotFound), _) => {
+            (ErrorKind::NotFound, NO_PORT.to_owned())
+        }
         (serialport::ErrorKind::Io(ErrorKind::PermissionDenied), _) => (
             ErrorKind::PermissionDenied,
             "this user may not open it; ports often belong to the group dialout".to_owned(),

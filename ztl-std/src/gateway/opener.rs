@@ -4,13 +4,13 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::endpoint::{Endpoint, Line};
+use super::endpoint::{CLOSED, Endpoint, Line, NO_PORT};
 use super::seat::Seat;
 
 /// Opens a device's line, as often as needed.
 #[derive(Clone)]
 pub(super) struct Opener {
-    /// Its name in the log.
+    /// Its name in the log, without the address on a shared line.
     pub(super) label: String,
     /// Line rate in bits per second, if the line has one.
     pub(super) baud: Option<u32>,
@@ -23,7 +23,35 @@ pub(super) struct Opener {
     pub(super) open: Arc<dyn Fn() -> io::Result<Line> + Send + Sync>,
 }
 
+impl std::fmt::Debug for Opener {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.url())
+    }
+}
+
 impl Opener {
+    /// Its name in the log.
+    pub(super) fn url(&self) -> String {
+        match &self.seat {
+            Some(seat) => format!("{}, address {}", self.label, seat.address()),
+            None => self.label.clone(),
+        }
+    }
+
+    /// Why the line was closed, after this error.
+    pub(super) fn why_closed(&self, error: &io::Error) -> String {
+        if self.path.as_ref().is_some_and(|path| !path.exists()) {
+            return NO_PORT.to_owned();
+        }
+        match error.kind() {
+            // The system reports it in one of several ways, and each would be logged in turn.
+            io::ErrorKind::UnexpectedEof
+            | io::ErrorKind::ConnectionReset
+            | io::ErrorKind::ConnectionAborted => CLOSED.to_owned(),
+            _ => error.to_string(),
+        }
+    }
+
     /// The path's current target.
     pub(super) fn target(&self) -> Option<PathBuf> {
         std::fs::canonicalize(self.path.as_ref()?).ok()
@@ -36,10 +64,7 @@ impl From<Endpoint> for Opener {
             label: endpoint.to_string(),
             baud: endpoint.baud(),
             may_be_half_open: endpoint.may_be_half_open(),
-            path: match &endpoint {
-                Endpoint::Serial { path, .. } => Some(PathBuf::from(path)),
-                _ => None,
-            },
+            path: endpoint.path().map(PathBuf::from),
             seat: None,
             open: Arc::new(move || endpoint.open()),
         }

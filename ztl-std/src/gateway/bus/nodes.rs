@@ -13,6 +13,8 @@ use crate::time::now;
 /// The most nodes of a line while the gateway runs, also those that are gone: a node that says another id at each search
 /// fills no memory.
 const MOST: usize = 64;
+/// So many searches in a row must miss a node until it no longer shares its address: their answers collide.
+const MISSES: u32 = 3;
 
 /// A node that was found at some time.
 #[derive(Debug)]
@@ -32,18 +34,20 @@ pub(super) struct Node {
 pub(super) struct Changes {
     /// New nodes by their place in the list.
     pub(super) new: Vec<usize>,
-    /// Addresses whose nodes are not served there any more.
-    pub(super) closed: Vec<u8>,
+    /// Addresses whose nodes are not served there any more, and why.
+    pub(super) closed: Vec<(u8, String)>,
     /// Addresses that several nodes have. A node that has tasks is still asked, so that they can be aborted.
-    pub(super) shared: Vec<u8>,
+    pub(super) shared: Vec<(u8, String)>,
 }
 
 /// All nodes that were found.
 #[derive(Debug, Default)]
 pub(super) struct Nodes {
     all: Vec<Node>,
-    /// What is wrong with nodes that are not served.
-    problem: Option<String>,
+    /// What is wrong with nodes that are not served, each once.
+    mistakes: Vec<String>,
+    /// Nodes that share an address, and how many searches in a row have missed each.
+    sharing: Vec<(Found, u32)>,
     /// When the last search began.
     pub(super) begun: Instant,
 }
@@ -62,14 +66,37 @@ impl Nodes {
     }
 
     /// What is wrong with the addresses.
-    pub(super) fn problem(&self) -> Option<&String> {
-        self.problem.as_ref()
+    pub(super) fn mistakes(&self) -> &[String] {
+        &self.mistakes
+    }
+
+    /// What a search has found, and nodes that it may have missed.
+    fn with_missed(&mut self, found: &[Found]) -> Vec<Found> {
+        let mut all = found.to_vec();
+        let there = |id| found.iter().any(|one| one.id == id);
+        let mut missed = std::mem::take(&mut self.sharing);
+        missed.retain_mut(|(node, misses)| {
+            *misses += 1;
+            *misses < MISSES && !there(node.id)
+        });
+        all.extend(missed.iter().map(|(node, _)| node.clone()));
+        let conflicts = |all: &[Found], one: &Found| sharing(all, one).len() > 1;
+        let before = all.clone();
+        all.retain(|one| there(one.id) || conflicts(&before, one));
+        all.sort_by_key(|one| one.id);
+        for one in all.iter().filter(|one| conflicts(&all, one)) {
+            let misses = missed.iter().find(|(node, _)| node.id == one.id);
+            let misses = misses.map_or(0, |(_, misses)| *misses);
+            self.sharing.push((one.clone(), misses));
+        }
+        all
     }
 
     /// Takes what a search has found.
     pub(super) fn update(&mut self, found: &[Found]) -> Changes {
         let mut changes = Changes::default();
-        self.problem = problem(found);
+        let found = &self.with_missed(found)[..];
+        self.mistakes = mistakes(found);
         let there = |id: u64| found.iter().any(|node| node.id == id);
         for one in found {
             let address = one.address;
@@ -89,7 +116,9 @@ impl Nodes {
                         "'{}' (id {:016x}) is not served: more than {MOST} nodes were found; restart the gateway",
                         one.name, one.id
                     );
-                    self.problem.get_or_insert(text);
+                    if self.mistakes.is_empty() {
+                        self.mistakes.push(text);
+                    }
                 } else if problem.is_none() {
                     let name = self.name_for(found, one);
                     changes.new.push(self.all.len());
@@ -107,10 +136,16 @@ impl Nodes {
                 continue;
             };
             let before = node.seat.address();
-            if before != address {
-                changes.closed.push(before);
-            } else if problem.is_some() {
-                changes.shared.push(before);
+            match &problem {
+                Some(problem) if before == address => {
+                    changes.shared.push((before, problem.clone()))
+                }
+                None if before == address => {}
+                _ => {
+                    let moved = format!("the node has moved from address {before} to {address}");
+                    let why = problem.clone().unwrap_or(moved);
+                    changes.closed.push((before, why));
+                }
             }
             node.id = one.id;
             node.problem = problem;
@@ -125,8 +160,8 @@ impl Nodes {
                 let text = format!("'{name}' (id {id:016x}) has its address {address} now");
                 // Once: the other node is served there from then on.
                 if node.problem.as_ref() != Some(&text) {
-                    node.problem = Some(text);
-                    changes.closed.push(address);
+                    node.problem = Some(text.clone());
+                    changes.closed.push((address, text));
                 }
             }
         }
@@ -201,20 +236,26 @@ fn mistake(found: &[Found], one: &Found) -> Option<String> {
     })
 }
 
-/// All mistakes, each once; of many, the first ones.
-fn problem(found: &[Found]) -> Option<String> {
-    const SHOWN: usize = 4;
+/// All mistakes, each once.
+fn mistakes(found: &[Found]) -> Vec<String> {
     let mut mistakes: Vec<String> = Vec::new();
     for one in found {
         let mistake = mistake(found, one).filter(|mistake| !mistakes.contains(mistake));
         mistakes.extend(mistake);
     }
-    let more = mistakes.len().saturating_sub(SHOWN);
-    mistakes.truncate(SHOWN);
-    if more > 0 {
-        mistakes.push(format!("and {more} more"));
+    mistakes
+}
+
+/// Mistakes as one text; of many, the first ones.
+pub(super) fn joined(mistakes: &[String]) -> Option<String> {
+    const SHOWN: usize = 4;
+    let (shown, more) = mistakes.split_at(mistakes.len().min(SHOWN));
+    let text = shown.join("; ");
+    match (shown, more.len()) {
+        ([], _) => None,
+        (_, 0) => Some(text),
+        (_, more) => Some(format!("{text}; and {more} more")),
     }
-    (!mistakes.is_empty()).then(|| mistakes.join("; "))
 }
 
 #[cfg(test)]
@@ -224,6 +265,15 @@ mod tests {
     fn found(id: u64, address: u8, name: &str) -> Found {
         let name = name.to_owned();
         Found { id, address, name }
+    }
+
+    fn problem(nodes: &Nodes) -> Option<String> {
+        joined(nodes.mistakes())
+    }
+
+    /// Addresses without why.
+    fn addresses(changes: &[(u8, String)]) -> Vec<u8> {
+        changes.iter().map(|(address, _)| *address).collect()
     }
 
     fn names(nodes: &Nodes) -> Vec<&str> {
@@ -244,7 +294,7 @@ mod tests {
         let changes = nodes.update(&[found(1, 4, "finger"), found(5, 8, "pan")]);
         assert_eq!(changes.new, [4]);
         assert_eq!(nodes.all[4].name, "pan-8");
-        assert_eq!(nodes.problem(), None);
+        assert_eq!(problem(&nodes), None);
     }
 
     #[test]
@@ -253,13 +303,42 @@ mod tests {
         nodes.update(&[found(1, 4, "finger")]);
         let both = [found(1, 4, "finger"), found(2, 4, "pan")];
         let changes = nodes.update(&both);
-        assert_eq!((changes.new, changes.shared), (vec![], vec![4]));
+        assert_eq!((changes.new, addresses(&changes.shared)), (vec![], vec![4]));
         let text = "'finger' (id 0000000000000001) and 'pan' (id 0000000000000002) have the same address 4; give each its own";
-        assert_eq!(nodes.problem().map(String::as_str), Some(text));
+        assert_eq!(problem(&nodes).as_deref(), Some(text));
         assert_eq!(nodes.all[0].problem.as_deref(), Some(text));
         let changes = nodes.update(&[found(1, 4, "finger"), found(2, 5, "pan")]);
         assert_eq!(changes.new, [1]);
-        assert_eq!((nodes.problem(), &nodes.all[0].problem), (None, &None));
+        assert_eq!((problem(&nodes), &nodes.all[0].problem), (None, &None));
+    }
+
+    #[test]
+    fn a_search_that_misses_a_node_does_not_end_a_conflict() {
+        let mut nodes = Nodes::default();
+        let both = [found(1, 4, "finger"), found(2, 4, "pan")];
+        nodes.update(&both);
+        let told = problem(&nodes);
+        assert!(told.is_some());
+        // Their answers collide, so that a search may miss either; in another order, they are the same two.
+        for missing in [
+            &both[1..],
+            &both[..1],
+            &[],
+            &[both[1].clone(), both[0].clone()],
+        ] {
+            assert!(nodes.update(missing).new.is_empty());
+            assert_eq!(problem(&nodes), told);
+        }
+        for _ in 1..MISSES {
+            nodes.update(&both[..1]);
+            assert_eq!(problem(&nodes), told);
+        }
+        assert_eq!(nodes.update(&both[..1]).new, [0]);
+        assert_eq!(problem(&nodes), None);
+        // One that has another address is not missing.
+        nodes.update(&both);
+        nodes.update(&[found(1, 5, "finger")]);
+        assert_eq!(problem(&nodes), None);
     }
 
     #[test]
@@ -270,7 +349,10 @@ mod tests {
         assert_eq!(names(&nodes), ["finger"]);
         // Another firmware is another device.
         let changes = nodes.update(&[found(7, 4, "pan")]);
-        assert_eq!((changes.new, changes.closed), (vec![1], vec![4]));
+        assert_eq!(
+            (changes.new, addresses(&changes.closed)),
+            (vec![1], vec![4])
+        );
         assert!(nodes.all[0].problem.as_ref().unwrap().contains("'pan'"));
         // The next search closes nothing again.
         assert_eq!(nodes.update(&[found(7, 4, "pan")]), Changes::default());
@@ -286,12 +368,13 @@ mod tests {
             let text = format!(
                 "'finger' (id 0000000000000001) has the address {address}; addresses go from 1 to 32"
             );
-            assert_eq!(nodes.problem(), Some(&text));
+            assert_eq!(problem(&nodes), Some(text));
         }
         // Also one that was served before.
         let mut nodes = Nodes::default();
         nodes.update(&[found(1, 4, "finger")]);
-        assert_eq!(nodes.update(&[found(1, 40, "finger")]).closed, [4]);
+        let changes = nodes.update(&[found(1, 40, "finger")]);
+        assert_eq!(addresses(&changes.closed), [4]);
     }
 
     #[test]
@@ -299,8 +382,8 @@ mod tests {
         let mut nodes = Nodes::default();
         let many: Vec<Found> = (0..64).map(|id| found(id, 0, "")).collect();
         nodes.update(&many);
-        let problem = nodes.problem().expect("it is told");
-        assert!(problem.ends_with("; and 60 more"), "{problem}");
+        let told = problem(&nodes).expect("it is told");
+        assert!(told.ends_with("; and 60 more"), "{told}");
     }
 
     #[test]
@@ -310,11 +393,11 @@ mod tests {
             nodes.update(&[found(id, 4, &format!("node{id}"))]);
         }
         assert_eq!(nodes.all.len(), MOST);
-        let problem = nodes.problem().expect("it is told");
-        assert!(problem.starts_with("'node999' "), "{problem}");
+        let told = problem(&nodes).expect("it is told");
+        assert!(told.starts_with("'node999' "), "{told}");
         // Nodes that are known are served.
         assert!(nodes.update(&[found(0, 4, "node0")]).new.is_empty());
-        assert_eq!(nodes.problem(), None);
+        assert_eq!(problem(&nodes), None);
     }
 
     #[test]
@@ -322,10 +405,11 @@ mod tests {
         let mut nodes = Nodes::default();
         nodes.update(&[found(1, 4, "finger")]);
         let changes = nodes.update(&[found(1, 6, "finger")]);
-        assert_eq!(changes.closed, [4]);
+        let moved = "the node has moved from address 4 to 6".to_owned();
+        assert_eq!(changes.closed, [(4, moved)]);
         assert_eq!(nodes.all[0].seat.address(), 6);
         let none = nodes.update(&[found(1, 0, "")]);
-        assert_eq!(none.closed, [6]);
-        assert!(nodes.problem().unwrap().contains("several nodes"));
+        assert_eq!(addresses(&none.closed), [6]);
+        assert!(problem(&nodes).unwrap().contains("several nodes"));
     }
 }

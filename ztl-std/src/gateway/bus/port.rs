@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, sync_channel};
+use std::sync::{Arc, OnceLock};
 
 use super::Input;
 use crate::gateway::endpoint::{Line, READ_TIMEOUT};
@@ -16,6 +16,8 @@ struct Port {
     number: u64,
     seat: Arc<Seat>,
     frames: SyncSender<Vec<u8>>,
+    /// Why it was closed.
+    why: Arc<OnceLock<String>>,
 }
 
 /// The open ports by their address.
@@ -38,12 +40,16 @@ impl Ports {
     pub(super) fn open(&mut self, seat: Arc<Seat>) -> Line {
         self.number += 1;
         let (frames, inbox) = sync_channel(FRAMES);
+        let why = Arc::<OnceLock<String>>::default();
         let port = Port {
             number: self.number,
             seat: Arc::clone(&seat),
             frames,
+            why: Arc::clone(&why),
         };
-        self.open.insert(seat.address(), port);
+        let address = seat.address();
+        self.close(address, "another node is served at its address now");
+        self.open.insert(address, port);
         let writer = Writer {
             number: self.number,
             inputs: self.inputs.clone(),
@@ -51,6 +57,7 @@ impl Ports {
         let reader = Reader {
             frames: inbox,
             rest: Vec::new(),
+            why,
         };
         Line::new(reader, writer)
     }
@@ -72,10 +79,10 @@ impl Ports {
             .map(|(address, port)| (*address, &*port.seat))
     }
 
-    /// Whether a node's device asks for a search.
+    /// Whether devices of nodes ask for a search, which is one for all of them.
     pub(super) fn want_search(&self) -> bool {
-        let mut ports = self.open.values();
-        ports.any(|port| port.seat.take_wanted())
+        let wanted = self.open.values().filter(|port| port.seat.take_wanted());
+        wanted.count() > 0
     }
 
     /// Whether the node at an address may hold tasks.
@@ -90,13 +97,17 @@ impl Ports {
         }
     }
 
-    /// Closes a port. Its device sees the end of its line.
-    pub(super) fn close(&mut self, address: u8) {
-        self.open.remove(&address);
+    /// Closes a port. Its device sees the end of its line, and is told why.
+    pub(super) fn close(&mut self, address: u8, why: &str) {
+        if let Some(port) = self.open.remove(&address) {
+            let _ = port.why.set(why.to_owned());
+        }
     }
 
-    pub(super) fn close_all(&mut self) {
-        self.open.clear();
+    pub(super) fn close_all(&mut self, why: &str) {
+        for port in std::mem::take(&mut self.open).into_values() {
+            let _ = port.why.set(why.to_owned());
+        }
     }
 }
 
@@ -104,6 +115,7 @@ struct Reader {
     frames: Receiver<Vec<u8>>,
     /// What did not fit the last buffer.
     rest: Vec<u8>,
+    why: Arc<OnceLock<String>>,
 }
 
 impl Read for Reader {
@@ -112,7 +124,10 @@ impl Read for Reader {
             self.rest = match self.frames.recv_timeout(READ_TIMEOUT) {
                 Ok(frame) => frame,
                 Err(RecvTimeoutError::Timeout) => return Err(io::ErrorKind::TimedOut.into()),
-                Err(RecvTimeoutError::Disconnected) => return Ok(0),
+                Err(RecvTimeoutError::Disconnected) => {
+                    let why = self.why.get().cloned();
+                    return why.map_or(Ok(0), |why| Err(io::Error::other(why)));
+                }
             };
         }
         let count = self.rest.as_slice().read(buffer)?;

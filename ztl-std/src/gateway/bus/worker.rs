@@ -10,7 +10,7 @@ use ztl_core::Instant;
 use ztl_core::time::earliest;
 use ztl_link::bus::{Bus, BusEvent, Found};
 
-use super::nodes::{Node, Nodes};
+use super::nodes::{Node, Nodes, joined};
 use super::port::Ports;
 use super::{AddNode, Input, LineStatus};
 use crate::gateway::device::{LineEvent, run_line};
@@ -45,8 +45,6 @@ enum LineState {
 pub(super) struct Worker {
     name: String,
     opener: Opener,
-    /// A bus without nodes, for each opened line.
-    empty: Bus,
     bus: Bus,
     line: LineState,
     /// Ends the thread that reads the line.
@@ -60,6 +58,9 @@ pub(super) struct Worker {
     /// How many searches in a row no node has answered.
     unanswered: u32,
     retired: bool,
+    /// What is logged of the addresses, and whether the line is logged as ready since.
+    mistakes: Vec<String>,
+    told_ready: bool,
     status: LineStatus,
     add_node: Box<AddNode>,
     log: RateLimitedLog,
@@ -77,7 +78,6 @@ impl Worker {
         Self {
             name: name.to_owned(),
             opener,
-            empty: bus.clone(),
             bus,
             line: LineState::Closed { retry: now() },
             stop: Arc::default(),
@@ -87,6 +87,8 @@ impl Worker {
             search: None,
             unanswered: 0,
             retired: false,
+            mistakes: Vec::new(),
+            told_ready: false,
             status,
             add_node,
             log: RateLimitedLog::new(name, now()),
@@ -152,7 +154,7 @@ impl Worker {
             Input::Line(number, event) if number == self.number => match event {
                 LineEvent::Opened(writer) => {
                     self.line = LineState::Open(writer);
-                    self.bus = self.empty.clone();
+                    self.bus.reopen();
                     self.search = Some(now());
                     self.unanswered = 0;
                 }
@@ -170,7 +172,7 @@ impl Worker {
             }
             Input::Close(number) => {
                 if let Some(address) = self.ports.address(number) {
-                    self.close_port(address);
+                    self.close_port(address, "");
                 }
             }
             Input::Retire => (self.retired, self.search) = (true, None),
@@ -195,44 +197,67 @@ impl Worker {
         Ok(self.ports.open(seat))
     }
 
-    fn close_port(&mut self, address: u8) {
-        self.ports.close(address);
+    fn close_port(&mut self, address: u8, why: &str) {
+        self.ports.close(address, why);
         self.bus.remove(address);
     }
 
     fn on_closed(&mut self, error: &io::Error) {
-        self.close();
-        self.set_problem(Some(error.to_string()));
+        let why = self.opener.why_closed(error);
+        self.close(&why);
+        self.fail(why);
     }
 
     /// Closes the line, to open it again.
-    fn close(&mut self) {
+    fn close(&mut self, why: &str) {
         self.stop.store(true, Ordering::Release);
-        self.ports.close_all();
+        // Ignores further inputs of the line.
+        self.number += 1;
+        self.ports.close_all(why);
         self.search = None;
         // The reading thread still holds the line for a moment.
         let retry = now() + RETRY.max(READ_TIMEOUT * 2);
         self.line = LineState::Closed { retry };
     }
 
-    fn set_problem(&mut self, problem: Option<String>) {
+    /// Sets what is wrong now. Returns whether it has changed.
+    fn set_problem(&self, problem: Option<String>) -> bool {
         let mut status = self.status.lock();
-        let changed = status.problem != problem;
-        let was_ready = status.ready;
         status.ready = problem.is_none();
-        status.problem.clone_from(&problem);
-        drop(status);
-        let url = &self.opener.label;
-        match problem {
-            Some(problem) if changed => {
-                let text = format!(": {url}: {problem}");
-                self.log.log(now(), Severity::Warn, text);
-            }
-            None if !was_ready => {
-                let text = format!(" is ready at {url}: a shared line");
-                self.log.log(now(), Severity::Info, text);
-            }
-            _ => {}
+        let before = std::mem::replace(&mut status.problem, problem);
+        before != status.problem
+    }
+
+    fn warn(&mut self, problem: &str) {
+        let text = format!(": {}: {problem}", self.opener.label);
+        self.log.log(now(), Severity::Warn, text);
+        self.told_ready = false;
+    }
+
+    /// The line is not open, or no node answers.
+    fn fail(&mut self, problem: String) {
+        self.mistakes.clear();
+        if self.set_problem(Some(problem.clone())) {
+            self.warn(&problem);
+        }
+    }
+
+    /// Nodes answer. Logs each mistake in their addresses once while it lasts.
+    fn on_answered(&mut self) {
+        let mistakes = self.nodes.mistakes().to_vec();
+        self.set_problem(joined(&mistakes));
+        let before = std::mem::replace(&mut self.mistakes, mistakes);
+        let new: Vec<String> = self
+            .mistakes
+            .iter()
+            .filter(|it| !before.contains(it))
+            .cloned()
+            .collect();
+        if let Some(new) = joined(&new) {
+            self.warn(&new);
+        } else if self.mistakes.is_empty() && !std::mem::replace(&mut self.told_ready, true) {
+            let text = format!(" is ready at {}: a shared line", self.opener.label);
+            self.log.log(now(), Severity::Info, text);
         }
     }
 
@@ -268,27 +293,33 @@ impl Worker {
             // Its session finds out.
             BusEvent::Silent(_) => {}
             BusEvent::Garbled(address) => {
-                let name = self.nodes.at(address).map_or("a node", |node| &node.name);
-                let text = format!(
-                    ": the answers of '{name}' at address {address} are damaged: noise, or two nodes with this address"
-                );
-                self.log.log(now(), Severity::Warn, text);
+                let text = "damaged: noise, or two nodes with this address";
+                self.log_answers(Severity::Warn, address, text);
                 self.search = self.search.map(|at| at.min(now()));
+            }
+            BusEvent::Intact(address) => {
+                self.log_answers(Severity::Info, address, "intact again");
             }
             BusEvent::Found(found) => self.on_found(&found, NOTHING),
             BusEvent::Noise => self.on_found(&[], NOISE),
         }
     }
 
+    fn log_answers(&mut self, severity: Severity, address: u8, what: &str) {
+        let name = self.nodes.at(address).map_or("a node", |node| &node.name);
+        let text = format!(": the answers of '{name}' at address {address} are {what}");
+        self.log.log(now(), severity, text);
+    }
+
     /// `nothing` says what there is instead of nodes.
     fn on_found(&mut self, found: &[Found], nothing: &str) {
         let changes = self.nodes.update(found);
-        for address in changes.closed {
-            self.close_port(address);
+        for (address, why) in changes.closed {
+            self.close_port(address, &why);
         }
-        for address in changes.shared {
+        for (address, why) in changes.shared {
             if !self.ports.is_busy(address) {
-                self.close_port(address);
+                self.close_port(address, &why);
             }
         }
         for index in changes.new {
@@ -296,17 +327,17 @@ impl Worker {
                 self.serve(node);
             }
         }
-        let problem = match found.is_empty() {
-            true => Some(nothing.to_owned()),
-            false => self.nodes.problem().cloned(),
-        };
-        self.set_problem(problem);
-        if !found.is_empty() {
+        if !found.is_empty() || !self.nodes.mistakes().is_empty() {
+            self.unanswered = 0;
+            self.on_answered();
+        } else if self.bus.is_answered() {
+            // On a busy machine, the answers to a search may be late.
             self.unanswered = 0;
         } else {
             self.unanswered += 1;
+            self.fail(nothing.to_owned());
             if self.opener.may_be_half_open && self.unanswered >= SEARCHES {
-                return self.close();
+                return self.close(nothing);
             }
         }
         let pause = if found.is_empty() { SEARCH.0 } else { SEARCH.1 };
@@ -319,8 +350,8 @@ impl Worker {
         let (seat, inputs) = (Arc::clone(&node.seat), self.ports.inputs.clone());
         let wanted = Arc::clone(&seat);
         let opener = Opener {
-            label: format!("{}, address {}", self.opener.label, seat.address()),
             seat: Some(seat),
+            path: None,
             open: Arc::new(move || open(&inputs, &wanted)),
             // The line is opened again for all nodes at once.
             may_be_half_open: false,
@@ -339,4 +370,100 @@ fn open(inputs: &Sender<Input>, seat: &Arc<Seat>) -> io::Result<Line> {
     let sent = inputs.send(Input::Open(Arc::clone(seat), answer));
     sent.map_err(|_| ended())?;
     opened.recv_timeout(PORT).map_err(|_| ended())?
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+    use std::sync::mpsc::Receiver;
+
+    use ztl_core::link::Turn;
+    use ztl_link::bus::TURNAROUND;
+
+    use super::*;
+
+    fn worker() -> (Worker, Receiver<Input>) {
+        let (inputs, inbox) = channel();
+        let opener = Opener {
+            label: "rs485:test".to_owned(),
+            baud: None,
+            may_be_half_open: false,
+            path: None,
+            seat: None,
+            open: Arc::new(|| Err(io::ErrorKind::NotFound.into())),
+        };
+        let mut worker = Worker::new(
+            "arm",
+            opener,
+            Bus::new(115_200, TURNAROUND),
+            Ports::new(inputs),
+            LineStatus::default(),
+            Box::new(|_, _, _| Ok(())),
+        );
+        worker.line = LineState::Open(Box::new(io::sink()));
+        (worker, inbox)
+    }
+
+    fn problem(worker: &Worker) -> Option<String> {
+        worker.status.lock().problem.clone()
+    }
+
+    #[test]
+    fn a_search_without_an_answer_says_nothing_while_a_node_answers() {
+        let (mut worker, _inbox) = worker();
+        worker.bus.add(Instant::ZERO, 4);
+        let later = now() + Duration::from_secs(1);
+        assert!(worker.bus.poll_transmit(later).is_some());
+        worker.bus.handle_bytes(later, &Turn::Idle.encode(4));
+        worker.on_found(&[], NOTHING);
+        assert_eq!(problem(&worker), None);
+        worker.bus.remove(4);
+        worker.on_found(&[], NOTHING);
+        assert_eq!(problem(&worker).as_deref(), Some(NOTHING));
+    }
+
+    #[test]
+    fn a_port_that_is_closed_says_why() {
+        let (mut worker, _inbox) = worker();
+        let why = |line: &mut Line| {
+            let end = line.reader.read(&mut [0; 8]);
+            end.expect_err("it is closed").to_string()
+        };
+        let seat = Arc::<Seat>::default();
+        seat.set_address(4);
+        let mut open = || worker.open_port(Arc::clone(&seat)).expect("a port");
+        let (mut first, mut second) = (open(), open());
+        assert_eq!(why(&mut first), "another node is served at its address now");
+        worker.close_port(4, "it has moved");
+        assert_eq!(why(&mut second), "it has moved");
+        let mut third = worker.open_port(seat).expect("a port");
+        let number = worker.number;
+        worker.on_closed(&io::Error::other("unplugged"));
+        assert_eq!(why(&mut third), "unplugged");
+        // The reading thread ends later.
+        let ended = io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
+        worker.on_input(Input::Line(number, LineEvent::Closed(ended)));
+        assert_eq!(problem(&worker).as_deref(), Some("unplugged"));
+    }
+
+    #[test]
+    fn each_mistake_is_logged_once_while_it_lasts() {
+        let (mut worker, _inbox) = worker();
+        let found = |id, address| Found {
+            id,
+            address,
+            name: format!("n{id}"),
+        };
+        let mut told = |worker: &mut Worker, all: &[Found]| {
+            worker.told_ready = true;
+            worker.on_found(all, NOTHING);
+            !worker.told_ready
+        };
+        let (one, two) = ([found(1, 4), found(2, 4)], [found(3, 5), found(4, 5)]);
+        assert!(told(&mut worker, &one));
+        assert!(!told(&mut worker, &one[..1]));
+        assert!(told(&mut worker, &[one.clone(), two.clone()].concat()));
+        assert!(!told(&mut worker, &one));
+        assert!(!told(&mut worker, &[two, one].concat()));
+    }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::backpressure::{Backpressure, Permit};
-use crate::gateway::endpoint::is_pause;
+use crate::gateway::endpoint::{CLOSED, is_pause};
 use crate::gateway::opener::Opener;
 
 /// What happens to a line.
@@ -28,7 +28,7 @@ pub(in crate::gateway) fn run_line(
 }
 
 fn read_line(opener: &Opener, stop: &AtomicBool, put: &impl Fn(LineEvent) -> bool) -> io::Error {
-    let ended = || io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
+    let ended = || io::Error::new(io::ErrorKind::UnexpectedEof, CLOSED);
     let mut line = match (opener.open)() {
         Ok(line) => line,
         Err(error) => return error,

@@ -37,7 +37,7 @@ use crate::task_request::TaskRequest;
 /// A device's thread. Dropping it aborts the tasks and ends the thread.
 #[derive(Debug)]
 pub(super) struct Device {
-    url: String,
+    opener: Option<Opener>,
     inputs: Sender<Input>,
     status: SharedStatus,
     log: DeviceLog,
@@ -64,15 +64,16 @@ impl Device {
         let boards = journal.as_ref().map(DeviceJournal::boards);
         let session = Session::with_journal(journal, gateway, baud, random::nonzero);
         let sender = inputs.clone();
-        let mut worker = Worker::new(name, opener, session, sender, awaited, observers, own_tasks);
+        let line = opener.clone();
+        let mut worker = Worker::new(name, line, session, sender, awaited, observers, own_tasks);
         worker.boards = Boards::of_journal(&boards.unwrap_or_default());
-        let (url, status, log) = (worker.url().to_owned(), worker.status(), worker.log());
+        let (status, log) = (worker.status(), worker.log());
         let unused = worker.unused();
         let thread = std::thread::Builder::new()
             .name(format!("ztl-device-{name}"))
             .spawn(move || worker.run(&inbox))?;
         Ok(Self {
-            url,
+            opener,
             inputs,
             status,
             log,
@@ -83,7 +84,8 @@ impl Device {
     }
 
     pub(super) fn url(&self) -> String {
-        self.url.clone()
+        let opener = self.opener.as_ref();
+        opener.map_or_else(String::new, Opener::url)
     }
 
     pub(super) fn log(&self) -> DeviceLog {
@@ -134,7 +136,7 @@ impl Device {
 
     /// Serves it again after [`retire`](Self::retire), or after it was spawned without an opener.
     pub(super) fn serve(&mut self, opener: Opener) {
-        self.url.clone_from(&opener.label);
+        self.opener = Some(opener.clone());
         let _ = self.inputs.send(Input::Serve(opener));
     }
 

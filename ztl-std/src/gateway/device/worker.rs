@@ -233,9 +233,9 @@ impl Worker {
         self.tasks.is_empty() && self.parameters.is_empty() && self.updates.is_empty()
     }
 
-    pub(super) fn url(&self) -> &str {
+    pub(super) fn url(&self) -> String {
         let opener = self.opener.as_ref();
-        opener.map_or("nowhere", |opener| opener.label.as_str())
+        opener.map_or_else(|| "nowhere".to_owned(), Opener::url)
     }
 
     fn until_wake(&self) -> Duration {
@@ -288,6 +288,8 @@ impl Worker {
         if let LineState::Opening { stop, .. } | LineState::Open { stop, .. } = &self.line {
             stop.store(true, Ordering::Release);
         }
+        // Ignores further inputs of the line: the gateway knows why it closes it.
+        self.number += 1;
         self.line = LineState::Closed { retry: now() };
     }
 
@@ -383,8 +385,6 @@ impl Worker {
     fn on_settled(&mut self) {
         if self.opener.take().is_some() {
             self.close();
-            // Ignores further inputs of the line.
-            self.number += 1;
             self.session.handle_disconnected();
             // The reading thread still holds the line for a moment.
             let retry = now() + READ_TIMEOUT * 2;
@@ -401,7 +401,7 @@ impl Worker {
         self.opener = Some(opener);
         self.pause = RETRY.0;
         self.silences = 0;
-        self.problem = None;
+        (self.problem, self.conflict) = (None, None);
         self.ready = false;
     }
 
@@ -419,21 +419,16 @@ impl Worker {
             false => RETRY.1,
         };
         self.pause = (self.pause * 2).min(longest);
-        // The system reports it in one of several ways, and each would be logged in turn.
-        let closed = matches!(
-            error.kind(),
-            io::ErrorKind::UnexpectedEof
-                | io::ErrorKind::ConnectionReset
-                | io::ErrorKind::ConnectionAborted
-        );
-        self.set_problem(match closed {
-            true => format!("{}: the other end has closed it", self.url()),
-            false => format!("{}: {error}", self.url()),
-        });
+        let why = opener.map_or_else(|| error.to_string(), |opener| opener.why_closed(error));
+        self.set_problem(format!("{}: {why}", self.url()));
     }
 
-    pub(super) fn set_problem(&mut self, problem: String) {
+    pub(super) fn set_problem(&mut self, mut problem: String) {
         self.ready = false;
+        // Nothing else counts as long as the device takes no tasks for this.
+        if let Some(conflict) = &self.conflict {
+            problem = format!("{}: {conflict}", self.url());
+        }
         if self.problem.as_ref() != Some(&problem) {
             self.log.log(now(), Severity::Warn, format!(": {problem}"));
             self.problem = Some(problem);
@@ -526,7 +521,10 @@ impl Worker {
                     let kind = io::ErrorKind::TimedOut;
                     return self.on_closed(&io::Error::new(kind, NOT_ANSWERING));
                 }
-                self.set_problem(format!("{}: {NOT_ANSWERING}", self.url()));
+                // It is named once.
+                if self.problem.as_deref() != Some(NOT_ANSWERING) {
+                    self.set_problem(format!("{}: {NOT_ANSWERING}", self.url()));
+                }
             }
             LinkEvent::Lost => {
                 self.on_update_lost();
@@ -571,6 +569,9 @@ impl Worker {
     pub(super) fn on_up(&mut self) {
         self.pause = RETRY.0;
         self.silences = 0;
+        if self.conflict.is_some() {
+            return;
+        }
         self.problem = None;
         if std::mem::replace(&mut self.ready, true) {
             return;
