@@ -4,8 +4,8 @@ use std::io::Write as _;
 
 use ztl_std::{RemoteTask, State, TaskId};
 use ztl_tests::lab::{
-    ABORTED, COMPLETED, LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, connect, start, until,
-    ztl,
+    ABORTED, COMPLETED, LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, connect, reserve_port,
+    start, until, ztl,
 };
 
 /// A simulated line with a record of what its nodes did.
@@ -200,6 +200,56 @@ fn a_board_that_comes_to_the_address_of_a_moving_one_ends_no_task_and_an_abort_s
     assert_eq!(line.count(" right.finger begins "), 0);
     line.process.write_line("right off");
     assert_eq!(ended(&mut remote, task), State::Aborted);
+}
+
+#[test]
+fn a_node_that_moves_after_its_line_was_opened_again_goes_on_with_its_task() {
+    let mut line = Line::of(&["left=sim:gripper", "right=sim:head@32"]);
+    line.process.write_line("right off");
+    let between = reserve_port();
+    let path = line.scratch.path("line");
+    let mut command = ztl();
+    command.args([
+        "line",
+        &format!("tcp-listen:{between}"),
+        &format!("serial:{}", path.display()),
+    ]);
+    let mut wires = Process::start(&mut command);
+    let url = format!("rs485:tcp:127.0.0.1:{between}");
+    // So that a search has time beside a node with a task.
+    let gateway = Server::gateway(&[&format!("arm={url}?wait=30")]);
+    gateway.wait_ready("arm.left");
+    let mut remote = connect(&gateway.endpoint());
+    let port = gateway.port.to_string();
+    let set = ["param", "set", "arm.left", "speed", "0.1", "-p", &port];
+    let slow = Process::run(ztl().args(set));
+    assert_eq!(slow.code, Some(0), "{slow:?}");
+    let task = start(&mut remote, "arm.left", "finger", "100");
+    wires.kill();
+    let told = gateway.process.wait_for(&format!("'arm.left': {url}"));
+    assert!(
+        told.contains(&format!("{url}, address 32: the other end has closed it")),
+        "{told}"
+    );
+    let _wires = Process::start(&mut command);
+    let row = || {
+        let shown = Process::run(ztl().args(["devices", "-p", &port])).stdout;
+        let row = shown.lines().find(|row| row.contains(" arm.left at "));
+        row.map(str::to_owned)
+    };
+    until("it is served again", PATIENCE, || {
+        (!row()?.contains("not ready")).then_some(())
+    });
+    // The node gives way, since the gateway has given it the address.
+    line.process.write_line("right on");
+    gateway
+        .process
+        .wait_for(&format!("'arm.left' is ready at {url}, address 31"));
+    gateway.wait_ready("arm.right");
+    let shown = row().expect("its row");
+    assert!(shown.contains("address 31"), "{shown}");
+    assert_eq!(ended(&mut remote, task), State::Completed);
+    assert_eq!(line.count(" left.finger begins "), 1);
 }
 
 #[test]

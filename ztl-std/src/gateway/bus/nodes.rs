@@ -34,8 +34,8 @@ pub(super) struct Node {
 pub(super) struct Changes {
     /// New nodes by their place in the list.
     pub(super) new: Vec<usize>,
-    /// Addresses whose nodes are not served there any more, and why.
-    pub(super) closed: Vec<(u8, String)>,
+    /// Nodes by their ids that are not served at these addresses any more, and why.
+    pub(super) closed: Vec<(u64, u8, String)>,
     /// Addresses that several nodes have. A node that has tasks is still asked, so that they can be aborted.
     pub(super) shared: Vec<(u8, String)>,
 }
@@ -61,8 +61,8 @@ impl Nodes {
         self.all.iter().find(|node| Arc::ptr_eq(&node.seat, seat))
     }
 
-    pub(super) fn at(&self, address: u8) -> Option<&Node> {
-        self.all.iter().find(|node| node.seat.address() == address)
+    pub(super) fn of_id(&self, id: u64) -> Option<&Node> {
+        self.all.iter().find(|node| node.id == id)
     }
 
     /// What is wrong with the addresses.
@@ -144,7 +144,7 @@ impl Nodes {
                 _ => {
                     let moved = format!("the node has moved from address {before} to {address}");
                     let why = problem.clone().unwrap_or(moved);
-                    changes.closed.push((before, why));
+                    changes.closed.push((one.id, before, why));
                 }
             }
             node.id = one.id;
@@ -161,7 +161,7 @@ impl Nodes {
                 // Once: the other node is served there from then on.
                 if node.problem.as_ref() != Some(&text) {
                     node.problem = Some(text.clone());
-                    changes.closed.push((address, text));
+                    changes.closed.push((node.id, address, text));
                 }
             }
         }
@@ -272,8 +272,9 @@ mod tests {
     }
 
     /// Addresses without why.
-    fn addresses(changes: &[(u8, String)]) -> Vec<u8> {
-        changes.iter().map(|(address, _)| *address).collect()
+    fn closed(changes: &Changes) -> Vec<u8> {
+        let closed = changes.closed.iter();
+        closed.map(|(_, address, _)| *address).collect()
     }
 
     fn names(nodes: &Nodes) -> Vec<&str> {
@@ -303,7 +304,8 @@ mod tests {
         nodes.update(&[found(1, 4, "finger")]);
         let both = [found(1, 4, "finger"), found(2, 4, "pan")];
         let changes = nodes.update(&both);
-        assert_eq!((changes.new, addresses(&changes.shared)), (vec![], vec![4]));
+        let shared = changes.shared.iter().map(|(address, _)| *address);
+        assert_eq!((changes.new, shared.collect()), (vec![], vec![4]));
         let text = "'finger' (id 0000000000000001) and 'pan' (id 0000000000000002) have the same address 4; give each its own";
         assert_eq!(problem(&nodes).as_deref(), Some(text));
         assert_eq!(nodes.all[0].problem.as_deref(), Some(text));
@@ -350,8 +352,8 @@ mod tests {
         // Another firmware is another device.
         let changes = nodes.update(&[found(7, 4, "pan")]);
         assert_eq!(
-            (changes.new, addresses(&changes.closed)),
-            (vec![1], vec![4])
+            (&changes.new[..], &closed(&changes)[..]),
+            (&[1][..], &[4][..])
         );
         assert!(nodes.all[0].problem.as_ref().unwrap().contains("'pan'"));
         // The next search closes nothing again.
@@ -374,7 +376,7 @@ mod tests {
         let mut nodes = Nodes::default();
         nodes.update(&[found(1, 4, "finger")]);
         let changes = nodes.update(&[found(1, 40, "finger")]);
-        assert_eq!(addresses(&changes.closed), [4]);
+        assert_eq!(closed(&changes), [4]);
     }
 
     #[test]
@@ -406,10 +408,10 @@ mod tests {
         nodes.update(&[found(1, 4, "finger")]);
         let changes = nodes.update(&[found(1, 6, "finger")]);
         let moved = "the node has moved from address 4 to 6".to_owned();
-        assert_eq!(changes.closed, [(4, moved)]);
+        assert_eq!(changes.closed, [(1, 4, moved)]);
         assert_eq!(nodes.all[0].seat.address(), 6);
         let none = nodes.update(&[found(1, 0, "")]);
-        assert_eq!(addresses(&none.closed), [6]);
+        assert_eq!(closed(&none), [6]);
         assert!(problem(&nodes).unwrap().contains("several nodes"));
     }
 }

@@ -91,6 +91,15 @@ impl Ports {
         port.is_some_and(|port| port.seat.needs().busy)
     }
 
+    pub(super) fn seat(&self, address: u8) -> Option<&Arc<Seat>> {
+        self.open.get(&address).map(|port| &port.seat)
+    }
+
+    /// Whether the port at an address is that of this node.
+    pub(super) fn has(&self, address: u8, seat: &Arc<Seat>) -> bool {
+        self.seat(address).is_some_and(|its| Arc::ptr_eq(its, seat))
+    }
+
     pub(super) fn put(&self, address: u8, frame: Vec<u8>) {
         if let Some(port) = self.open.get(&address) {
             let _ = port.frames.try_send(frame);

@@ -306,7 +306,9 @@ impl Worker {
     }
 
     fn log_answers(&mut self, severity: Severity, address: u8, what: &str) {
-        let name = self.nodes.at(address).map_or("a node", |node| &node.name);
+        let seat = self.ports.seat(address);
+        let node = seat.and_then(|seat| self.nodes.of_seat(seat));
+        let name = node.map_or("a node", |node| &node.name);
         let text = format!(": the answers of '{name}' at address {address} are {what}");
         self.log.log(now(), severity, text);
     }
@@ -314,8 +316,12 @@ impl Worker {
     /// `nothing` says what there is instead of nodes.
     fn on_found(&mut self, found: &[Found], nothing: &str) {
         let changes = self.nodes.update(found);
-        for (address, why) in changes.closed {
-            self.close_port(address, &why);
+        for (id, address, why) in changes.closed {
+            let seat = self.nodes.of_id(id).map(|node| &node.seat);
+            // Another node may be served there already.
+            if seat.is_some_and(|seat| self.ports.has(address, seat)) {
+                self.close_port(address, &why);
+            }
         }
         for (address, why) in changes.shared {
             if !self.ports.is_busy(address) {
@@ -444,6 +450,28 @@ mod tests {
         let ended = io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
         worker.on_input(Input::Line(number, LineEvent::Closed(ended)));
         assert_eq!(problem(&worker).as_deref(), Some("unplugged"));
+    }
+
+    #[test]
+    fn a_node_that_moves_closes_its_own_port_only() {
+        let (mut worker, _inbox) = worker();
+        let found = |id, address| Found {
+            id,
+            address,
+            name: format!("n{id}"),
+        };
+        worker.on_found(&[found(1, 4)], NOTHING);
+        // It is not heard beside another one at its address, which is served there.
+        worker.on_found(&[found(2, 4)], NOTHING);
+        let seat = |worker: &Worker, id| Arc::clone(&worker.nodes.of_id(id).expect("a node").seat);
+        let second = seat(&worker, 2);
+        let _line = worker.open_port(Arc::clone(&second)).expect("a port");
+        worker.on_found(&[found(1, 5), found(2, 4)], NOTHING);
+        assert!(worker.ports.has(4, &second));
+        let first = seat(&worker, 1);
+        let _line = worker.open_port(Arc::clone(&first)).expect("a port");
+        worker.on_found(&[found(1, 6), found(2, 4)], NOTHING);
+        assert!(!worker.ports.has(5, &first));
     }
 
     #[test]

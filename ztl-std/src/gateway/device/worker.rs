@@ -529,9 +529,11 @@ impl Worker {
             LinkEvent::Lost => {
                 self.on_update_lost();
                 match self.opener {
-                    // The line of a device that is not served was closed here.
-                    None => self.ready = false,
-                    Some(_) => self.set_problem(NOT_ANSWERING.to_owned()),
+                    Some(_) if matches!(self.line, LineState::Open { .. }) => {
+                        self.set_problem(NOT_ANSWERING.to_owned());
+                    }
+                    // It was closed, and why is told.
+                    _ => self.ready = false,
                 }
             }
             LinkEvent::OtherBoard => self.on_other_board(),
