@@ -3,9 +3,12 @@
 use std::cell::RefCell;
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
+use ztl_core::Instant;
 use ztl_core::manifest::{MANIFEST_LEN, Manifest, Parsed, Version};
 use ztl_mcu::update::{Firmware, Receiving, SelfTest, UpdateError, Updater, Verification};
+use ztl_std::time::now;
 
 /// The board that images of a simulated device must be for.
 pub const BOARD: &str = "simulated";
@@ -27,8 +30,9 @@ impl fmt::Debug for Verify {
 }
 
 /// Firmware in a slot. The image of a simulated device is a text; each of its lines may be `self-test: GOAL`, with which the
-/// firmware tests its component, `trial: MILLISECONDS`, how long it waits for a confirmation, or `version: X.Y.Z`, the version
-/// that it says it has, instead of the one for which it was signed.
+/// firmware tests its component, `trial: MILLISECONDS`, how long it waits for a confirmation, `version: X.Y.Z`, the version
+/// that it says it has, instead of the one for which it was signed, or `verify: MILLISECONDS`, how long the firmware before takes
+/// to verify the image.
 #[derive(Debug, Clone)]
 struct Slot {
     version: Version,
@@ -41,7 +45,7 @@ struct Slot {
 impl Slot {
     fn new(version: Version, image: &[u8]) -> Self {
         let image = String::from_utf8_lossy(image);
-        let value = |key| image.lines().find_map(|line| line.strip_prefix(key));
+        let value = |key| value(&image, key);
         let own = value("version: ").and_then(|text| text.trim().parse().ok());
         let version = own.unwrap_or(version);
         Self {
@@ -55,12 +59,19 @@ impl Slot {
     }
 }
 
+/// A setting of an image.
+fn value<'t>(image: &'t str, key: &str) -> Option<&'t str> {
+    image.lines().find_map(|line| line.strip_prefix(key))
+}
+
 /// An image that is being received.
 #[derive(Debug)]
 struct Incoming {
     /// The manifest, and as much of the image as has arrived.
     file: Vec<u8>,
     verified: usize,
+    /// When its verification ends.
+    until: Option<Instant>,
     /// Whether the next restart runs it.
     marked: bool,
 }
@@ -161,6 +172,7 @@ impl Updater for SlotUpdater<'_> {
         let incoming = Incoming {
             file: same.map_or_else(|| manifest.to_vec(), |same| same.file),
             verified: 0,
+            until: None,
             marked: false,
         };
         let offset = incoming.file.len().saturating_sub(MANIFEST_LEN);
@@ -190,6 +202,16 @@ impl Updater for SlotUpdater<'_> {
         let incoming = incoming.as_mut().ok_or(UpdateError::Storage)?;
         incoming.verified += STEP;
         if incoming.verified < incoming.file.len() {
+            return Ok(Verification::Continues);
+        }
+        let image = incoming.file.get(MANIFEST_LEN..).unwrap_or_default();
+        let takes = || {
+            let image = String::from_utf8_lossy(image);
+            let millis = value(&image, "verify: ").and_then(|text| text.trim().parse().ok());
+            now() + Duration::from_millis(millis.unwrap_or_default())
+        };
+        if now() < *incoming.until.get_or_insert_with(takes) {
+            std::thread::sleep(Duration::from_millis(1));
             return Ok(Verification::Continues);
         }
         let parsed = Manifest::parse(&incoming.file);

@@ -23,6 +23,10 @@ use crate::terminal::{error_line, flat, is_live, line, rewrite};
 
 /// Longest wait for the answer to a part or a question.
 const LIMIT: Duration = Duration::from_secs(60);
+/// How long the command waits after Ctrl-C until the device has said what it runs. After SIGTERM, it is [`AFTER_ABORT`].
+const AFTER_CTRL_C: Duration = Duration::from_secs(30);
+/// The outcome of an abort that was not taken.
+const MAY_GO_ON: &str = "the update may go on, ztl ps shows it";
 /// Cells of the progress bar.
 const CELLS: usize = 30;
 
@@ -30,7 +34,8 @@ const CELLS: usize = 30;
 #[command(
     after_help = "Exit codes: 0 the new firmware runs and is confirmed; 1 not updated; 2 the command line or FILE is wrong; refused by the device:
 3 the signature is wrong, 4 the image is for another board, 5 it is older than what runs; 6 the device went back to the firmware before.
-Ctrl-C and SIGTERM abort the update: the device keeps its firmware, or goes back to it. A second one ends the command at once."
+Ctrl-C and SIGTERM abort the update. The command waits until the device has said what it runs, after Ctrl-C for 30 s, after SIGTERM
+for 5 s, and exits with 130 or 143, or with 0 if the new firmware was confirmed before. A second signal ends the command at once."
 )]
 pub(crate) struct Update {
     #[command(flatten)]
@@ -117,16 +122,24 @@ impl Update {
         let ended = match waited {
             Err(_) if signals::stopped() => {
                 // The outcome says whether it was in time.
-                let answer = insist(&mut remote, &task.id).map_err(|error| error.to_string());
-                let limit = match answer {
-                    Ok(_) => AFTER_ABORT,
-                    Err(_) => Duration::ZERO,
+                let answer = insist(&mut remote, &task.id);
+                let limit = match &answer {
+                    Err(error) if !error.was_answered() => Duration::ZERO,
+                    _ if signals::in_a_hurry() => AFTER_ABORT,
+                    _ => AFTER_CTRL_C,
                 };
                 let waited = remote.wait_with(task.id, Some(limit), |status| {
                     show(status);
-                    !signals::in_a_hurry()
+                    true
                 });
-                waited.map_err(|error| answer.err().unwrap_or_else(|| error.to_string()))
+                waited.map_err(|error| match answer {
+                    Ok(_) => {
+                        "it is not known which firmware the device will run, ztl devices shows it"
+                            .to_owned()
+                    }
+                    Err(why) if why.was_answered() => format!("{MAY_GO_ON}: {error}"),
+                    Err(why) => format!("{MAY_GO_ON}: {why}"),
+                })
             }
             waited => waited.map_err(|error| error.to_string()),
         };
@@ -134,9 +147,7 @@ impl Update {
         match (ended, signals::exit_code()) {
             (Ok(status), _) => finish(&device, &status),
             (Err(reason), Some(code)) => {
-                let text = "the update may go on, ztl ps shows it";
-                let reason = flat(&reason);
-                error_line(format_args!("ztl firmware: {name}: {text}: {reason}"));
+                error_line(format_args!("ztl: {name}: {}", flat(&reason)));
                 Ok(code)
             }
             (Err(reason), None) => Err(reason.into()),
@@ -161,13 +172,13 @@ fn finish(device: &str, status: &Status) -> Done {
         if let Some(signed) = &updated.signed {
             let signed = flat(signed);
             error_line(format_args!(
-                "ztl firmware: {name}: the image was signed as {signed}, but says that it is {after}; sign it with the version that it says"
+                "ztl: {name}: the image was signed as {signed}, but says that it is {after}; sign it with the version that it says"
             ));
         }
         return Ok(ExitCode::SUCCESS);
     }
     let (problem, text) = UpdateProblem::split(&status.text);
-    error_line(format_args!("ztl firmware: {name}: {}", flat(text)));
+    error_line(format_args!("ztl: {name}: {}", flat(text)));
     if let Some(code) = signals::exit_code() {
         return Ok(code);
     }

@@ -482,7 +482,7 @@ mod tests {
             address,
             name: format!("n{id}"),
         };
-        let mut told = |worker: &mut Worker, all: &[Found]| {
+        let told = |worker: &mut Worker, all: &[Found]| {
             worker.told_ready = true;
             worker.on_found(all, NOTHING);
             !worker.told_ready

@@ -1,5 +1,6 @@
 //! An update of a device's firmware: what is asked next, and what an answer means. Without I/O.
 
+mod abort;
 mod resumed;
 
 use std::time::Duration;
@@ -22,9 +23,6 @@ const ATTEMPTS: u32 = 20;
 
 /// What is added to a failure after which the device may run either image.
 const UNCERTAIN: &str = "what the device runs is not certain: `ztl devices` shows it";
-
-/// Why a device goes back whose update was aborted.
-const ABORTED: &str = "the update was aborted";
 
 /// An image that is sent.
 #[derive(Debug)]
@@ -84,7 +82,8 @@ pub(super) struct UpdateJob {
     before: Option<(u32, FirmwareInfo)>,
     /// All bytes before this offset are stored.
     sent: usize,
-    /// Whether all bytes are stored and the device verifies them, or did. Some answer nothing meanwhile.
+    /// Whether all bytes are stored and the device verifies them, or did: then a reset runs the image. Some answer nothing
+    /// meanwhile.
     verifies: bool,
     /// Whether the device may have been restarted to run the image.
     restarted: bool,
@@ -206,7 +205,7 @@ impl UpdateJob {
                 Step::Boot | Step::Restart | Step::Revert => "the device has not restarted",
                 _ => "the device has not finished",
             };
-            let known = match self.restarted {
+            let known = match self.restarted || self.verifies {
                 true => format!("; {UNCERTAIN}"),
                 false => String::new(),
             };
@@ -216,27 +215,6 @@ impl UpdateJob {
             Some((_, request)) => Next::Ask(request),
             None => Next::Wait,
         }
-    }
-
-    /// A client aborts it. The firmware before stays, or the device goes back to it.
-    pub(super) fn abort(&mut self, now: Instant) -> Next {
-        self.aborted = true;
-        if self.restarted {
-            return match self.step {
-                Step::Test => self.revert(now, ABORTED.to_owned()),
-                _ => Next::Wait,
-            };
-        }
-        self.end_aborted()
-    }
-
-    /// It was aborted before the device has restarted.
-    fn end_aborted(&mut self) -> Next {
-        self.restarted = false;
-        Next::End(Outcome::Aborted(format!(
-            "aborted; the device keeps {}",
-            self.version_before()
-        )))
     }
 
     /// Whether the device is to be told that no more will be sent.
@@ -330,7 +308,7 @@ impl UpdateJob {
                 "the manifest is longer than the device takes".to_owned(),
             ),
             Err(UpdateFailure::Refused(_)) if self.step == Step::Begin && self.aborted => {
-                self.end_aborted()
+                self.end_marked()
             }
             Err(UpdateFailure::Refused(reason)) => {
                 let problem = match self.step {
@@ -352,6 +330,8 @@ impl UpdateJob {
             .before
             .as_ref()
             .is_some_and(|(it, _)| *it != device.boot);
+        // Any reset after the verification runs the image.
+        self.restarted |= self.verifies && other_boot && !firmware.confirmed;
         if !self.restarted || !other_boot {
             let version = firmware.version.clone();
             if !firmware.confirmed {
@@ -424,7 +404,7 @@ impl UpdateJob {
         self.trial = Some((boot, firmware.version));
         if self.aborted || self.unfit.is_some() {
             let why = self.unfit.take();
-            return self.revert(now, why.unwrap_or_else(|| ABORTED.to_owned()));
+            return self.revert(now, why.unwrap_or_else(|| abort::ABORTED.to_owned()));
         }
         if let Some(result) = self.tested.clone() {
             return self.on_test_result(now, result);
@@ -441,7 +421,6 @@ impl UpdateJob {
     }
 
     fn ask_to_begin(&mut self, now: Instant) -> Next {
-        self.verifies = false;
         if self.resumed && self.aborted {
             return self.end_aborted();
         }
@@ -486,9 +465,19 @@ impl UpdateJob {
     fn on_phase(&mut self, now: Instant, device: &DeviceInfo, phase: UpdatePhase) -> Next {
         match (self.step, phase) {
             // The image is not marked to run any more.
-            (Step::Begin, UpdatePhase::Receiving { .. }) if self.aborted => self.end_aborted(),
+            (Step::Begin | Step::Verify, UpdatePhase::Receiving { .. })
+                if self.aborted && !self.resumed =>
+            {
+                self.end_aborted()
+            }
             (Step::Begin | Step::Write, UpdatePhase::Receiving { offset }) => {
+                self.verifies = false;
                 self.write(now, device, offset)
+            }
+            // The question was lost with its session.
+            (Step::Verify, UpdatePhase::Stopping) if !self.resumed => self.ask_to_begin(now),
+            (Step::Verify, UpdatePhase::Verifying) if self.aborted && !self.resumed => {
+                Next::Ask(UpdateRequest::Cancel)
             }
             // It restarts soon.
             (Step::Begin, UpdatePhase::Stopping | UpdatePhase::Restarting) => {

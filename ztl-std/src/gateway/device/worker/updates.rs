@@ -403,9 +403,12 @@ impl Worker {
 
     /// It cannot go on.
     pub(super) fn stop_update(&mut self, why: &str) {
-        if self.updates.running.is_some() {
-            let text =
-                format!("{why}; the device keeps the firmware that it runs, or goes back to it");
+        if let Some(running) = &self.updates.running {
+            let what = match running.job.may_be_marked() {
+                true => "may run the new firmware after its next reset",
+                false => "keeps the firmware that it runs, or goes back to it",
+            };
+            let text = format!("{why}; the device {what}");
             self.end_update(Outcome::Failed(UpdateProblem::Other, text));
         }
     }

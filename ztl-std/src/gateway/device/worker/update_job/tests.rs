@@ -357,6 +357,99 @@ fn an_update_that_is_aborted_before_the_device_has_restarted_sends_nothing_more(
     }
 }
 
+/// An update whose device verifies.
+fn verifying() -> Rig {
+    let mut rig = Rig::new();
+    rig.answer(runs("1.0.0", true));
+    let offset = LENGTH as u32;
+    rig.answer(phase(UpdatePhase::Receiving { offset }));
+    rig.answer(phase(UpdatePhase::Verifying));
+    rig
+}
+
+#[track_caller]
+fn begins(next: &Next) {
+    let begins = matches!(next, Next::Ask(UpdateRequest::Begin { .. }));
+    assert!(begins, "{next:?}");
+}
+
+#[test]
+fn an_update_that_is_aborted_while_the_device_verifies_ends_when_the_image_cannot_run() {
+    let cancel = Next::Ask(UpdateRequest::Cancel);
+    let receiving = UpdatePhase::Receiving { offset: 0 };
+    let keeps = Next::End(Outcome::Aborted(
+        "aborted; the device keeps 1.0.0".to_owned(),
+    ));
+    // The device may have marked the image before it has given up: another beginning takes that back.
+    let mut rig = verifying();
+    assert_eq!(rig.job.abort(rig.now), cancel);
+    begins(&rig.answer(phase(UpdatePhase::Idle)));
+    assert_eq!(rig.answer(phase(UpdatePhase::Stopping)), Next::Wait);
+    assert_eq!(rig.answer(phase(receiving)), keeps);
+    assert!(rig.job.is_sending(), "it is cancelled");
+    // The client aborts while the device begins again.
+    let mut rig = verifying();
+    begins(&rig.answer(phase(UpdatePhase::Idle)));
+    assert_eq!(rig.job.abort(rig.now), Next::Wait);
+    assert_eq!(rig.answer(phase(receiving)), keeps);
+    // The session is lost.
+    let mut rig = verifying();
+    rig.job.on_lost(rig.now);
+    assert_eq!(rig.job.abort(rig.now), Next::Wait);
+    let read = Next::Ask(UpdateRequest::Read);
+    assert_eq!(rig.job.on_up(rig.now, rig.boot), read);
+    let ask = Next::Ask(UpdateRequest::Ask);
+    assert_eq!(rig.answer(runs("1.0.0", true)), ask);
+    assert_eq!(rig.answer(phase(UpdatePhase::Verifying)), cancel);
+    // A task that was started meanwhile keeps the device from beginning.
+    begins(&rig.answer(phase(UpdatePhase::Idle)));
+    let Next::End(Outcome::Aborted(told)) =
+        rig.answer(Err(UpdateFailure::Refused("a task runs".to_owned())))
+    else {
+        panic!("it ends");
+    };
+    assert!(
+        told.contains("may run 1.1.0 after its next reset"),
+        "{told}"
+    );
+}
+
+#[test]
+fn a_device_that_is_reset_after_it_has_verified_runs_the_image() {
+    for aborts in [false, true] {
+        let mut rig = verifying();
+        if aborts {
+            rig.job.abort(rig.now);
+        }
+        assert_eq!(rig.reboot(), Next::Ask(UpdateRequest::Read));
+        let next = rig.answer(runs("1.1.0", false));
+        if !aborts {
+            assert_eq!(next, Next::Test(0, "20".to_owned()));
+            continue;
+        }
+        assert_eq!(next, Next::Ask(UpdateRequest::Restart));
+        rig.reboot();
+        let text = "aborted; the device went back to 1.0.0".to_owned();
+        assert_eq!(
+            rig.answer(runs("1.0.0", true)),
+            Next::End(Outcome::Aborted(text))
+        );
+    }
+    // If it does not answer, it may run either.
+    let mut rig = verifying();
+    rig.job.on_lost(rig.now);
+    rig.job.abort(rig.now);
+    rig.now = rig.job.poll_timeout();
+    let Next::End(end) = rig.job.handle_timeout(rig.now) else {
+        panic!("it ends");
+    };
+    let told = failure(end);
+    assert!(
+        told.contains("what the device runs is not certain"),
+        "{told}"
+    );
+}
+
 #[test]
 fn a_device_that_dies_during_its_self_test_ends_the_update() {
     let mut rig = Rig::restarted();
