@@ -164,9 +164,10 @@ impl fmt::Display for ManifestError {
                 f,
                 "the board's name is not 1 to {BOARD_LEN} letters, digits, '-', '_' or '.'"
             ),
+            Self::Length { length: 0 } => f.write_str("empty image"),
             Self::Length { length } => write!(
                 f,
-                "the image has {length} bytes; expected a multiple of {IMAGE_UNIT}, and not 0"
+                "the image has {length} bytes; expected a multiple of {IMAGE_UNIT}"
             ),
         }
     }

@@ -495,6 +495,21 @@ fn the_next_gateway_knows_whether_the_firmware_was_confirmed_tested_or_refused()
         assert_eq!(rig.job.on_tested(rig.now, Ok(())), confirm);
         assert_eq!(resume(&mut rig, Some(Ok(()))), read);
         assert_eq!(rig.answer(runs(says, true)), updated(says, signed));
+        // It was reset before the question arrived, and went back.
+        let mut rig = Rig::restarted();
+        rig.answer(runs(says, false));
+        rig.job.on_tested(rig.now, Ok(()));
+        rig.boot += 1;
+        assert_eq!(resume(&mut rig, Some(Ok(()))), read);
+        let Next::End(end) = rig.answer(runs("1.0.0", true)) else {
+            panic!("it ends");
+        };
+        let told = failure(end);
+        let problem = match signed {
+            Some(_) => "failed: the device was reset",
+            None => "reverted: ",
+        };
+        assert!(told.starts_with(problem), "{told}");
     }
     // Whatever the journal has: only the new firmware has another version than the one before.
     let mut rig = Rig::restarted();
