@@ -125,6 +125,9 @@ pub struct Session<J = ()> {
     pub(crate) device: Option<DeviceInfo>,
     /// The next part of the descriptions to ask for; `None` if the device has no more.
     pub(crate) next_part: Option<u8>,
+    /// A question for a part that was lost with its session, and whether such a part was asked for again in this boot.
+    pub(crate) lost_part: Option<u8>,
+    pub(crate) asked_again: bool,
     /// The request about parameters in flight, and those that wait, each with its number.
     pub(crate) parameter_asked: Option<(u64, ParameterRequest)>,
     pub(crate) parameter_requests: VecDeque<(u64, ParameterRequest)>,
@@ -176,6 +179,8 @@ impl<J: SessionJournal> Session<J> {
             events: VecDeque::new(),
             device: None,
             next_part: None,
+            lost_part: None,
+            asked_again: false,
             parameter_asked: None,
             parameter_requests: VecDeque::new(),
             updates: Updates::default(),

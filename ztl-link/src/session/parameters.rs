@@ -30,6 +30,10 @@ impl<J: SessionJournal> Session<J> {
         while let Some((number, request)) = self.parameter_requests.pop_front() {
             let known = self.device.as_ref().filter(|it| it.parameters > 0);
             let Some(most) = known.map(|device| device.max_body) else {
+                if self.describe_again(now) {
+                    self.parameter_requests.push_front((number, request));
+                    return true;
+                }
                 self.answer(number, Err(ParameterFailure::NoParameters));
                 continue;
             };

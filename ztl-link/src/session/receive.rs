@@ -145,6 +145,7 @@ impl<J: SessionJournal> Session<J> {
         self.highest = welcome.highest;
         if known.is_none() {
             self.next_part = Some(welcome.components);
+            (self.lost_part, self.asked_again) = (None, false);
             self.own.on_boot(welcome.replaces);
         }
         self.on_reset(now, welcome);

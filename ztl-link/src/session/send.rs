@@ -9,7 +9,7 @@ use ztl_core::{Instant, TaskId};
 
 use super::{CommandKind, InFlight, Phase, Session};
 use crate::journal::{Entry, Sent, SessionJournal};
-use crate::task::Stage;
+use crate::task::{Stage, Task};
 
 /// Minimum pause before a command is repeated.
 const REPEAT_LEAST: Duration = Duration::from_millis(25);
@@ -34,9 +34,11 @@ impl<J: SessionJournal> Session<J> {
     /// Opens a new session.
     pub(crate) fn greet(&mut self, now: Instant) {
         self.phase = Phase::Greeting;
-        // A device that does not even refuse is not asked again [4.7].
-        if let Some(CommandKind::DescribePart(_)) = self.in_flight.as_ref().map(|it| it.command) {
+        // A device that does not even refuse is not asked again, unless a client needs the answer [4.7].
+        let lost = self.in_flight.as_ref().map(|it| it.command);
+        if let Some(CommandKind::DescribePart(index)) = lost {
             self.next_part = None;
+            self.lost_part = Some(index).filter(|_| !self.asked_again);
         }
         self.session = session_number((self.random)());
         self.ending = NO_SESSION;
@@ -104,6 +106,20 @@ impl<J: SessionJournal> Session<J> {
         } else if now >= self.ping_due() {
             self.command(now, CommandKind::Ping, Body::Ping);
         }
+    }
+
+    /// Asks once more for the part whose question was lost with its session, unless a task would end if that happened again.
+    /// Returns whether it does.
+    pub(crate) fn describe_again(&mut self, now: Instant) -> bool {
+        let is_busy = self.tasks.values().any(Task::may_run);
+        let Some(index) = self.lost_part.take_if(|_| !is_busy) else {
+            return false;
+        };
+        self.asked_again = true;
+        self.next_part = Some(index);
+        let command = CommandKind::DescribePart(index);
+        self.command(now, command, Body::Describe { index });
+        true
     }
 
     /// The next task to abort. An abort is pending until it is answered, so a new session sends it again.

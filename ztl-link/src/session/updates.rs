@@ -39,6 +39,10 @@ impl<J: SessionJournal> Session<J> {
         while let Some((number, request)) = self.updates.waiting.pop_front() {
             let known = self.device.as_ref().filter(|device| device.updates);
             let Some(most) = known.map(|device| device.max_body) else {
+                if self.describe_again(now) {
+                    self.updates.waiting.push_front((number, request));
+                    return true;
+                }
                 self.answer_update(number, Err(UpdateFailure::NoUpdates));
                 continue;
             };

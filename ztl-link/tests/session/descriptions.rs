@@ -6,7 +6,7 @@ use ztl_core::link::{
     ADDR_ONLY_NODE, Body, Decoder, Frame, LinkId, NO_SEQ, NO_SESSION, encode, session_key,
 };
 use ztl_core::{Instant, State, TaskId};
-use ztl_link::{LinkEvent, Session};
+use ztl_link::{LinkEvent, Session, UpdateFailure, UpdateRequest};
 use ztl_mcu::describe::{ComponentDescription, Describe, Described, GoalRule};
 use ztl_mcu::link::Offer;
 use ztl_mcu::{Component, Components, Identity, Node, Refused, Report, Run, description};
@@ -293,6 +293,35 @@ fn a_node_that_does_not_even_refuse_serves_nevertheless() {
     talk.pass(5000);
     assert_eq!((lost(&talk), talk.asked()), (1, asked));
     assert_eq!(talk.descriptions(), ["", "", ""]);
+}
+
+#[test]
+fn a_lost_session_leaves_descriptions_that_are_asked_for_once_more_when_a_client_needs_them() {
+    for heals in [true, false] {
+        let mut talk = Talk::new(described());
+        talk.deaf = true;
+        talk.pass(1500);
+        assert_eq!(talk.descriptions(), ["", "", ""]);
+        talk.deaf = !heals;
+        // A task would end if the session was lost again.
+        let id = TaskId::new(9).expect("a task id");
+        talk.session.start(talk.now, id, "one", "on");
+        let asked = talk.asked();
+        talk.session
+            .request_update(talk.now, 1, UpdateRequest::Read);
+        talk.pass(300);
+        assert_eq!(talk.asked(), asked);
+        for number in 2..4 {
+            let read = UpdateRequest::Read;
+            talk.session.request_update(talk.now, number, read);
+            talk.pass(1500);
+        }
+        let lost = talk.events.iter().filter(|it| **it == LinkEvent::Lost);
+        assert_eq!(lost.count(), if heals { 1 } else { 2 });
+        assert_eq!(talk.descriptions()[0].is_empty(), !heals);
+        let none = LinkEvent::Update(3, Err(UpdateFailure::NoUpdates));
+        assert!(talk.events.contains(&none), "{:?}", talk.events);
+    }
 }
 
 #[test]
