@@ -72,6 +72,10 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         let Some((state, updater)) = self.components.update_mut() else {
             return UPDATE;
         };
+        // Commands do not put a restart off.
+        if state.phase == UpdatePhase::Restarting {
+            return UPDATE;
+        }
         state.until = now + PATIENCE;
         match (command, state.phase) {
             (UpdateCommand::Write { offset, bytes }, UpdatePhase::Receiving { offset: at })
@@ -102,13 +106,13 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                     self.restart(now);
                 }
             }
-            (UpdateCommand::Confirm, _) => match updater.confirm() {
-                Ok(()) => state.trial_ends = Instant::NEVER,
-                Err(error) => state.phase = UpdatePhase::Failed(error),
-            },
-            (UpdateCommand::Cancel, phase) if phase != UpdatePhase::Restarting => {
-                state.phase = UpdatePhase::Idle;
+            (UpdateCommand::Confirm, UpdatePhase::Idle | UpdatePhase::Failed(_)) => {
+                match updater.confirm() {
+                    Ok(()) => state.trial_ends = Instant::NEVER,
+                    Err(error) => state.phase = UpdatePhase::Failed(error),
+                }
             }
+            (UpdateCommand::Cancel, _) => state.phase = UpdatePhase::Idle,
             // A command that is repeated, or belongs to another phase, changes nothing.
             _ => {}
         }

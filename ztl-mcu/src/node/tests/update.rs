@@ -12,6 +12,7 @@ struct Memory {
     /// How many calls the verification takes.
     verifies: u8,
     fails: Option<UpdateError>,
+    confirm_fails: bool,
     on_trial: bool,
     restarts: u8,
 }
@@ -68,7 +69,11 @@ impl Updater for &RefCell<Memory> {
     }
 
     fn confirm(&mut self) -> Result<(), UpdateError> {
-        self.borrow_mut().on_trial = false;
+        let mut memory = self.borrow_mut();
+        if memory.confirm_fails {
+            return Err(UpdateError::Storage);
+        }
+        memory.on_trial = false;
         Ok(())
     }
 }
@@ -363,6 +368,68 @@ fn firmware_on_trial_restarts_unless_it_is_confirmed() {
         assert_eq!(gateway.phase(1, UpdateCommand::Restart), "Restarting");
         gateway.pass(300);
         assert_eq!(memory.borrow().restarts, 1);
+    });
+}
+
+#[test]
+fn commands_do_not_put_a_restart_off() {
+    let memory = Memory {
+        on_trial: true,
+        ..Memory::default()
+    };
+    let (trace, memory) = (Trace::default(), RefCell::new(memory));
+    let mut components = updated(&trace, &memory);
+    // Longer than the node waits.
+    components.components[1].slow = 600_000;
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), components);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.pass(0);
+    assert_eq!(gateway.phase(1, UpdateCommand::Restart), "Restarting");
+    let others = [
+        UpdateCommand::Ask,
+        UpdateCommand::Confirm,
+        UpdateCommand::Cancel,
+        UpdateCommand::Restart,
+        begin(&[1, 40]),
+    ];
+    for (seq, command) in (2..).zip(others.into_iter().cycle().take(10)) {
+        gateway.pass(490);
+        assert_eq!(gateway.phase(seq, command), "Restarting");
+    }
+    assert_eq!(memory.borrow().restarts, 0, "a component moves");
+    assert!(memory.borrow().on_trial);
+    gateway.pass(200);
+    assert!(memory.borrow().restarts > 0);
+}
+
+#[test]
+fn commands_do_not_drop_a_verification() {
+    let memory = Memory {
+        verifies: 20,
+        ..Memory::default()
+    };
+    with_updates(memory, |gateway, memory, _| {
+        begun(gateway, &[1, 32]);
+        assert!(gateway.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+        assert_eq!(gateway.phase(4, UpdateCommand::Finish), "Verifying");
+        memory.borrow_mut().confirm_fails = true;
+        let others = [
+            UpdateCommand::Ask,
+            UpdateCommand::Confirm,
+            UpdateCommand::Finish,
+            UpdateCommand::Restart,
+            write(0, &[1; 32]),
+        ];
+        for (seq, command) in (5..).zip(others) {
+            gateway.pass(0);
+            assert_eq!(gateway.phase(seq, command), "Verifying");
+        }
+        for _ in 0..20 {
+            gateway.pass(0);
+        }
+        assert_eq!(gateway.phase(10, UpdateCommand::Ask), "Ready");
+        assert_eq!(memory.borrow().restarts, 0);
     });
 }
 
