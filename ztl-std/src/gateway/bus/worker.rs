@@ -475,6 +475,20 @@ mod tests {
     }
 
     #[test]
+    fn one_search_is_for_all_nodes_that_ask_for_one() {
+        let (mut worker, _inbox) = worker();
+        let mut lines = Vec::new();
+        for address in [4, 5] {
+            let seat = Arc::<Seat>::default();
+            seat.set_address(address);
+            seat.want_search();
+            lines.push(worker.open_port(seat).expect("a port"));
+        }
+        assert!(worker.ports.want_search());
+        assert!(!worker.ports.want_search());
+    }
+
+    #[test]
     fn each_mistake_is_logged_once_while_it_lasts() {
         let (mut worker, _inbox) = worker();
         let found = |id, address| Found {
