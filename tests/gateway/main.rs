@@ -6,6 +6,7 @@ mod device;
 mod file;
 mod firmware;
 mod handover;
+mod interrupted_updates;
 mod lines;
 #[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
 mod logs;

@@ -1,0 +1,48 @@
+//! Signals to `ztl firmware update`: what the command says is what the device does.
+
+use crate::lines::complete;
+use crate::updates::{Bench, update, version};
+use ztl_std::RemoteTask;
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server};
+
+#[test]
+fn a_command_that_is_ended_while_the_device_verifies_says_what_is_true() {
+    let bench = Bench::new();
+    let (device, hand) = bench.served("hand", &[]);
+    let gateway = Server::gateway(&[&hand]);
+    gateway.wait_ready("hand");
+    let image = bench.image("1.1.0", "verify: 600000\n");
+    let begin = || {
+        let running = Process::start(&mut update(&gateway, &["hand", &image]));
+        running.wait_for("the device verifies the image");
+        running
+    };
+    // The device does not answer: it may have verified the image.
+    let running = begin();
+    device.signal("STOP");
+    running.signal("TERM");
+    let ended = running.end(PATIENCE);
+    assert_eq!(ended.code, Some(143), "{ended:?}");
+    let said = "hand: it is not known which firmware the device will run";
+    assert!(ended.stderr.contains(said), "{ended:?}");
+    assert!(!ended.stderr.contains("keeps"), "{ended:?}");
+    device.signal("CONT");
+    gateway.process.wait_for("aborted; the device keeps 1.0.0");
+    // It says that it has dropped the image, at once or when it answers again.
+    for hangs in [false, true] {
+        let running = begin();
+        if hangs {
+            device.signal("STOP");
+            running.wait_for("device is not answering");
+        }
+        running.signal("INT");
+        device.signal("CONT");
+        let ended = running.end(PATIENCE);
+        assert_eq!(ended.code, Some(130), "{ended:?}");
+        let said = "ztl: hand: aborted; the device keeps 1.0.0";
+        assert!(ended.stderr.contains(said), "{ended:?}");
+    }
+    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
+    complete(&mut remote, "hand", "finger", "3");
+    assert_eq!(version(&gateway, "hand").as_deref(), Some("1.0.0"));
+}
