@@ -119,7 +119,7 @@ fn what_cannot_be_signed_is_named() {
     };
     let secret = "lab.firmware_secret";
     sign(b"\x7fELF...", secret, "desk", "objcopy -O binary");
-    sign(b"", secret, "desk", "the image has 0 bytes");
+    sign(b"", secret, "desk", "empty image");
     sign(b"x", secret, "a desk", "the board's name is not");
     sign(
         b"x",

@@ -131,8 +131,8 @@ struct LastInit {
     number: u64,
     robot: String,
     agent: String,
-    /// Checksum of its scope and payload.
-    hash: u64,
+    /// Checksum of its scope and payload; `None` if only the robot knows them.
+    hash: Option<u64>,
     rules: Option<InitRules>,
     /// What it was answered; without its scope.
     answer: Option<Vec<u8>>,
@@ -159,7 +159,7 @@ struct Pending {
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Purpose {
     /// The answer goes back with this scope instead of the robot's.
-    Request { scope: String, robot_scope: String },
+    Request { scope: String },
     /// The answer tells what became of the client's INIT.
     Outcome(InitId),
     /// The answer is a part of a [`Question`]'s.
@@ -212,7 +212,7 @@ impl Endpoint {
         }
         let request = pending.request;
         match pending.purpose {
-            Purpose::Request { scope, robot_scope } => {
+            Purpose::Request { scope } => {
                 let id = match &pending.what {
                     Ask::Request {
                         rules: Some(rules), ..
@@ -224,8 +224,12 @@ impl Endpoint {
                 let is_refused = !matches!(verdict, Verdict::Answer(_));
                 let is_another =
                     matches!(&verdict, Verdict::NotStarted(why) if why == ANOTHER_INIT);
+                if let Some(id) = id.filter(|_| is_another) {
+                    self.forget_hash(id);
+                }
                 let body = match verdict {
-                    Verdict::Answer(body) => with_scope(&body, &robot_scope, &scope),
+                    // A server repeats the scope of a request. Another one could name another robot.
+                    Verdict::Answer(body) => with_scope(&body, &scope),
                     // Only an INIT can be known not to have acted.
                     Verdict::NotStarted(reason) if id.is_some() => rejection(&scope, &reason),
                     Verdict::Stale { .. } if is_latest => {
@@ -243,7 +247,7 @@ impl Endpoint {
             }
             Purpose::Outcome(id) => {
                 let body = match verdict {
-                    Verdict::Answer(body) => with_any_scope(&body, "$ztl"),
+                    Verdict::Answer(body) => with_scope(&body, "$ztl"),
                     Verdict::NotStarted(_) | Verdict::Stale { .. } => {
                         self.give_up(id);
                         self.never_seen()
@@ -347,20 +351,13 @@ fn rejection(scope: &str, reason: &str) -> Vec<u8> {
     format!("{scope};2;-1;{reason}").into_bytes()
 }
 
-/// An answer with the scope that the client knows. A server repeats the scope of a request.
-fn with_scope(body: &[u8], robot_scope: &str, scope: &str) -> Vec<u8> {
-    let rest = body.strip_prefix(robot_scope.as_bytes());
-    match rest.filter(|rest| rest.first() == Some(&b';')) {
+/// An answer with another scope.
+fn with_scope(body: &[u8], scope: &str) -> Vec<u8> {
+    let rest = body.iter().position(|byte| *byte == b';');
+    match rest.and_then(|rest| body.get(rest..)) {
         Some(rest) => [scope.as_bytes(), rest].concat(),
         None => body.to_vec(),
     }
-}
-
-/// An answer with another scope.
-fn with_any_scope(body: &[u8], scope: &str) -> Vec<u8> {
-    let end = body.iter().position(|byte| *byte == b';');
-    let rest = body.get(end.unwrap_or(body.len())..).unwrap_or_default();
-    [scope.as_bytes(), rest].concat()
 }
 
 #[cfg(test)]

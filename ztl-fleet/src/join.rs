@@ -96,6 +96,8 @@ struct Shared {
     rules: Mutex<Rules>,
     server: Mutex<ServerState>,
     started: Mutex<Started>,
+    /// When another machine was heard that has this agent's id.
+    copy: Mutex<Option<Instant>>,
     subscriptions: Mutex<Subscriptions>,
     busy: AtomicUsize,
     waiting: AtomicUsize,
@@ -168,6 +170,7 @@ impl Joined {
             }),
             server: Mutex::default(),
             started: Mutex::default(),
+            copy: Mutex::default(),
             subscriptions: Mutex::default(),
             session: session.clone(),
             busy: AtomicUsize::new(0),
@@ -186,7 +189,7 @@ impl Joined {
             shared.tell_refused(&session, &other)?;
             return Err(JoinEnd::NameTaken { robot, by: other }.into());
         }
-        if shared.others_with_id(&session).is_some() {
+        if shared.others_with_id().is_some() {
             shared.tell_refused(&session, id)?;
             return Err(JoinEnd::Copied { robot }.into());
         }
@@ -196,10 +199,7 @@ impl Joined {
             shared.run(|rules| rules.agent.handle_timeout(now()));
         })?;
         shared.spawn("ztl-fleet-probe", server::AGAIN, Shared::probe)?;
-        let asks = session.clone();
-        shared.spawn("ztl-fleet-copies", rivals::AGAIN, move |shared| {
-            shared.look_for_copy(&asks);
-        })?;
+        shared.spawn("ztl-fleet-copies", rivals::AGAIN, Shared::look_for_copy)?;
         let alive = session.liveliness().declare_token(key(&robot, id, "alive"));
         // It lasts as long as the session.
         std::mem::forget(alive.wait()?);
@@ -340,6 +340,8 @@ impl Shared {
     fn info(&self) -> RobotInfo {
         let server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
         let rules = self.rules();
+        let problem = server.problem.clone();
+        let problem = problem.or_else(|| self.has_copy().then(|| rivals::COPY.to_owned()));
         RobotInfo {
             ztl_fleet: 1,
             name: self.config.name.clone(),
@@ -350,8 +352,8 @@ impl Shared {
             held_ms: u64::try_from(self.claimed.elapsed().as_millis()).unwrap_or(u64::MAX),
             groups: self.config.groups.clone(),
             streams: self.config.publish.is_some(),
-            ready: server.problem.is_none(),
-            problem: server.problem.clone(),
+            ready: problem.is_none(),
+            problem,
             server: server.probed.clone(),
             scopes: self.scopes(&server),
         }

@@ -1,5 +1,7 @@
 //! The commands that look at a fleet, and the one that stops it.
 
+mod stop;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -7,10 +9,10 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 use ztl_core::Message;
-use ztl_fleet::caller::{Caller, StopAnswer};
+use ztl_fleet::caller::Caller;
 use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::session;
-use ztl_fleet::wire::{AgentQuery, RobotInfo, Stopped, Verdict};
+use ztl_fleet::wire::{AgentQuery, RobotInfo, Verdict};
 use ztl_std::time::rfc3339;
 use ztl_std::{Description, RemoteId, State};
 
@@ -98,11 +100,11 @@ impl Select {
         Ok((caller, all))
     }
 
-    /// The same, and whether the file names no robots; `infos` asks what the agents say.
+    /// The same, with what the file says; `infos` asks what the agents say.
     fn find_with(
         &self,
         infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
-    ) -> Result<(Caller, Vec<Found>, bool), session::ZenohError> {
+    ) -> Result<(Caller, Vec<Found>, EndpointConfig), session::ZenohError> {
         let (caller, config) = self.open(Some(CONNECTING))?;
         let mut looked = self.look_with(&caller, &config, infos)?;
         for found in &mut looked.found {
@@ -122,7 +124,7 @@ impl Select {
             // Some of those that do not answer may belong to it.
             let _ = line(note);
         }
-        Ok((caller, looked.found, config.robots.is_empty()))
+        Ok((caller, looked.found, config))
     }
 
     /// Looks who is there.
@@ -183,7 +185,7 @@ impl Select {
 
     /// Exit code 0 if all robots are there and ready.
     pub(crate) fn ls(self) -> Done {
-        let (_caller, all) = self.find()?;
+        let (caller, all) = self.find()?;
         let mut good = true;
         for found in &all {
             let name = &found.name;
@@ -193,7 +195,7 @@ impl Select {
                     let more = format!("several machines answer as agent {agent}");
                     (false, "in doubt", more)
                 }
-                Some((agent, None)) => (false, "does not answer", format!("agent {agent}")),
+                Some((_, None)) => (false, "does not answer", caller.why_nobody().to_owned()),
                 Some((_, Some(info))) => match &info.problem {
                     None => {
                         let scopes = info.scopes.join(" ");
@@ -229,7 +231,7 @@ impl Select {
                 let why = match &found.agent {
                     None => "it is not there",
                     Some(_) if found.is_doubted => "several machines answer as this robot",
-                    Some(_) => "it does not list its tasks",
+                    Some(_) => "it does not answer, or does not list its tasks",
                 };
                 line(format_args!("{name}  unknown: {why}"))?;
                 continue;
@@ -320,88 +322,6 @@ impl Select {
                 }
             }
         }
-    }
-
-    /// Exit code 0 if every robot has confirmed that nothing runs.
-    pub(crate) fn stop_all(self) -> Done {
-        let (caller, all, names_none) = self.find_with(|caller, agents| match self.group {
-            // No robot waits for what another one says.
-            None => vec![None; agents.len()],
-            Some(_) => caller.infos(agents, LIMIT),
-        })?;
-        if all.is_empty() {
-            return Err("no robot is there, so none was stopped".into());
-        }
-        let mut agents = Agents::new();
-        let mut good = true;
-        for found in all {
-            match found.agent {
-                Some((agent, _)) => agents.push((found.name, agent)),
-                None => {
-                    good = false;
-                    // Also if nobody reads this, the others stop.
-                    let _ = line(format_args!("{}  was not there", found.name));
-                }
-            }
-        }
-        let mut printed = Ok(());
-        caller.stop_all(&agents, STOPPING, |index, answer| {
-            let name = agents.get(index).map_or("", |(name, _)| name);
-            let (has_confirmed, said) = stopped(answer);
-            good &= has_confirmed;
-            let done = line(format_args!("{name}  {said}"));
-            // The others are stopped nevertheless.
-            printed = std::mem::replace(&mut printed, Ok(())).and(done);
-        });
-        printed?;
-        if names_none {
-            good = false;
-            line(
-                "others  unknown: the file names no 'robots', so nobody can tell which are not there",
-            )?;
-        }
-        Ok(code(good))
-    }
-}
-
-/// Whether a robot has confirmed that nothing runs, and what it said.
-fn stopped(answer: StopAnswer) -> (bool, String) {
-    let of = |told: &Stopped| match (&told.running[..], &told.unknown) {
-        ([], None) => (true, format!("stopped: {} tasks", told.stopped.len())),
-        ([], Some(why)) => (false, format!("not confirmed: {why}")),
-        (running, None) => (false, format!("still running: {}", running.join(", "))),
-        (running, Some(why)) => (
-            false,
-            format!("still running: {}; {why}", running.join(", ")),
-        ),
-    };
-    let each = |machines: &[Stopped]| {
-        let all = machines.iter().map(|told| of(told).1);
-        all.collect::<Vec<_>>().join("; ")
-    };
-    let reason = answer
-        .reason
-        .unwrap_or_else(|| "it did not confirm".to_owned());
-    match &answer.machines[..] {
-        [] if answer.is_refused => (false, format!("refused: {reason}")),
-        [] if answer.misses_one => (false, format!("not confirmed: {reason}")),
-        [] => (false, format!("not reached: {reason}")),
-        [told] if !answer.misses_one => of(told),
-        [told] => (
-            false,
-            format!(
-                "not confirmed: another machine with its name and id was heard, or is waited for, and has not confirmed; this one: {}",
-                of(told).1
-            ),
-        ),
-        machines => (
-            false,
-            format!(
-                "not confirmed: {} machines have its name and id, and there may be more; {}",
-                machines.len(),
-                each(machines)
-            ),
-        ),
     }
 }
 

@@ -308,6 +308,12 @@ pub struct Stopped {
     pub running: Vec<String>,
     /// Why the robot cannot tell whether more tasks run; `None` if it can.
     pub unknown: Option<String>,
+    /// Whether to tell it again: tasks still run, or its server does not answer.
+    #[serde(default)]
+    pub again: bool,
+    /// Whether another machine has answered as this robot within the last minute. It may move, and be silent.
+    #[serde(default)]
+    pub copy: bool,
 }
 
 /// Whether a text can be a robot's name, which is a chunk of a key and the first part of a scope.

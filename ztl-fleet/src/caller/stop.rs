@@ -18,7 +18,7 @@ const MOST: u32 = 3;
 pub struct StopAnswer {
     /// What each machine says that answered as this robot.
     pub machines: Vec<Stopped>,
-    /// Whether another machine was heard that did not confirm.
+    /// Whether an answer is missing: of this machine, or of another one with its name and id.
     pub misses_one: bool,
     /// Whether the robot does not do it.
     pub is_refused: bool,
@@ -31,9 +31,13 @@ pub struct StopAnswer {
 struct Told {
     /// Questions without an end yet.
     open: u32,
+    /// Whether a round has ended, so that no other machine holds up the question.
+    was_whole: bool,
     /// How often each boot was told, and what it said.
     machines: BTreeMap<u32, (u32, Option<Stopped>)>,
     is_refused: bool,
+    /// Whether an answer of this round was neither a confirmation nor a refusal.
+    is_unclear: bool,
     reason: Option<String>,
     /// When to tell it again.
     again: Option<Instant>,
@@ -62,13 +66,19 @@ impl Told {
                     told.stopped.extend(ended.unwrap_or_default());
                     *before = Some(told);
                 }
-                Err(error) => self.reason = Some(format!("it answers something else: {error}")),
+                Err(error) => {
+                    self.is_unclear = true;
+                    self.reason = Some(format!("it answers something else: {error}"));
+                }
             },
             Verdict::NotStarted(reason) => {
                 self.is_refused = true;
                 self.reason = Some(reason);
             }
-            Verdict::Unknown(reason) => self.reason = Some(reason),
+            Verdict::Unknown(reason) => {
+                self.is_unclear = true;
+                self.reason = Some(reason);
+            }
         }
         None
     }
@@ -76,16 +86,22 @@ impl Told {
     /// Whether all that were heard have confirmed, or it makes no sense to tell it again.
     fn is_over(&self) -> bool {
         let mut told = self.machines.values();
-        self.is_refused || !self.machines.is_empty() && told.all(|(_, told)| told.is_some())
+        let has_confirmed = |told: &Option<Stopped>| told.as_ref().is_some_and(|told| !told.again);
+        let have_all = !self.machines.is_empty() && told.all(|(_, told)| has_confirmed(told));
+        self.is_refused || have_all && !self.is_unclear
     }
 
     fn answer(&mut self) -> StopAnswer {
         let heard = self.machines.len();
         let told = std::mem::take(&mut self.machines).into_values();
         let machines: Vec<Stopped> = told.filter_map(|(_, told)| told).collect();
+        // Whoever holds up or refuses the question may be another machine.
+        let is_held = self.open > 0 && !self.was_whole || self.is_refused;
         StopAnswer {
-            // Whoever holds up the question may be another machine.
-            misses_one: machines.len() < heard || !machines.is_empty() && self.open > 0,
+            misses_one: machines.len() < heard
+                || matches!(&machines[..], [told] if told.copy)
+                || self.is_unclear
+                || !machines.is_empty() && is_held,
             machines,
             is_refused: self.is_refused,
             reason: self.reason.take(),
@@ -132,21 +148,32 @@ impl Caller {
                     robot.is_known = true;
                     robot.again = None;
                     let mut answer = robot.answer();
-                    if self.identity.is_none() && robot.open == 0 && answer == StopAnswer::default()
-                    {
-                        let reason = "nobody answers 'stop' there; a robot with a fleet-key answers only files with one";
-                        answer.reason = Some(reason.to_owned());
+                    if robot.open == 0 && answer == StopAnswer::default() {
+                        answer.reason = Some(self.why_nobody().to_owned());
                     }
                     told(index, answer);
                 } else if robot.again.is_some_and(|again| now >= again) {
                     robot.again = None;
+                    robot.is_unclear = false;
                     for (times, _) in robot.machines.values_mut() {
                         *times = 0;
                     }
                     self.tell(agents, index, robot, (0, 0), end, &sender);
                 } else if robot.open == 0 && robot.again.is_none() {
+                    robot.was_whole = true;
                     robot.again = Some(now + AGAIN);
                 }
+            }
+        }
+    }
+
+    /// Why an agent that is there may answer nothing.
+    #[must_use]
+    pub const fn why_nobody(&self) -> &'static str {
+        match self.identity {
+            None => "nobody answers there; a robot with a fleet-key answers only files with one",
+            Some(_) => {
+                "nobody with its key answers; perhaps this file's fleet-key is not among its 'client-keys'"
             }
         }
     }

@@ -76,10 +76,11 @@ pub(super) fn own_key<'d>(
 ) -> Option<KeyPair> {
     reading.parsed(node, "a file of `ztl keys`, as arm-1.key_secret", |text| {
         let path = base.join(text);
-        if let Some(exposure) = exposure(&path) {
+        let pair = KeyPair::read(&path);
+        if let Some(exposure) = exposure(&path).filter(|_| pair.is_ok()) {
             warn!(target: "fleet", "{exposure}");
         }
-        KeyPair::read(&path).map_err(|error| match error {
+        pair.map_err(|error| match error {
             KeyError::Missing { .. } if PublicKey::read(&path).is_ok() => format!(
                 "'{}' is a public key; expected the secret one of the same name, as NAME.key_secret; {MAKE}",
                 path.display()
@@ -209,9 +210,13 @@ pub(super) fn robots<'d>(
                 fields.finish(reading);
                 public_key(reading, node?, base)
             });
-        if let (Some(name), Some(key)) = (name, key)
-            && all.insert(name, Some(key)).is_some()
-        {
+        let (Some(name), Some(key)) = (name, key) else {
+            continue;
+        };
+        if let Some((other, _)) = all.iter().find(|(_, known)| **known == Some(key)) {
+            let message = format!("'{other}' has this key, too; each robot has its own; {MAKE}");
+            reading.wrong(value, message);
+        } else if all.insert(name, Some(key)).is_some() {
             reading.wrong(name_at, "this robot has a key already");
         }
     }

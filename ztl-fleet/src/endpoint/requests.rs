@@ -7,7 +7,7 @@ use ztl_core::{Instant, Message, Request};
 use super::{
     Ask, ClientRequest, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST,
     LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, VALID_MS, about_server, rejection,
-    with_any_scope,
+    with_scope,
 };
 use crate::wire::{ANOTHER_INIT, checksum, is_name};
 
@@ -130,7 +130,6 @@ impl Endpoint {
             },
             purpose: Purpose::Request {
                 scope: scope.to_owned(),
-                robot_scope: robot_scope.to_owned(),
             },
             deadline: now + LONGEST,
             again: None,
@@ -159,7 +158,7 @@ impl Endpoint {
         match last.filter(|last| last.number == number) {
             Some(LastInit {
                 answer: Some(body), ..
-            }) => answer(with_any_scope(body, "$ztl")),
+            }) => answer(with_scope(body, "$ztl")),
             Some(LastInit {
                 robot,
                 agent,
@@ -188,7 +187,7 @@ impl Endpoint {
                     number,
                     robot: String::new(),
                     agent: String::new(),
-                    hash: 0,
+                    hash: None,
                     rules: None,
                     answer: None,
                     void: true,
@@ -249,7 +248,8 @@ impl Endpoint {
             if last.number > id.number || last.number == id.number && last.void {
                 return Err("this INIT was given up by its client");
             }
-            if last.number == id.number && (last.robot != robot || last.hash != hash) {
+            let is_another = last.robot != robot || last.hash.is_some_and(|last| last != hash);
+            if last.number == id.number && is_another {
                 return Err(ANOTHER_INIT);
             }
             if last.number == id.number {
@@ -260,7 +260,7 @@ impl Endpoint {
             number: id.number,
             robot: robot.to_owned(),
             agent: agent.to_owned(),
-            hash,
+            hash: Some(hash),
             rules: Some(rules),
             answer: None,
             void: false,
@@ -292,6 +292,13 @@ impl Endpoint {
         if let Some(last) = self.last(id) {
             last.answer = Some(body.to_vec());
             last.expires = now + KEEP;
+        }
+    }
+
+    /// The robot has another INIT with this number, which the client may repeat.
+    pub(super) fn forget_hash(&mut self, id: InitId) {
+        if let Some(last) = self.last(id) {
+            last.hash = None;
         }
     }
 

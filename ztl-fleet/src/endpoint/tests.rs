@@ -347,6 +347,10 @@ fn a_repeated_number_of_another_init_leaves_what_became_of_the_first_one() {
     assert_eq!(answered(&told), another);
     let outcome = ask(&mut endpoint, 2, 2, Some(3), "$ztl;2;-1;outcome 2");
     assert!(matches!(asked(&outcome).1, Ask::Outcome(_)));
+    // The first one, repeated, is not rejected: its task runs.
+    let (query, _) = asked(&ask(&mut endpoint, 3, 3, Some(2), "/arm/lab;1;-1;x"));
+    let told = endpoint.handle_verdict(at(4), query, Verdict::Answer(b"/lab;1;42;on".to_vec()));
+    assert_eq!(answered(&told), started);
 }
 
 #[test]

@@ -16,14 +16,18 @@ use crate::wire::{Verdict, from_hex};
 
 /// How often an agent looks whether another one has its id.
 pub(super) const AGAIN: Duration = Duration::from_secs(2);
+/// How long another machine counts after it was heard.
+const KEEP: Duration = Duration::from_secs(60);
+/// What an agent says while another one counts.
+pub(super) const COPY: &str = "another machine has answered as this robot within the last minute";
 
 impl Shared {
     /// The boot of another agent that has the same name and id: with a key, one that has this key.
-    pub(super) fn others_with_id(&self, session: &Session) -> Option<u32> {
-        let robot = &self.config.name;
+    pub(super) fn others_with_id(&self) -> Option<u32> {
+        let (robot, session) = (&self.config.name, self.session.clone());
         let caller = match &self.config.identity {
-            None => Caller::plain(session.clone()),
-            Some(identity) => Caller::of_itself(session.clone(), robot, &identity.own),
+            None => Caller::plain(session),
+            Some(identity) => Caller::of_itself(session, robot, &identity.own),
         };
         let infos = caller.infos(&[(robot.clone(), self.id.clone())], CLAIM);
         infos.into_iter().flatten().map(|info| info.boot).next()
@@ -41,14 +45,22 @@ impl Shared {
     }
 
     /// Tells that another agent has the same id, as a copy of an SD card. Both stay, so that both can be stopped.
-    pub(super) fn look_for_copy(&self, session: &Session) {
+    pub(super) fn look_for_copy(&self) {
         let robot = &self.config.name;
-        if let Some(boot) = self.others_with_id(session)
-            && boot != self.rules().agent.boot()
-            && self.told.copies.may()
-        {
+        let other = self.others_with_id();
+        if other.is_none_or(|boot| boot == self.rules().agent.boot()) {
+            return;
+        }
+        *self.copy.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+        if self.told.copies.may() {
             error!(target: "fleet", "Another agent has the name '{robot}' and this one's key or id: endpoints send nothing but 'stop' to both. Give each robot its own name, key and 'state' directory.");
         }
+    }
+
+    /// Whether another machine has answered as this robot lately. It may be silent by now, and move.
+    pub(super) fn has_copy(&self) -> bool {
+        let heard = self.copy.lock().unwrap_or_else(PoisonError::into_inner);
+        heard.is_some_and(|heard| heard.elapsed() < KEEP)
     }
 
     /// Another agent was refused the name of this one.

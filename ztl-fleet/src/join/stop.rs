@@ -69,7 +69,9 @@ impl Shared {
             return;
         }
         info!(target: "fleet", "{} stops all tasks.", asked.who());
-        let stopped = self.stop_all();
+        let mut stopped = self.stop_all();
+        self.look_for_copy();
+        stopped.copy = self.has_copy();
         let (ended, running) = (stopped.stopped.len(), stopped.running.join(", "));
         match (&stopped.running[..], &stopped.unknown) {
             ([], None) => info!(target: "fleet", "All tasks have ended: {ended} were stopped."),
@@ -105,8 +107,10 @@ impl Shared {
                 return Stopped {
                     boot: self.rules().agent.boot(),
                     stopped: stopped.map(name).collect(),
+                    again: is_silent || !running.is_empty(),
                     running: running.iter().map(name).collect(),
                     unknown,
+                    copy: false,
                 };
             }
             // All at once: no task waits for another one to stop.

@@ -254,7 +254,7 @@ fn stop_all_names_who_confirmed_and_who_was_not_there() {
     let stopped = Process::run(&mut self::fleet(&["stop-all"], &file));
     assert_eq!(
         stopped.stdout,
-        "leg  was not there\narm  stopped: 2 tasks\n"
+        "arm  stopped: 2 tasks\nleg  was not there\n"
     );
     assert_eq!(stopped.code, Some(1));
     for id in [one, two] {

@@ -57,7 +57,7 @@ struct Twins {
 
 impl Twins {
     /// With these lines in the agents' files. The second one comes while the first one is cut off.
-    fn new(fleet: Fleet, more: &str) -> Self {
+    fn new(fleet: Fleet, more: &str, more_of_the_second: &str) -> Self {
         let servers = [Server::naps(), Server::naps()];
         let first = fleet.join(&servers[0], more);
         first.signal("STOP");
@@ -71,7 +71,7 @@ impl Twins {
         std::fs::write(&file, text).unwrap();
         let router = Process::start(&mut self::fleet(&["router"], &file));
         router.wait_for("Routing at");
-        let file = fleet.agent_file("copy", &servers[1].endpoint(), more);
+        let file = fleet.agent_file("copy", &servers[1].endpoint(), more_of_the_second);
         let text = std::fs::read_to_string(&file).unwrap();
         std::fs::write(&file, text.replace(&fleet.address, &address)).unwrap();
         let second = Process::start(&mut self::fleet(&["join"], &file));
@@ -108,6 +108,15 @@ impl Twins {
         }
     }
 
+    /// `stop-all` is not confirmed, since the second machine may move.
+    #[track_caller]
+    fn assert_missed(&self) {
+        let stopped = command(&self.fleet, &["stop-all"]);
+        assert_eq!(stopped.code, Some(1), "{stopped:?}");
+        let told = "arm  not confirmed: an answer is missing";
+        assert!(stopped.stdout.contains(told), "{stopped:?}");
+    }
+
     /// The endpoint, the agents and `ls` tell it, and no INIT is sent.
     #[track_caller]
     fn assert_noticed(&self, told: &str) {
@@ -130,9 +139,13 @@ impl Twins {
 
 #[test]
 fn of_a_copied_directory_both_machines_are_stopped_and_neither_gets_a_task() {
-    let twins = Twins::new(Fleet::new(), "");
+    let twins = Twins::new(Fleet::new(), "", "");
     twins.assert_noticed("Two agents have the name and the id of robot 'arm'");
     twins.assert_stopped();
+    // One that is silent may move as well.
+    twins.agents[1].signal("STOP");
+    twins.assert_missed();
+    twins.agents[1].signal("CONT");
     // A third one does not join.
     let third = twins.fleet.scratch.path("third");
     std::fs::create_dir(&third).unwrap();
@@ -158,9 +171,43 @@ fn of_a_copied_key_both_machines_are_stopped_and_neither_gets_a_task() {
     let more = "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
     let fleet = Fleet::with(scratch, more);
     let keys = "fleet-key: arm.key_secret\nclient-keys: desk.key\n";
-    let twins = Twins::new(fleet, keys);
+    let twins = Twins::new(fleet, keys, keys);
     twins.assert_noticed("Two agents have the key of robot 'arm'");
     twins.assert_stopped();
+}
+
+#[test]
+fn a_copy_that_takes_no_stop_from_this_desk_is_not_taken_for_stopped() {
+    let scratch = Scratch::new();
+    for name in ["arm", "desk", "boss"] {
+        KeyPair::generate().write(&scratch.path(name)).unwrap();
+    }
+    let more = "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
+    let fleet = Fleet::with(scratch, more);
+    let keys = |clients: &str| format!("fleet-key: arm.key_secret\nclient-keys: [{clients}]\n");
+    let twins = Twins::new(fleet, &keys("desk.key"), &keys("boss.key"));
+    twins.agents[0].wait_for("Another agent has the name 'arm' and this one's key or id");
+    twins.assert_missed();
+}
+
+#[test]
+fn stop_all_stops_a_robot_that_comes_meanwhile() {
+    let fleet = Fleet::with(Scratch::new(), "robots: [arm]\n");
+    let server = Server::naps();
+    let mut remote = connect_to(&server.endpoint(), "/test");
+    let id = start(&mut remote, "nap", "for", "600");
+    // The agent needs a second to join.
+    until("it is there soon enough", PATIENCE, || {
+        let agent = fleet.start_agent("arm", &server, "");
+        let stopped = command(&fleet, &["stop-all"]);
+        agent.signal("TERM");
+        agent.end(PATIENCE);
+        stopped
+            .stdout
+            .contains("arm  stopped: 1 tasks")
+            .then_some(())
+    });
+    assert_eq!(remote.status(id).unwrap().state, State::Aborted);
 }
 
 #[test]
@@ -297,7 +344,7 @@ fn stop_all_tells_a_busy_robot_again_and_says_why_another_one_does_not_stop() {
     assert!(!stopped.stdout().contains("arm"), "{}", stopped.stdout());
     let stopped = stopped.end(PATIENCE);
     assert_eq!(stopped.code, Some(1), "{stopped:?}");
-    let told = "arm  not reached: too many requests are waiting, try again";
+    let told = "arm  not confirmed: too many requests are waiting, try again";
     assert!(stopped.stdout.contains(told), "{stopped:?}");
 }
 
@@ -313,7 +360,7 @@ fn stop_all_without_a_key_says_why_a_robot_with_one_does_not_answer() {
     agent.wait_for("has joined");
     let stopped = command(&fleet, &["stop-all"]);
     assert_eq!(stopped.code, Some(1), "{stopped:?}");
-    let told = "arm  not reached: nobody answers 'stop' there; a robot with a fleet-key";
+    let told = "arm  not reached: nobody answers there; a robot with a fleet-key";
     assert!(stopped.stdout.contains(told), "{stopped:?}");
 }
 
