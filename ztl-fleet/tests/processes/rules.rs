@@ -192,14 +192,22 @@ fn a_copy_that_takes_no_stop_from_this_desk_is_not_taken_for_stopped() {
 
 #[test]
 fn stop_all_stops_a_robot_that_comes_meanwhile() {
-    let fleet = Fleet::with(Scratch::new(), "robots: [arm]\n");
-    let server = Server::naps();
+    let fleet = Fleet::with(Scratch::new(), "robots: [arm, leg]\n");
+    let (server, other) = (Server::naps(), Server::naps());
+    let leg = fleet.agent_file("leg", &other.endpoint(), "");
+    let text = std::fs::read_to_string(&leg).unwrap();
+    std::fs::write(&leg, text.replace("name: arm", "name: leg")).unwrap();
+    let leg = Process::start(&mut self::fleet(&["join"], &leg));
+    leg.wait_for("has joined");
+    let file = fleet.scratch.path("endpoint.yaml");
     let mut remote = connect_to(&server.endpoint(), "/test");
     let id = start(&mut remote, "nap", "for", "600");
-    // The agent needs a second to join.
     until("it is there soon enough", PATIENCE, || {
+        let stopped = Process::start(&mut self::fleet(&["stop-all"], &file));
+        // It has looked who is there.
+        stopped.wait_for("leg  stopped");
         let agent = fleet.start_agent("arm", &server, "");
-        let stopped = command(&fleet, &["stop-all"]);
+        let stopped = stopped.end(PATIENCE);
         agent.signal("TERM");
         agent.end(PATIENCE);
         stopped
