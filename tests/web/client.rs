@@ -87,13 +87,16 @@ impl Client {
         }
     }
 
-    /// Receives the tasks until all is over, without reading them.
+    /// Receives the tasks until all is over, without reading them. The console closes the connection of whoever answers no
+    /// ping, so it may be over before.
     pub(crate) fn drain(mut self, over: &AtomicBool) {
         self.subscribe("/ztl/tasks");
         let mut bytes = vec![0xA5; 64 << 10];
         while !over.load(Ordering::SeqCst) {
             let count = self.stream.read(&mut bytes);
-            assert_ne!(count.expect("a message within the time"), 0, "it is closed");
+            if count.expect("a message within the time") == 0 {
+                return;
+            }
         }
     }
 

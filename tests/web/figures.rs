@@ -287,11 +287,15 @@ fn figures_of_memory() {
     let robot = crate::console::robot(&files, configuration, ztl_tests::lab::reserve_port());
     let (console, url) = web(0, &[("ours", robot.port)], &[]);
     let mut remote = connect(&format!("tcp://127.0.0.1:{}", robot.port));
-    let mut browser = Client::open(port(&url));
-    browser.subscribe("/ztl/robots");
     let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        scope.spawn(|| browser.drain(&over));
+        scope.spawn(|| {
+            while !over.load(Ordering::SeqCst) {
+                let mut browser = Client::open(port(&url));
+                browser.subscribe("/ztl/robots");
+                browser.drain(&over);
+            }
+        });
         for number in 0..MANY {
             if number % (MANY / 8) == 0 {
                 println!(
