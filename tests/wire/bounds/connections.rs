@@ -164,9 +164,7 @@ fn a_device_is_reached_again_beside_an_idle_crowd() {
     is_served(&mut remote);
     let crowd = idle(gateway.port, MANY);
     device.kill();
-    gateway
-        .process
-        .wait_for("Device 'gripper': device is not answering");
+    gateway.process.wait_for("the other end has closed it");
     drop(device);
     let _device = power_on();
     let id = until("a task is taken", PATIENCE, || {
