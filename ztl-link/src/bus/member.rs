@@ -176,8 +176,8 @@ impl Member {
         self.more = valid && !idle;
         self.heard |= valid;
         (self.garbled, self.intact) = match valid {
-            true => (0, self.intact.saturating_add(1)),
-            false => (self.garbled.saturating_add(1), 0),
+            true => (0, self.intact + u32::from(self.damaged)),
+            false => (SILENCE.min(self.garbled + 1), 0),
         };
         match self.damaged {
             false if self.garbled >= SILENCE => {
@@ -185,7 +185,7 @@ impl Member {
                 Some(BusEvent::Garbled(address))
             }
             true if self.intact >= INTACT => {
-                self.damaged = false;
+                (self.damaged, self.intact) = (false, 0);
                 Some(BusEvent::Intact(address))
             }
             _ => None,
