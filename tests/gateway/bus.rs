@@ -481,3 +481,36 @@ fn boards_on_a_half_duplex_line_are_found_and_served() {
     assert_eq!(left.count(" left.finger begins "), 1);
     assert_eq!(right.count(" right.finger begins "), 1);
 }
+
+#[test]
+fn an_id_at_two_addresses_is_named_and_no_node_with_it_gets_tasks() {
+    // Boards with equal places on their lines have equal ids.
+    let first = Line::of(&["left=sim:gripper@1", "right=sim:gripper@2"]);
+    let mut second = Line::of(&["left=sim:gripper@3"]);
+    let pair = first.scratch.path("pair").display().to_string();
+    let ends =
+        [&first, &second].map(|line| format!("serial:{}", line.scratch.path("line").display()));
+    let mut command = ztl();
+    command
+        .args(["line", "--half-duplex", &format!("pty:{pair}")])
+        .args(ends);
+    let wires = Process::start(&mut command);
+    wires.wait_for("Seed ");
+    let gateway = Server::gateway(&[&format!("arm=rs485:{pair}?wait=100")]);
+    gateway.process.wait_for("several nodes have the id");
+    let mut remote = connect(&gateway.endpoint());
+    let refused = remote.trigger("arm.left", "finger", "10");
+    assert!(refused.is_err(), "{refused:?}");
+    gateway.wait_ready("arm.right");
+    let id = start(&mut remote, "arm.right", "finger", "40");
+    assert_eq!(ended(&mut remote, id), State::Completed);
+    // One of them goes.
+    second.process.write_line("left off");
+    let id = until("the other one is served", PATIENCE, || {
+        remote.trigger("arm.left", "finger", "20").ok()
+    });
+    let id = id.id.number().expect("a task id");
+    assert_eq!(ended(&mut remote, id), State::Completed);
+    assert_eq!(first.count(" left.finger begins '20'"), 1);
+    assert_eq!(second.count(" left.finger begins "), 0);
+}

@@ -16,7 +16,7 @@ use ztl_core::time::earliest;
 
 use crate::session::{BusNeeds, FRAME};
 use member::Member;
-use search::Search;
+use search::{Polled, Search, Seen};
 
 pub use boards::{Boards, KnownBoard, LastSearch};
 pub use search::Found;
@@ -77,6 +77,7 @@ pub struct Bus {
     search: Option<Search>,
     /// The addresses that searches have given, each with the id of the last node that took it.
     given: BTreeMap<u8, u64>,
+    seen: Seen,
     rounds: u8,
     question: Option<Question>,
     /// Nothing is sent before this.
@@ -104,6 +105,7 @@ impl Bus {
             members: BTreeMap::new(),
             search: None,
             given: BTreeMap::new(),
+            seen: Seen::default(),
             rounds: 0,
             question: None,
             quiet_at: Instant::ZERO,
@@ -114,11 +116,12 @@ impl Bus {
         }
     }
 
-    /// Begins again without nodes, on a line that was opened again. The addresses that searches have given stay.
+    /// Begins again without nodes, on a line that was opened again. The addresses that searches have given and found stay.
     pub fn reopen(&mut self) {
         *self = Self {
             byte_time: self.byte_time,
             given: std::mem::take(&mut self.given),
+            seen: std::mem::take(&mut self.seen),
             rounds: self.rounds,
             ..Self::new(1, self.turnaround)
         };
@@ -138,6 +141,13 @@ impl Bus {
     #[must_use]
     pub fn is_answered(&self) -> bool {
         self.members.values().any(Member::answers)
+    }
+
+    /// Whether a node that was found at this address has answered with another one, too, until a search has polled both.
+    #[must_use]
+    pub fn doubts(&self, address: u8) -> bool {
+        let search = self.search.as_ref();
+        search.map_or(&self.seen, Search::seen).doubts(address)
     }
 
     /// Queues frames for a node: what its session transmits. A newer command replaces an older one that was not sent.
@@ -163,7 +173,8 @@ impl Bus {
             self.rounds = self.rounds.wrapping_add(1);
             let taken = self.members.keys().copied().collect();
             let given = self.given.clone();
-            self.search = Some(Search::new(self.rounds, taken, given, now));
+            let seen = self.seen.clone();
+            self.search = Some(Search::new(self.rounds, taken, given, seen, now));
         }
     }
 
@@ -207,22 +218,39 @@ impl Bus {
         let message = self.decoder.bus_message();
         let from = self.decoder.address().filter(|_| intact);
         let asked = self.question.as_ref().map(|question| question.address);
+        let found = match (intact, message) {
+            (true, Ok((address, BusMessage::Here { id, name }))) => Some(Found {
+                id,
+                address,
+                name: name.to_owned(),
+            }),
+            _ => None,
+        };
         match asked {
             // Too late for its turn, but no less true.
-            None => return self.frames.extend(from.map(|from| (from, raw))),
+            None => {
+                match (&found, &mut self.search) {
+                    (None, _) => self.frames.extend(from.map(|from| (from, raw))),
+                    (Some(found), Some(search)) => search.hear(found),
+                    (Some(found), None) => self.seen.hear(found.id, found.address),
+                }
+                return;
+            }
             Some(None) => {
-                let found = match (intact, message) {
-                    (true, Ok((address, BusMessage::Here { id, name }))) => Some(Found {
-                        id,
-                        address,
-                        name: name.to_owned(),
-                    }),
-                    _ => None,
-                };
                 if let Some(search) = &mut self.search {
-                    match found {
-                        Some(found) => search.on_answer(found),
-                        None => search.on_collision(),
+                    match (search.polled(), found) {
+                        (Some(_), Some(found)) => {
+                            search.hear(&found);
+                            search.on_polled(Polled::Damaged);
+                        }
+                        (Some(polled), None) if from == Some(polled) => {
+                            search.on_polled(Polled::Intact);
+                            let idle = self.decoder.turn() == Some((polled, Turn::Idle));
+                            self.frames.extend((!idle).then_some((polled, raw)));
+                        }
+                        (Some(_), None) => search.on_polled(Polled::Damaged),
+                        (None, Some(found)) => search.on_answer(found),
+                        (None, None) => search.on_collision(),
                     }
                 }
             }
@@ -243,7 +271,9 @@ impl Bus {
     fn end_turn(&mut self, now: Instant) {
         self.question = None;
         self.quiet_at = now + GAP;
-        if let Some(search) = self.search.take_if(|search| search.has_ended()) {
+        if let Some(mut search) = self.search.take_if(|search| search.has_ended()) {
+            search.finish();
+            self.seen.clone_from(search.seen());
             self.given.clone_from(search.given());
             self.events.push_back(search.into_event());
         }
@@ -260,10 +290,11 @@ impl Bus {
         match question.address {
             None => {
                 if let Some(search) = &mut self.search {
-                    if partial {
-                        search.on_collision();
-                    } else {
-                        search.on_silence();
+                    match (search.polled().is_some(), partial) {
+                        (true, true) => search.on_polled(Polled::Damaged),
+                        (true, false) => search.on_polled(Polled::Silent),
+                        (false, true) => search.on_collision(),
+                        (false, false) => search.on_silence(),
                     }
                 }
             }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use ztl_core::Instant;
-use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage};
+use ztl_core::link::{ADDR_ALL, ADDR_MOST, ADDR_NONE, BusMessage, Turn};
 
 use super::BusEvent;
 
@@ -13,6 +13,8 @@ use super::BusEvent;
 const WAIT: Duration = Duration::from_secs(2);
 /// A question without an answer is repeated this often.
 const REPEATS: u8 = 2;
+/// An address is left when so many polls in a row get no answer.
+const POLLS: u8 = 3;
 /// A search gives up after this many questions: 32 nodes need about a thousand on a bad line.
 const QUESTIONS: u32 = 10_000;
 /// And when it has found so many nodes, of which a line has at most 32: one of them answers for others, or it is noise.
@@ -27,6 +29,37 @@ pub struct Found {
     pub address: u8,
     /// Its name.
     pub name: String,
+}
+
+/// The addresses at which each id was found. One id at several addresses is in doubt: the node has moved, or there are
+/// two nodes.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Seen(BTreeMap<u64, BTreeSet<u8>>);
+
+impl Seen {
+    pub(super) fn hear(&mut self, id: u64, address: u8) {
+        if address <= ADDR_MOST {
+            self.0.entry(id).or_default().insert(address);
+        }
+    }
+
+    fn is_doubled(&self, id: u64) -> bool {
+        self.0.get(&id).is_some_and(|addresses| addresses.len() > 1)
+    }
+
+    /// Whether an id that was found at this address was found at another one, too.
+    pub(super) fn doubts(&self, address: u8) -> bool {
+        let mut all = self.0.values();
+        all.any(|addresses| addresses.len() > 1 && addresses.contains(&address))
+    }
+}
+
+/// What answers a poll.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Polled {
+    Intact,
+    Damaged,
+    Silent,
 }
 
 #[derive(Debug, Clone)]
@@ -49,14 +82,33 @@ pub(super) struct Search {
     taken: Vec<u8>,
     /// The addresses that the gateway has given, each with the id of the last node that took it.
     given: BTreeMap<u8, u64>,
+    seen: Seen,
+    /// The id and the address that the last question was about, if it was a poll, and the answers to such polls.
+    polled: Option<(u64, u8)>,
+    polls: Vec<Polled>,
+    /// Addresses at which a node answers, with the ids that were polled there.
+    there: BTreeSet<(u64, u8)>,
     /// Nodes that cannot have an address: they do not answer, or several have one id.
     given_up: Vec<u64>,
     found: Vec<Found>,
 }
 
 impl Search {
-    pub(super) fn new(round: u8, taken: Vec<u8>, given: BTreeMap<u8, u64>, now: Instant) -> Self {
+    pub(super) fn new(
+        round: u8,
+        taken: Vec<u8>,
+        given: BTreeMap<u8, u64>,
+        mut seen: Seen,
+        now: Instant,
+    ) -> Self {
+        for addresses in seen.0.values_mut() {
+            addresses.remove(&ADDR_NONE);
+        }
         Self {
+            seen,
+            polled: None,
+            polls: Vec::new(),
+            there: BTreeSet::new(),
             round,
             asked: now,
             waiting: false,
@@ -90,7 +142,8 @@ impl Search {
     }
 
     pub(super) fn has_ended(&self) -> bool {
-        let all = self.prefixes.is_empty() && self.next_without().is_none();
+        let all = self.doubt().is_none() && self.next_without().is_none();
+        let all = all && self.prefixes.is_empty();
         all || self.questions >= QUESTIONS || self.found.len() >= MOST
     }
 
@@ -99,12 +152,102 @@ impl Search {
         &self.given
     }
 
+    /// Where nodes were found.
+    pub(super) const fn seen(&self) -> &Seen {
+        &self.seen
+    }
+
+    /// A node has said its id and its address.
+    pub(super) fn hear(&mut self, node: &Found) {
+        self.seen.hear(node.id, node.address);
+    }
+
+    /// The next address to poll, with the id of a node that was found there and has now answered elsewhere or not at all.
+    fn doubt(&self) -> Option<(u64, u8)> {
+        if !self.prefixes.is_empty() {
+            return None;
+        }
+        let has = |id: u64, address| {
+            let mut found = self.found.iter();
+            found.any(|node| (node.id, node.address) == (id, address))
+        };
+        let known = |id: u64| self.found.iter().any(|node| node.id == id);
+        let all = self.seen.0.iter().flat_map(|(&id, addresses)| {
+            let doubted = addresses.len() > 1 || known(id);
+            let doubted = addresses.iter().filter(move |_| doubted);
+            doubted.map(move |address| (id, *address))
+        });
+        let mut all = all.filter(|&(id, address)| {
+            let open = address != ADDR_NONE && !has(id, address);
+            open && !self.there.contains(&(id, address)) && !self.has_other(id, address)
+        });
+        all.next()
+    }
+
+    /// Whether another node was found at the address.
+    fn has_other(&self, id: u64, address: u8) -> bool {
+        let mut found = self.found.iter();
+        found.any(|node| node.address == address && node.id != id)
+    }
+
+    /// The address that the last question was for, if it was a poll.
+    pub(super) fn polled(&self) -> Option<u8> {
+        self.polled.map(|(_, address)| address)
+    }
+
+    /// Handles what has answered this poll.
+    pub(super) fn on_polled(&mut self, polled: Polled) {
+        let Some((id, address)) = self.polled else {
+            return;
+        };
+        self.polls.push(polled);
+        if polled != Polled::Intact && self.polls.len() < usize::from(POLLS) {
+            return;
+        }
+        if std::mem::take(&mut self.polls)
+            .iter()
+            .all(|polled| *polled == Polled::Silent)
+        {
+            self.seen.0.entry(id).or_default().remove(&address);
+        } else {
+            self.there.insert((id, address));
+        }
+    }
+
+    /// Ends it: an id at several addresses is that of several nodes.
+    pub(super) fn finish(&mut self) {
+        let mut seen = std::mem::take(&mut self.seen);
+        for (&id, addresses) in &mut seen.0 {
+            let here = |address| {
+                let mut found = self.found.iter();
+                found.any(|node| (node.id, node.address) == (id, address))
+            };
+            // A node that has moved made room for another one.
+            addresses.retain(|&address| here(address) || !self.has_other(id, address));
+        }
+        if seen.0.len() > MOST {
+            seen.0
+                .retain(|id, _| self.found.iter().any(|node| node.id == *id));
+        }
+        self.seen = seen;
+    }
+
     pub(super) fn into_event(mut self) -> BusEvent {
         let unnamed = self.found.iter().filter(|node| node.name.is_empty());
         let unnamed: BTreeSet<u64> = unnamed.map(|node| node.id).collect();
         // Several nodes with one id collide at it only. Noise, or a node that sends all the time, collides at all ids.
         if unnamed.iter().any(|id| unnamed.contains(&(id ^ 1))) {
             self.found.retain(|node| !node.name.is_empty());
+        }
+        for &id in self.seen.0.keys() {
+            if self.seen.is_doubled(id) {
+                self.found.retain(|node| node.id != id);
+                self.found.push(Found {
+                    id,
+                    address: ADDR_NONE,
+                    name: String::new(),
+                });
+            }
         }
         match self.collisions > 0 && self.found.is_empty() {
             true => BusEvent::Noise,
@@ -117,6 +260,10 @@ impl Search {
         self.questions += 1;
         self.asked = now;
         let round = self.round;
+        self.polled = self.doubt();
+        if let Some((_, address)) = self.polled {
+            return Turn::Poll.encode(address).to_vec();
+        }
         let message = match (&self.answered, self.prefixes.last()) {
             (None, Some(&(bits, prefix))) => BusMessage::Search {
                 round,
@@ -150,7 +297,7 @@ impl Search {
             .find(|address| !self.taken.contains(address) && !has(*address));
         let mut without = self.found.iter().filter(|node| {
             let needs = node.address == ADDR_NONE || self.gives_way(node);
-            needs && !self.given_up.contains(&node.id)
+            needs && !self.given_up.contains(&node.id) && !self.seen.is_doubled(node.id)
         });
         without.next().map(|node| node.id).zip(free)
     }
@@ -163,6 +310,9 @@ impl Search {
 
     /// A node has answered alone.
     pub(super) fn on_answer(&mut self, node: Found) {
+        if !self.prefixes.is_empty() {
+            self.hear(&node);
+        }
         match &self.answered {
             None if self.prefixes.is_empty() => return self.on_assigned(&node),
             None => self.answered = Some(node),
@@ -187,7 +337,10 @@ impl Search {
         match asked {
             Some((id, address)) if id != node.id || address == node.address => {
                 self.silences = 0;
-                self.given.extend((id == node.id).then_some((address, id)));
+                if id == node.id {
+                    self.given.insert(address, id);
+                    self.seen.0.insert(id, BTreeSet::from([address]));
+                }
             }
             // It does not take the address.
             _ if self.silences >= REPEATS => {

@@ -292,10 +292,9 @@ impl Lab {
         self.corrupt = bytes;
     }
 
-    /// Adds a node with the id and the address of the last one.
-    pub(crate) fn add_twin(&mut self) {
-        let last = self.nodes.last().unwrap();
-        let (id, address) = (last.id, last.address);
+    /// Adds a node with the id of the last one.
+    pub(crate) fn add_twin(&mut self, address: u8) {
+        let id = self.nodes.last().unwrap().id;
         self.add_node(address);
         let twin = self.nodes.last_mut().unwrap();
         twin.id = id;

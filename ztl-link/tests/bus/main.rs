@@ -5,6 +5,7 @@
     reason = "helpers of tests may panic"
 )]
 
+mod ids;
 mod lab;
 
 use std::collections::BTreeMap;
@@ -534,15 +535,6 @@ fn a_node_that_sends_all_the_time_is_noise_and_not_several_nodes_with_one_id() {
         };
         assert_eq!(found, if named { vec![7] } else { vec![] });
     }
-}
-
-#[test]
-fn several_nodes_with_one_id_are_named() {
-    let mut lab = Lab::empty(1);
-    let id = lab.add_node(1);
-    lab.add_twin();
-    let found = searched(&mut lab);
-    assert_eq!(found, BTreeMap::from([(id, 0)]));
 }
 
 #[test]

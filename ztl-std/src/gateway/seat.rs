@@ -16,6 +16,8 @@ pub(super) struct Seat {
     board: Mutex<Board>,
     /// Whether a search is to begin as soon as possible.
     wants_search: AtomicBool,
+    /// Whether its id was found at several addresses.
+    doubt: AtomicBool,
 }
 
 /// What searches have found at a node's address.
@@ -65,6 +67,18 @@ impl Seat {
         let mut board = self.locked_board();
         board.searches += 1;
         (board.search, board.conflict, board.replaced) = (search, conflict, replaced);
+    }
+
+    /// Sets whether its id was found at several addresses, which a search checks.
+    pub(super) fn set_doubt(&self, doubt: bool) {
+        self.doubt.store(doubt, Ordering::Release);
+    }
+
+    /// Why the node takes no tasks.
+    pub(super) fn conflict(&self) -> Option<String> {
+        let doubt = self.doubt.load(Ordering::Acquire);
+        let doubt = doubt.then(|| "its id answers at another address, too".to_owned());
+        self.board().conflict.or(doubt)
     }
 
     /// Asks for a search, because another boot answers.

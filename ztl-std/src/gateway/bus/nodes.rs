@@ -13,7 +13,7 @@ use crate::time::now;
 /// The most nodes of a line while the gateway runs, also those that are gone: a node that says another id at each search
 /// fills no memory.
 const MOST: usize = 64;
-/// So many searches in a row must miss a node until it no longer shares its address: their answers collide.
+/// So many searches in a row must miss a node until it no longer shares its address or its id: their answers collide.
 const MISSES: u32 = 3;
 
 /// A node that was found at some time.
@@ -36,8 +36,9 @@ pub(super) struct Changes {
     pub(super) new: Vec<usize>,
     /// Nodes by their ids that are not served at these addresses any more, and why.
     pub(super) closed: Vec<(u64, u8, String)>,
-    /// Addresses that several nodes have. A node that has tasks is still asked, so that they can be aborted.
-    pub(super) shared: Vec<(u8, String)>,
+    /// The same for nodes that share their address or their id. One that has tasks is still asked, so that they can be
+    /// aborted.
+    pub(super) shared: Vec<(u64, u8, String)>,
 }
 
 /// All nodes that were found.
@@ -46,7 +47,7 @@ pub(super) struct Nodes {
     all: Vec<Node>,
     /// What is wrong with nodes that are not served, each once.
     mistakes: Vec<String>,
-    /// Nodes that share an address, and how many searches in a row have missed each.
+    /// Nodes that share an address or an id, and how many searches in a row have missed each.
     sharing: Vec<(Found, u32)>,
     /// When the last search began.
     pub(super) begun: Instant,
@@ -77,10 +78,20 @@ impl Nodes {
         let mut missed = std::mem::take(&mut self.sharing);
         missed.retain_mut(|(node, misses)| {
             *misses += 1;
-            *misses < MISSES && !there(node.id)
+            let known = match doubled(node) {
+                true => found.contains(node),
+                false => found.iter().any(|one| one.id == node.id),
+            };
+            *misses < MISSES && !known
+        });
+        // One of several nodes with one id may answer alone.
+        all.retain(|one| {
+            !missed
+                .iter()
+                .any(|(node, _)| doubled(node) && node.id == one.id)
         });
         all.extend(missed.iter().map(|(node, _)| node.clone()));
-        let conflicts = |all: &[Found], one: &Found| sharing(all, one).len() > 1;
+        let conflicts = |all: &[Found], one: &Found| doubled(one) || sharing(all, one).len() > 1;
         let before = all.clone();
         all.retain(|one| there(one.id) || conflicts(&before, one));
         all.sort_by_key(|one| one.id);
@@ -137,8 +148,8 @@ impl Nodes {
             };
             let before = node.seat.address();
             match &problem {
-                Some(problem) if before == address => {
-                    changes.shared.push((before, problem.clone()))
+                Some(problem) if before == address || doubled(one) => {
+                    changes.shared.push((one.id, before, problem.clone()));
                 }
                 None if before == address => {}
                 _ => {
@@ -204,6 +215,11 @@ impl Nodes {
     }
 }
 
+/// Whether several nodes have this id.
+fn doubled(one: &Found) -> bool {
+    one.address == ADDR_NONE && one.name.is_empty()
+}
+
 /// Nodes with the same address.
 fn sharing<'a>(found: &'a [Found], one: &Found) -> Vec<&'a Found> {
     let same = |other: &&Found| other.address == one.address && one.address != ADDR_NONE;
@@ -214,9 +230,9 @@ fn sharing<'a>(found: &'a [Found], one: &Found) -> Vec<&'a Found> {
 fn mistake(found: &[Found], one: &Found) -> Option<String> {
     let (name, id) = (&one.name, one.id);
     if one.address == ADDR_NONE {
-        return Some(match name.as_str() {
-            "" => format!("several nodes have the id {id:016x}; give each its own"),
-            name => format!("'{name}' (id {id:016x}) has no address and takes none"),
+        return Some(match doubled(one) {
+            true => format!("several nodes have the id {id:016x}; give each its own"),
+            false => format!("'{name}' (id {id:016x}) has no address and takes none"),
         });
     }
     if one.address > ADDR_MOST {
@@ -304,7 +320,7 @@ mod tests {
         nodes.update(&[found(1, 4, "finger")]);
         let both = [found(1, 4, "finger"), found(2, 4, "pan")];
         let changes = nodes.update(&both);
-        let shared = changes.shared.iter().map(|(address, _)| *address);
+        let shared = changes.shared.iter().map(|(_, address, _)| *address);
         assert_eq!((changes.new, shared.collect()), (vec![], vec![4]));
         let text = "'finger' (id 0000000000000001) and 'pan' (id 0000000000000002) have the same address 4; give each its own";
         assert_eq!(problem(&nodes).as_deref(), Some(text));
@@ -411,7 +427,34 @@ mod tests {
         assert_eq!(changes.closed, [(1, 4, moved)]);
         assert_eq!(nodes.all[0].seat.address(), 6);
         let none = nodes.update(&[found(1, 0, "")]);
-        assert_eq!(closed(&none), [6]);
+        assert_eq!(closed(&none), [0; 0]);
+        assert_eq!((none.shared[0].0, none.shared[0].1), (1, 6));
         assert!(problem(&nodes).unwrap().contains("several nodes"));
+    }
+
+    #[test]
+    fn an_id_of_several_nodes_stays_one_when_one_of_them_answers_alone() {
+        let mut nodes = Nodes::default();
+        nodes.update(&[found(1, 4, "finger")]);
+        nodes.update(&[found(1, 0, "")]);
+        let told = problem(&nodes);
+        assert!(told.as_ref().unwrap().contains("several nodes"));
+        for missing in [&[][..], &[found(1, 4, "finger")]] {
+            nodes.update(missing);
+            assert_eq!(
+                (problem(&nodes), &nodes.all[0].problem),
+                (told.clone(), &told)
+            );
+        }
+        nodes.update(&[found(1, 4, "finger")]);
+        assert_eq!((problem(&nodes), &nodes.all[0].problem), (None, &None));
+        // Seen again, it stays as long again.
+        nodes.update(&[found(1, 0, "")]);
+        nodes.update(&[found(1, 4, "finger")]);
+        nodes.update(&[found(1, 0, "")]);
+        for _ in 1..MISSES {
+            nodes.update(&[found(1, 4, "finger")]);
+            assert_eq!(problem(&nodes), told);
+        }
     }
 }

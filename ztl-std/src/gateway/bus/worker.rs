@@ -272,6 +272,7 @@ impl Worker {
         }
         for (address, seat) in self.ports.seats() {
             self.bus.set_needs(address, seat.needs());
+            seat.set_doubt(self.bus.doubts(address));
         }
         if let Some(at) = self.search
             && (now() >= at || self.ports.want_search())
@@ -317,14 +318,12 @@ impl Worker {
     fn on_found(&mut self, found: &[Found], nothing: &str) {
         let changes = self.nodes.update(found);
         for (id, address, why) in changes.closed {
-            let seat = self.nodes.of_id(id).map(|node| &node.seat);
-            // Another node may be served there already.
-            if seat.is_some_and(|seat| self.ports.has(address, seat)) {
+            if self.is_open(id, address) {
                 self.close_port(address, &why);
             }
         }
-        for (address, why) in changes.shared {
-            if !self.ports.is_busy(address) {
+        for (id, address, why) in changes.shared {
+            if self.is_open(id, address) && !self.ports.is_busy(address) {
                 self.close_port(address, &why);
             }
         }
@@ -348,6 +347,12 @@ impl Worker {
         }
         let pause = if found.is_empty() { SEARCH.0 } else { SEARCH.1 };
         self.search = Some(now() + pause).filter(|_| !self.retired);
+    }
+
+    /// Whether this node is served at the address: another one may be there already.
+    fn is_open(&self, id: u64, address: u8) -> bool {
+        let node = self.nodes.of_id(id);
+        node.is_some_and(|node| self.ports.has(address, &node.seat))
     }
 
     /// Serves a new node as a device.
@@ -383,7 +388,7 @@ mod tests {
     use std::io::Read;
     use std::sync::mpsc::Receiver;
 
-    use ztl_core::link::Turn;
+    use ztl_core::link::{BusMessage, Turn};
     use ztl_link::bus::TURNAROUND;
 
     use super::*;
@@ -472,6 +477,24 @@ mod tests {
         let _line = worker.open_port(Arc::clone(&first)).expect("a port");
         worker.on_found(&[found(1, 6), found(2, 4)], NOTHING);
         assert!(!worker.ports.has(5, &first));
+    }
+
+    #[test]
+    fn a_node_takes_no_tasks_while_its_id_is_heard_at_two_addresses() {
+        let (mut worker, _inbox) = worker();
+        let seat = Arc::<Seat>::default();
+        seat.set_address(4);
+        let _line = worker.open_port(Arc::clone(&seat)).expect("a port");
+        for address in [4, 3] {
+            worker.drive();
+            assert_eq!(seat.conflict(), None);
+            let mut frame = [0; 32];
+            let here = BusMessage::Here { id: 7, name: "arm" };
+            let len = here.encode(address, &mut frame).expect("it fits");
+            worker.bus.handle_bytes(Instant::ZERO, &frame[..len]);
+        }
+        worker.drive();
+        assert!(seat.conflict().is_some());
     }
 
     #[test]

@@ -21,9 +21,9 @@ impl Worker {
         self.opener.as_ref()?.seat.as_deref()
     }
 
-    /// Why the device takes no tasks: several boards have its address.
+    /// Why the device takes no tasks: several boards have its address or its id.
     pub(super) fn conflict(&self) -> Option<String> {
-        self.seat()?.board().conflict
+        self.seat()?.conflict()
     }
 
     /// Which other board answers at the address of this node.
