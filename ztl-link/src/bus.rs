@@ -132,6 +132,13 @@ impl Bus {
         self.members.insert(address, Member::new(now));
     }
 
+    /// The answers from this address were damaged before the node was added: the next event says that they are intact.
+    pub fn set_damaged(&mut self, address: u8) {
+        if let Some(member) = self.members.get_mut(&address) {
+            member.damaged = true;
+        }
+    }
+
     /// Removes the node at an address: it is not asked any more.
     pub fn remove(&mut self, address: u8) {
         self.members.remove(&address);

@@ -59,7 +59,7 @@ pub(super) struct Member {
     silent: u32,
     garbled: u32,
     /// Whether its answers are damaged again and again, and how many in a row have been intact since.
-    damaged: bool,
+    pub(super) damaged: bool,
     intact: u32,
     /// Whether an answer has arrived intact.
     heard: bool,

@@ -13,7 +13,8 @@ use crate::time::now;
 /// The most nodes of a line while the gateway runs, also those that are gone: a node that says another id at each search
 /// fills no memory.
 const MOST: usize = 64;
-/// So many searches in a row must miss a node until it no longer shares its address or its id: their answers collide.
+/// So many searches in a row must miss a node until it no longer shares its address or its id, as answers collide, and
+/// must find it without an address until it is said to take none.
 const MISSES: u32 = 3;
 
 /// A node that was found at some time.
@@ -49,6 +50,8 @@ pub(super) struct Nodes {
     mistakes: Vec<String>,
     /// Nodes that share an address or an id, and how many searches in a row have missed each.
     sharing: Vec<(Found, u32)>,
+    /// Nodes without an address, and how many searches in a row have found each so, up to [`MISSES`].
+    unaddressed: Vec<(u64, u32)>,
     /// When the last search began.
     pub(super) begun: Instant,
 }
@@ -64,6 +67,33 @@ impl Nodes {
 
     pub(super) fn of_id(&self, id: u64) -> Option<&Node> {
         self.all.iter().find(|node| node.id == id)
+    }
+
+    /// Whether the node with this name on the line is served.
+    pub(super) fn is_served(&self, name: &str) -> bool {
+        let mut all = self.all.iter();
+        all.any(|node| node.name == name && node.problem.is_none())
+    }
+
+    /// Whether a node may have missed the offer of an address.
+    pub(super) fn has_unaddressed(&self) -> bool {
+        let mut all = self.unaddressed.iter();
+        all.any(|(_, searches)| *searches < MISSES)
+    }
+
+    /// Leaves out nodes that have no address yet: they may have missed the offer, and the next search repeats it.
+    fn without_unaddressed(&mut self, mut found: Vec<Found>) -> Vec<Found> {
+        let before = std::mem::take(&mut self.unaddressed);
+        found.retain(|one| {
+            let takes_none = one.address == ADDR_NONE && !doubled(one);
+            let earlier = before.iter().find(|(id, _)| *id == one.id);
+            let searches = earlier.map_or(1, |(_, searches)| searches + 1);
+            if takes_none {
+                self.unaddressed.push((one.id, searches.min(MISSES)));
+            }
+            !takes_none || searches >= MISSES
+        });
+        found
     }
 
     /// What is wrong with the addresses.
@@ -106,7 +136,8 @@ impl Nodes {
     /// Takes what a search has found.
     pub(super) fn update(&mut self, found: &[Found]) -> Changes {
         let mut changes = Changes::default();
-        let found = &self.with_missed(found)[..];
+        let found = self.with_missed(found);
+        let found = &self.without_unaddressed(found)[..];
         self.mistakes = mistakes(found);
         let there = |id: u64| found.iter().any(|node| node.id == id);
         for one in found {
@@ -430,6 +461,25 @@ mod tests {
         assert_eq!(closed(&none), [0; 0]);
         assert_eq!((none.shared[0].0, none.shared[0].1), (1, 6));
         assert!(problem(&nodes).unwrap().contains("several nodes"));
+    }
+
+    #[test]
+    fn a_node_is_said_to_take_no_address_after_several_searches() {
+        let mut nodes = Nodes::default();
+        nodes.update(&[found(1, 32, "head")]);
+        for _ in 1..MISSES {
+            assert_eq!(nodes.update(&[found(1, 0, "head")]), Changes::default());
+            assert_eq!(problem(&nodes), None);
+            assert!(nodes.has_unaddressed());
+        }
+        for _ in 0..2 {
+            nodes.update(&[found(1, 0, "head")]);
+            assert!(problem(&nodes).unwrap().contains("takes none"));
+            assert!(!nodes.has_unaddressed());
+        }
+        nodes.update(&[found(1, 32, "head")]);
+        nodes.update(&[found(1, 0, "head")]);
+        assert_eq!(problem(&nodes), None);
     }
 
     #[test]

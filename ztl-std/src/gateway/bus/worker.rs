@@ -1,5 +1,6 @@
 //! What a shared line's thread does: runs the line and its bus, and adds the nodes that it finds.
 
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,6 +27,8 @@ const RETRY: Duration = Duration::from_millis(500);
 const SEARCH: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(3));
 /// Searches without an answer after which a line that may be half open is opened again.
 const SEARCHES: u32 = 5;
+/// Searches without an answer after which no node is said to answer.
+const TELL: u32 = 3;
 /// Inputs handled before deadlines are checked.
 const BATCH: usize = 64;
 /// How long a device waits for its port.
@@ -57,6 +60,8 @@ pub(super) struct Worker {
     search: Option<Instant>,
     /// How many searches in a row no node has answered.
     unanswered: u32,
+    /// The nodes whose answers are said to be damaged, by their addresses.
+    damaged: BTreeMap<u8, String>,
     retired: bool,
     /// What is logged of the addresses, and whether the line is logged as ready since.
     mistakes: Vec<String>,
@@ -86,6 +91,7 @@ impl Worker {
             nodes: Nodes::default(),
             search: None,
             unanswered: 0,
+            damaged: BTreeMap::new(),
             retired: false,
             mistakes: Vec::new(),
             told_ready: false,
@@ -193,7 +199,11 @@ impl Worker {
         if let Some(problem) = node.and_then(|node| node.problem.as_ref()) {
             return fail(io::ErrorKind::AddrInUse, problem);
         }
-        self.bus.add(now(), seat.address());
+        let address = seat.address();
+        self.bus.add(now(), address);
+        if self.damaged.contains_key(&address) {
+            self.bus.set_damaged(address);
+        }
         Ok(self.ports.open(seat))
     }
 
@@ -294,24 +304,44 @@ impl Worker {
             // Its session finds out.
             BusEvent::Silent(_) => {}
             BusEvent::Garbled(address) => {
+                let seat = self.ports.seat(address);
+                let node = seat.and_then(|seat| self.nodes.of_seat(seat));
+                let name = node.map_or("a node", |node| &node.name).to_owned();
                 let text = "damaged: noise, or two nodes with this address";
-                self.log_answers(Severity::Warn, address, text);
+                self.log_answers(Severity::Warn, address, &name, text);
+                self.damaged.insert(address, name);
                 self.search = self.search.map(|at| at.min(now()));
             }
             BusEvent::Intact(address) => {
-                self.log_answers(Severity::Info, address, "intact again");
+                if let Some(name) = self.damaged.remove(&address) {
+                    self.log_answers(Severity::Info, address, &name, "intact again");
+                }
             }
             BusEvent::Found(found) => self.on_found(&found, NOTHING),
             BusEvent::Noise => self.on_found(&[], NOISE),
         }
     }
 
-    fn log_answers(&mut self, severity: Severity, address: u8, what: &str) {
-        let seat = self.ports.seat(address);
-        let node = seat.and_then(|seat| self.nodes.of_seat(seat));
-        let name = node.map_or("a node", |node| &node.name);
+    fn log_answers(&mut self, severity: Severity, address: u8, name: &str, what: &str) {
         let text = format!(": the answers of '{name}' at address {address} are {what}");
         self.log.log(now(), severity, text);
+    }
+
+    /// Nodes that are not served are not asked any more, so their answers do not become intact.
+    fn end_damage(&mut self) {
+        let nodes = &self.nodes;
+        let mut over = Vec::new();
+        self.damaged.retain(|&address, name| {
+            let asked = self.ports.seat(address).is_some() || nodes.is_served(name);
+            if !asked {
+                over.push((address, std::mem::take(name)));
+            }
+            asked
+        });
+        for (address, name) in over {
+            let text = "not asked for any more: the node is not served there";
+            self.log_answers(Severity::Info, address, &name, text);
+        }
     }
 
     /// `nothing` says what there is instead of nodes.
@@ -332,6 +362,7 @@ impl Worker {
                 self.serve(node);
             }
         }
+        self.end_damage();
         if !found.is_empty() || !self.nodes.mistakes().is_empty() {
             self.unanswered = 0;
             self.on_answered();
@@ -340,12 +371,15 @@ impl Worker {
             self.unanswered = 0;
         } else {
             self.unanswered += 1;
-            self.fail(nothing.to_owned());
+            if self.unanswered >= TELL {
+                self.fail(nothing.to_owned());
+            }
             if self.opener.may_be_half_open && self.unanswered >= SEARCHES {
                 return self.close(nothing);
             }
         }
-        let pause = if found.is_empty() { SEARCH.0 } else { SEARCH.1 };
+        let soon = found.is_empty() || self.nodes.has_unaddressed();
+        let pause = if soon { SEARCH.0 } else { SEARCH.1 };
         self.search = Some(now() + pause).filter(|_| !self.retired);
     }
 
@@ -384,151 +418,4 @@ fn open(inputs: &Sender<Input>, seat: &Arc<Seat>) -> io::Result<Line> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::io::Read;
-    use std::sync::mpsc::Receiver;
-
-    use ztl_core::link::{BusMessage, Turn};
-    use ztl_link::bus::TURNAROUND;
-
-    use super::*;
-
-    fn worker() -> (Worker, Receiver<Input>) {
-        let (inputs, inbox) = channel();
-        let opener = Opener {
-            label: "rs485:test".to_owned(),
-            baud: None,
-            may_be_half_open: false,
-            path: None,
-            seat: None,
-            open: Arc::new(|| Err(io::ErrorKind::NotFound.into())),
-        };
-        let mut worker = Worker::new(
-            "arm",
-            opener,
-            Bus::new(115_200, TURNAROUND),
-            Ports::new(inputs),
-            LineStatus::default(),
-            Box::new(|_, _, _| Ok(())),
-        );
-        worker.line = LineState::Open(Box::new(io::sink()));
-        (worker, inbox)
-    }
-
-    fn problem(worker: &Worker) -> Option<String> {
-        worker.status.lock().problem.clone()
-    }
-
-    #[test]
-    fn a_search_without_an_answer_says_nothing_while_a_node_answers() {
-        let (mut worker, _inbox) = worker();
-        worker.bus.add(Instant::ZERO, 4);
-        let later = now() + Duration::from_secs(1);
-        assert!(worker.bus.poll_transmit(later).is_some());
-        worker.bus.handle_bytes(later, &Turn::Idle.encode(4));
-        worker.on_found(&[], NOTHING);
-        assert_eq!(problem(&worker), None);
-        worker.bus.remove(4);
-        worker.on_found(&[], NOTHING);
-        assert_eq!(problem(&worker).as_deref(), Some(NOTHING));
-    }
-
-    #[test]
-    fn a_port_that_is_closed_says_why() {
-        let (mut worker, _inbox) = worker();
-        let why = |line: &mut Line| {
-            let end = line.reader.read(&mut [0; 8]);
-            end.expect_err("it is closed").to_string()
-        };
-        let seat = Arc::<Seat>::default();
-        seat.set_address(4);
-        let mut open = || worker.open_port(Arc::clone(&seat)).expect("a port");
-        let (mut first, mut second) = (open(), open());
-        assert_eq!(why(&mut first), "another node is served at its address now");
-        worker.close_port(4, "it has moved");
-        assert_eq!(why(&mut second), "it has moved");
-        let mut third = worker.open_port(seat).expect("a port");
-        let number = worker.number;
-        worker.on_closed(&io::Error::other("unplugged"));
-        assert_eq!(why(&mut third), "unplugged");
-        // The reading thread ends later.
-        let ended = io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
-        worker.on_input(Input::Line(number, LineEvent::Closed(ended)));
-        assert_eq!(problem(&worker).as_deref(), Some("unplugged"));
-    }
-
-    #[test]
-    fn a_node_that_moves_closes_its_own_port_only() {
-        let (mut worker, _inbox) = worker();
-        let found = |id, address| Found {
-            id,
-            address,
-            name: format!("n{id}"),
-        };
-        worker.on_found(&[found(1, 4)], NOTHING);
-        // It is not heard beside another one at its address, which is served there.
-        worker.on_found(&[found(2, 4)], NOTHING);
-        let seat = |worker: &Worker, id| Arc::clone(&worker.nodes.of_id(id).expect("a node").seat);
-        let second = seat(&worker, 2);
-        let _line = worker.open_port(Arc::clone(&second)).expect("a port");
-        worker.on_found(&[found(1, 5), found(2, 4)], NOTHING);
-        assert!(worker.ports.has(4, &second));
-        let first = seat(&worker, 1);
-        let _line = worker.open_port(Arc::clone(&first)).expect("a port");
-        worker.on_found(&[found(1, 6), found(2, 4)], NOTHING);
-        assert!(!worker.ports.has(5, &first));
-    }
-
-    #[test]
-    fn a_node_takes_no_tasks_while_its_id_is_heard_at_two_addresses() {
-        let (mut worker, _inbox) = worker();
-        let seat = Arc::<Seat>::default();
-        seat.set_address(4);
-        let _line = worker.open_port(Arc::clone(&seat)).expect("a port");
-        for address in [4, 3] {
-            worker.drive();
-            assert_eq!(seat.conflict(), None);
-            let mut frame = [0; 32];
-            let here = BusMessage::Here { id: 7, name: "arm" };
-            let len = here.encode(address, &mut frame).expect("it fits");
-            worker.bus.handle_bytes(Instant::ZERO, &frame[..len]);
-        }
-        worker.drive();
-        assert!(seat.conflict().is_some());
-    }
-
-    #[test]
-    fn one_search_is_for_all_nodes_that_ask_for_one() {
-        let (mut worker, _inbox) = worker();
-        let mut lines = Vec::new();
-        for address in [4, 5] {
-            let seat = Arc::<Seat>::default();
-            seat.set_address(address);
-            seat.want_search();
-            lines.push(worker.open_port(seat).expect("a port"));
-        }
-        assert!(worker.ports.want_search());
-        assert!(!worker.ports.want_search());
-    }
-
-    #[test]
-    fn each_mistake_is_logged_once_while_it_lasts() {
-        let (mut worker, _inbox) = worker();
-        let found = |id, address| Found {
-            id,
-            address,
-            name: format!("n{id}"),
-        };
-        let told = |worker: &mut Worker, all: &[Found]| {
-            worker.told_ready = true;
-            worker.on_found(all, NOTHING);
-            !worker.told_ready
-        };
-        let (one, two) = ([found(1, 4), found(2, 4)], [found(3, 5), found(4, 5)]);
-        assert!(told(&mut worker, &one));
-        assert!(!told(&mut worker, &one[..1]));
-        assert!(told(&mut worker, &[one.clone(), two.clone()].concat()));
-        assert!(!told(&mut worker, &one));
-        assert!(!told(&mut worker, &[two, one].concat()));
-    }
-}
+mod tests;
