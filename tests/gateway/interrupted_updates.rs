@@ -3,7 +3,7 @@
 use crate::lines::complete;
 use crate::updates::{Bench, update, version};
 use ztl_std::RemoteTask;
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, ztl};
 
 #[test]
 fn a_command_that_is_ended_while_the_device_verifies_says_what_is_true() {
@@ -45,4 +45,30 @@ fn a_command_that_is_ended_while_the_device_verifies_says_what_is_true() {
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
     complete(&mut remote, "hand", "finger", "3");
     assert_eq!(version(&gateway, "hand").as_deref(), Some("1.0.0"));
+}
+
+#[test]
+fn a_gateway_that_is_killed_while_the_device_verifies_leaves_open_what_will_run() {
+    let bench = Bench::new();
+    let (_device, hand) = bench.served("hand", &[]);
+    let (port, journal) = (reserve_port().to_string(), bench.path("journal"));
+    let start = || {
+        let mut command = ztl();
+        command.args(["gateway", "--device", &hand, "-s", SCOPE, "-p", &port]);
+        Server::start(command.args(["--journal", &journal]))
+    };
+    let mut gateway = start();
+    gateway.wait_ready("hand");
+    let image = bench.image("1.1.0", "verify: 600000\n");
+    let running = Process::start(&mut update(&gateway, &["hand", &image]));
+    running.wait_for("the device verifies the image");
+    gateway.process.kill();
+    drop(gateway);
+    let gateway = start();
+    gateway.wait_ready("hand");
+    let ended = running.end(PATIENCE);
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    let said = "it is not known which firmware the device will run, ztl devices shows it";
+    assert!(ended.stderr.contains(said), "{ended:?}");
+    assert!(!ended.stderr.contains("keeps"), "{ended:?}");
 }

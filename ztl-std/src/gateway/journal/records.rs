@@ -34,7 +34,7 @@ const UNTOLD: Duration = Duration::from_millis(250);
 const LOGGED: usize = 10;
 
 /// The end of an update whose gateway has ended.
-const UPDATE_CUT: &str = "failed: the gateway ended during the update; the device keeps the firmware before, or goes back to it";
+const UPDATE_CUT: &str = "failed: the gateway ended during the update; it is not known which firmware the device will run, ztl devices shows it";
 
 /// An update that the gateway before had not ended when it had restarted the device.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -156,7 +156,7 @@ impl UpdateJob {
     fn give_up(&self) -> Next {
         let text = format!(
             "no progress in {ATTEMPTS} attempts ({}); {UNCERTAIN}",
-            self.progress()
+            self.progress(false)
         );
         fail(UpdateProblem::Other, text)
     }
@@ -169,18 +169,22 @@ impl UpdateJob {
         Next::Ask(UpdateRequest::Read)
     }
 
-    /// How far it is, for people.
-    pub(super) fn progress(&self) -> String {
+    /// How far it is, for people. `waits` says whether the device answers, but a search must say first which board it is.
+    pub(super) fn progress(&self, waits: bool) -> String {
         let length = self.image.bytes.len();
+        // It was seen on trial, so its restart is over.
+        let back = !self.restarted || self.trial.is_some();
         match self.step {
-            Step::Read if !self.restarted => "asks what runs".to_owned(),
+            Step::Lost if waits => "waits for a search that says which board answers".to_owned(),
+            Step::Lost | Step::Read if self.unfit.is_some() => "the device goes back".to_owned(),
+            Step::Read if back => "asks what runs".to_owned(),
             Step::Begin => "waits until all components are safe".to_owned(),
             Step::Write => format!("sent {} of {length} bytes", self.sent),
             Step::Verify => "the device verifies the image".to_owned(),
             Step::Test => "the device tests itself".to_owned(),
             Step::Confirm => "confirms the new firmware".to_owned(),
             Step::Revert => "the device goes back".to_owned(),
-            Step::Lost if !self.restarted => "device is not answering".to_owned(),
+            Step::Lost if back => "device is not answering".to_owned(),
             Step::Lost | Step::Read | Step::Restart | Step::Boot => {
                 "the device restarts".to_owned()
             }

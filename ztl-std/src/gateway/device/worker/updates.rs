@@ -254,7 +254,8 @@ impl Worker {
         let Some(running) = &mut self.updates.running else {
             return;
         };
-        running.task.progress(running.job.progress());
+        let waits = running.waits && self.session.is_up();
+        running.task.progress(running.job.progress(waits));
         match next {
             Next::Wait => {}
             Next::Ask(request) => {

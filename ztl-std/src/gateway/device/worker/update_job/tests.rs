@@ -538,3 +538,28 @@ fn the_next_gateway_knows_whether_the_firmware_was_confirmed_tested_or_refused()
     assert_eq!(rig.job.on_test_cut(rig.now), read);
     assert_eq!(rig.answer(runs("1.1.0", false)), test);
 }
+
+#[test]
+fn the_progress_says_what_the_device_does() {
+    let mut rig = Rig::new();
+    rig.job.on_lost(rig.now);
+    assert_eq!(rig.job.progress(false), "device is not answering");
+    let waits = "waits for a search that says which board answers";
+    assert_eq!(rig.job.progress(true), waits);
+    let mut rig = Rig::restarted();
+    assert_eq!(rig.job.progress(false), "the device restarts");
+    rig.answer(runs("1.1.0", false));
+    assert_eq!(rig.job.progress(false), "the device tests itself");
+    let next = rig.job.on_tested(rig.now, Ok(()));
+    assert_eq!(next, Next::Ask(UpdateRequest::Confirm));
+    rig.answer(phase(UpdatePhase::Idle));
+    assert_eq!(rig.job.progress(false), "asks what runs");
+    // It is lost after its restart, and when it goes back.
+    rig.job.on_lost(rig.now);
+    assert_eq!(rig.job.progress(false), "device is not answering");
+    let mut rig = Rig::restarted();
+    rig.answer(runs("1.1.0", false));
+    rig.job.on_tested(rig.now, Err("stuck".to_owned()));
+    rig.job.on_lost(rig.now);
+    assert_eq!(rig.job.progress(false), "the device goes back");
+}
