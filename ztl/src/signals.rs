@@ -222,7 +222,6 @@ pub(crate) fn leave_at_the_second() {
 }
 
 /// Makes a second signal call `act` and end the process at once.
-#[cfg(unix)]
 pub(crate) fn leave_at_the_second_after(act: impl Fn() + Send + 'static) {
     let mut flag = flag();
     flag.impatient = true;

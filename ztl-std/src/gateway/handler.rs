@@ -192,18 +192,29 @@ impl Drop for Gateway {
     }
 }
 
+/// Names what there is instead of a device: the nodes, if it is a shared line.
+fn no_device<'a>(name: &str, served: impl Iterator<Item = &'a String> + Clone) -> String {
+    let join = |names: Vec<&str>| names.join(", ");
+    let of_line = |node: &&str| {
+        let rest = node.strip_prefix(name);
+        rest.is_some_and(|rest| rest.starts_with('.'))
+    };
+    let nodes: Vec<&str> = served.clone().map(String::as_str).filter(of_line).collect();
+    if nodes.is_empty() {
+        let all = join(served.map(String::as_str).collect());
+        return format!("no device '{name}'; there are: {all}");
+    }
+    let nodes = join(nodes);
+    format!("no device '{name}': it is a shared line, and its nodes are: {nodes}")
+}
+
 impl TaskHandler for Gateway {
     fn start(&mut self, task: TaskReporter, request: TaskRequest) {
         let map = self.devices.lock();
         match map.served.get(&request.handler) {
             Some(device) => device.start(task, &request),
             None => {
-                let names: Vec<&str> = map.served.keys().map(String::as_str).collect();
-                let names = names.join(", ");
-                task.rejected(format!(
-                    "no device '{}'; there are: {names}",
-                    request.handler
-                ));
+                task.rejected(no_device(&request.handler, map.served.keys()));
             }
         }
     }
@@ -326,5 +337,23 @@ impl TaskHandler for Gateway {
         for device in self.devices.lock().all() {
             device.abort(id);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::no_device;
+
+    #[test]
+    fn a_shared_line_is_named_with_its_nodes() {
+        let served = ["arm.left", "arm.right", "army", "hand"].map(str::to_owned);
+        assert_eq!(
+            no_device("arm", served.iter()),
+            "no device 'arm': it is a shared line, and its nodes are: arm.left, arm.right"
+        );
+        assert_eq!(
+            no_device("head", served[2..].iter()),
+            "no device 'head'; there are: army, hand"
+        );
     }
 }

@@ -46,6 +46,7 @@ impl Opener {
         match error.kind() {
             // The system reports it in one of several ways, and each would be logged in turn.
             io::ErrorKind::UnexpectedEof
+            | io::ErrorKind::BrokenPipe
             | io::ErrorKind::ConnectionReset
             | io::ErrorKind::ConnectionAborted => CLOSED.to_owned(),
             _ => error.to_string(),

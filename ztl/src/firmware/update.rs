@@ -27,6 +27,8 @@ const LIMIT: Duration = Duration::from_secs(60);
 const AFTER_CTRL_C: Duration = Duration::from_secs(30);
 /// The outcome of an abort that was not taken.
 const MAY_GO_ON: &str = "the update may go on, ztl ps shows it";
+/// The outcome of an abort that is not over.
+const NOT_KNOWN: &str = "it is not known which firmware the device will run, ztl devices shows it";
 /// Cells of the progress bar.
 const CELLS: usize = 30;
 
@@ -91,6 +93,10 @@ impl Update {
         let image = identity(&file);
         for (number, bytes) in file.chunks(LONGEST_PART).enumerate() {
             if let Some(code) = signals::exit_code() {
+                let version = flat(&before.version);
+                error_line(format_args!(
+                    "ztl: {name}: not updated: the image was not sent; the device runs {version}"
+                ));
                 return Ok(code);
             }
             let part = UpdateGoal::part(&image, number * LONGEST_PART, bytes);
@@ -106,6 +112,10 @@ impl Update {
             downgrade: self.downgrade,
         };
         let goal = UpdateGoal::Run(options).to_text();
+        let last = name.to_string();
+        signals::leave_at_the_second_after(move || {
+            error_line(format_args!("ztl: {last}: {NOT_KNOWN}"));
+        });
         let task = remote.trigger(&device, UPDATES, &goal)?;
         let mut shown = Progress::default();
         let mut show = |status: &Result<Status, RequestError>| {
@@ -133,10 +143,7 @@ impl Update {
                     true
                 });
                 waited.map_err(|error| match answer {
-                    Ok(_) => {
-                        "it is not known which firmware the device will run, ztl devices shows it"
-                            .to_owned()
-                    }
+                    Ok(_) => NOT_KNOWN.to_owned(),
                     Err(why) if why.was_answered() => format!("{MAY_GO_ON}: {error}"),
                     Err(why) => format!("{MAY_GO_ON}: {why}"),
                 })

@@ -72,6 +72,10 @@ fn a_port_that_is_closed_says_why() {
     let ended = io::Error::new(io::ErrorKind::UnexpectedEof, "the other end has closed it");
     worker.on_input(Input::Line(number, LineEvent::Closed(ended)));
     assert_eq!(problem(&worker).as_deref(), Some("unplugged"));
+    // It was found while writing.
+    worker.on_closed(&io::ErrorKind::BrokenPipe.into());
+    let closed = "the other end has closed it";
+    assert_eq!(problem(&worker).as_deref(), Some(closed));
 }
 
 #[test]
