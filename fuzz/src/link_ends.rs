@@ -326,10 +326,11 @@ pub fn node(input: &[u8]) {
             break;
         }
     }
-    // An update that does not go on is over, and restarts do not wait for anything.
+    // An update that does not go on is over, and restarts do not wait for anything. One that was complete is verified first,
+    // and then waits for 30 s.
     now = now + Duration::from_secs(30);
     node.handle_timeout(now);
-    now = now + Duration::from_secs(1);
+    now = now + Duration::from_secs(31);
     node.handle_timeout(now);
     if node.components().updater.restarts {
         node = new_node(BOOT.wrapping_add(1));
