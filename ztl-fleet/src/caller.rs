@@ -64,7 +64,7 @@ impl Identity {
     }
 }
 
-/// What answers as which agent of which robot.
+/// The boots that have answered as each agent, by robot and agent.
 #[derive(Default)]
 struct Machines(Mutex<BTreeMap<(String, String), Lives>>);
 
@@ -186,7 +186,7 @@ impl Caller {
     ) -> Result<(), ZenohError> {
         let answered = AtomicBool::new(false);
         let first = move |verdict| {
-            // Whoever answers more often is not heard.
+            // Only the first answer counts.
             if !answered.swap(true, Ordering::Relaxed) {
                 on_reply(verdict);
             }

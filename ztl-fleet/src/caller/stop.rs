@@ -44,7 +44,7 @@ struct Told {
     is_known: bool,
 }
 
-/// What arrives: of which robot, by which boot that was named, and the answer; `None` is the end of the question.
+/// News of a question: the robot's index, the boot that the question named, and the answer; `None` when the question ends.
 type News = (usize, u32, Option<Verdict>);
 
 impl Told {
