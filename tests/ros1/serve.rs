@@ -186,11 +186,12 @@ fn a_base_stops_when_its_client_is_gone_and_gets_nothing_more_from_a_killed_serv
     let drives = || robot.twists().last().is_some_and(|line| line == GO);
     // Connects.
     assert!(robot.run("drive", "{speed: 0.5, seconds: 0.1}").is_ok());
+    let stopped = || robot.twists().ends_with(&[STOP; 5].map(str::to_owned));
+    wait("the stop messages of the drive", stopped);
     let mut command = our_client_at(robot.server.port);
     let mut client = Process::start(command.arg("p:bound:"));
     wait("it drives", drives);
     client.kill();
-    let stopped = || robot.twists().ends_with(&[STOP; 5].map(str::to_owned));
     wait("the stop messages", stopped);
 
     let mut remote = robot.remote();

@@ -506,8 +506,8 @@ int ztl_task_sleep(ztl_server *server, unsigned int task, unsigned int time_ms);
 int ztl_task_reject_abort(ztl_server *server, unsigned int task);
 
 /**
- * Stops the task when its client is silent for this time (5000 ms or more), after at least one request since the task
- * was started. Has no effect for clients that do not identify themselves, such as the Python original's.
+ * Stops the task when its client is silent for this time (5000 ms or more) after it was told that the task has started.
+ * Has no effect for clients that do not identify themselves, such as the Python original's.
  */
 int ztl_task_needs_client(ztl_server *server,
                           unsigned int task,

@@ -105,8 +105,8 @@ pub unsafe extern "C" fn ztl_task_reject_abort(server: *mut Server, task: c_uint
     unsafe { Server::with(server, |server| server.tasks()?.reject_abort(id(task)?)) }
 }
 
-/// Stops the task when its client is silent for this time (5000 ms or more), after at least one request since the task
-/// was started. Has no effect for clients that do not identify themselves, such as the Python original's.
+/// Stops the task when its client is silent for this time (5000 ms or more) after it was told that the task has started.
+/// Has no effect for clients that do not identify themselves, such as the Python original's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_needs_client(
     server: *mut Server,

@@ -1,7 +1,7 @@
 //! Client liveness: aborts the tasks of clients that are gone.
 //!
-//! A client counts as gone only if it sent a request after its INIT and then fell silent. The original's clients
-//! never identify themselves, and a client that only sends INITs may not wait for the result.
+//! Silence counts from the moment by which the INIT has been answered, so that a client that dies before its first
+//! STATUS is gone, too. The original's clients never identify themselves.
 //!
 //! This rule of the protocol (12.7) is not in `ztl-core`, because it needs a list of tasks per client, which
 //! no firmware uses.
@@ -9,6 +9,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
+use ztl_core::dispatcher::HOLD;
 use ztl_core::envelope::ClientId;
 use ztl_core::{Instant, TaskId};
 
@@ -25,22 +26,33 @@ pub(super) struct ClientLiveness {
 
 #[derive(Default)]
 struct Client {
-    /// When it was last heard; `None` before its first request after the INIT.
+    /// When a request other than a new INIT came last, if one did.
     heard: Option<Instant>,
-    /// Its tasks, and how long it may be silent for each.
-    tasks: Vec<(TaskId, Duration)>,
+    tasks: Vec<Watched>,
+}
+
+struct Watched {
+    id: TaskId,
+    /// By when the INIT is answered. Before, the client waits and asks nothing.
+    answered: Instant,
+    /// How long the client may be silent.
+    silence: Duration,
 }
 
 impl ClientLiveness {
     /// Aborts a task when its client is silent for so long.
     pub(super) fn watch(&mut self, now: Instant, client: ClientId, id: TaskId, silence: Duration) {
         let client = self.clients.entry(client).or_default();
-        client.tasks.retain(|(known, _)| *known != id);
-        client.tasks.push((id, silence));
+        client.tasks.retain(|known| known.id != id);
+        client.tasks.push(Watched {
+            id,
+            answered: now + HOLD,
+            silence,
+        });
         self.next.get_or_insert(now + CHECK);
     }
 
-    /// A client sent a request other than an INIT.
+    /// A client sent a request other than a new INIT.
     pub(super) fn on_heard(&mut self, now: Instant, client: ClientId) {
         if let Some(client) = self.clients.get_mut(&client) {
             client.heard = Some(now);
@@ -60,11 +72,12 @@ impl ClientLiveness {
         }
         self.clients.retain(|_, client| {
             let heard = client.heard;
-            client.tasks.retain(|(id, silence)| {
-                let silent = heard.is_some_and(|heard| now.since(heard) >= *silence);
-                let runs = runs(*id);
+            client.tasks.retain(|task| {
+                let last = heard.unwrap_or_default().max(task.answered);
+                let silent = now.since(last) >= task.silence;
+                let runs = runs(task.id);
                 if silent && runs {
-                    gone.push(*id);
+                    gone.push(task.id);
                 }
                 runs && !silent
             });
@@ -80,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_client_that_was_heard_and_fell_silent_is_gone() {
+    fn a_client_is_gone_when_it_falls_silent_or_never_asks() {
         let at = Instant::from_millis;
         let [a, b] = [1, 2].map(|byte| ClientId([byte; 16]));
         let [one, two, three] = [1, 2, 3].map(|id| TaskId::new(id).unwrap());
@@ -89,7 +102,16 @@ mod tests {
         clients.watch(at(0), a, one, Duration::from_secs(1));
         clients.watch(at(0), a, two, Duration::from_secs(3));
         clients.watch(at(0), b, three, Duration::from_secs(1));
-        assert_eq!(clients.gone(at(5000), |_| true), []);
+        assert_eq!(
+            clients.gone(at(2499), |_| true),
+            [],
+            "the INIT is answered after 1500 ms"
+        );
+        clients.on_heard(at(2499), a);
+        assert_eq!(clients.gone(at(2750), |_| true), [three]);
+        clients.on_heard(at(3000), a);
+        assert_eq!(clients.gone(at(3500), |_| true), []);
+        clients.watch(at(4500), b, three, Duration::from_secs(4));
         clients.on_heard(at(5000), a);
         assert_eq!(clients.gone(at(5900), |_| true), []);
         assert_eq!(

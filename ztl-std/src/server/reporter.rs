@@ -211,9 +211,8 @@ impl TaskReporter {
         }
     }
 
-    /// Aborts the task when its client is gone: when nothing has arrived from the client for `silence`, after
-    /// at least one request since the INIT. Choose 5 s or more, since a waiting client asks every second and
-    /// networks stall.
+    /// Aborts the task when its client is gone: when nothing has arrived from the client for `silence` since the
+    /// answer to the INIT. Choose 5 s or more, since a waiting client asks every second and networks stall.
     ///
     /// Has no effect for clients that do not identify themselves, such as the original's.
     pub fn needs_client(&self, silence: Duration) {
