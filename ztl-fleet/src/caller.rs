@@ -91,7 +91,7 @@ impl Machines {
                 true => ("have the key", "key"),
                 false => ("have the name and the id", "'state' directory"),
             };
-            error!(target: "fleet", "Two agents {what} of robot '{robot}'. Nothing but 'stop' is sent to it until one of them has been silent for a minute; give each robot its own {own}.");
+            error!(target: "fleet", "Two agents {what} of robot '{robot}'. It gets only ABORTs and 'stop' until one of them has been silent for a minute; give each robot its own {own}.");
         }
     }
 }
@@ -158,7 +158,7 @@ impl Caller {
         self.identity.is_none() || self.bound(robot) == Some(agent)
     }
 
-    /// Whether two machines answer as this agent, so that only `info` and `stop` are sent to it.
+    /// Whether two machines answer as this agent, so that only `info`, `stop` and ABORTs are sent to it.
     #[must_use]
     pub fn is_in_doubt(&self, robot: &str, agent: &str) -> bool {
         self.machines.are_two(robot, agent)
@@ -172,7 +172,8 @@ impl Caller {
         lives.is_some_and(|lives| lives.count() > 1)
     }
 
-    /// Sends a question to a robot's agent. Its first true reply, then the end go to the functions.
+    /// Sends a question to a robot's agent. Its first true reply, then the end go to the functions. An ABORT while two machines
+    /// answer as this agent has all their replies.
     ///
     /// # Errors
     /// Zenoh's, if nothing was sent.
@@ -185,16 +186,16 @@ impl Caller {
         on_end: impl FnMut() + Send + Sync + 'static,
     ) -> Result<(), ZenohError> {
         let answered = AtomicBool::new(false);
+        let counts_all = is_abort(request.body) && self.is_in_doubt(request.robot, agent);
         let first = move |verdict| {
-            // Only the first answer counts.
-            if !answered.swap(true, Ordering::Relaxed) {
+            if !answered.swap(true, Ordering::Relaxed) || counts_all {
                 on_reply(verdict);
             }
         };
         self.ask_each(agent, request, limit, first, on_end)
     }
 
-    /// The same with all true replies: `info` and `stop` go to each machine that has the agent's name and id.
+    /// The same with all true replies: `info`, `stop` and ABORTs go to each machine that has the agent's name and id.
     fn ask_each(
         &self,
         agent: &str,
@@ -203,12 +204,12 @@ impl Caller {
         on_reply: impl Fn(Verdict) + Send + Sync + 'static,
         on_end: impl FnMut() + Send + Sync + 'static,
     ) -> Result<(), ZenohError> {
-        let is_for_all = [AgentQuery::Info.name(), AgentQuery::Stop.name()].contains(&request.what);
+        // Routers and links pass it on before what waits there.
+        let is_urgent = request.what == AgentQuery::Stop.name() || is_abort(request.body);
+        let is_for_all = is_urgent || request.what == AgentQuery::Info.name();
         if !is_for_all && self.is_in_doubt(request.robot, agent) {
             return Err(format!("two machines answer as robot '{}'", request.robot).into());
         }
-        // Routers and links pass it on before what waits there.
-        let is_urgent = request.what == AgentQuery::Stop.name() || is_abort(request.body);
         let priority = match is_urgent {
             true => Priority::RealTime,
             false => Priority::DEFAULT,

@@ -33,6 +33,8 @@ const VALID_MS: u64 = 2500;
 const KEEP: Duration = Duration::from_secs(60);
 /// Most clients whose last INIT is remembered, and most requests at a time.
 const MOST: usize = 10_000;
+/// Most machines that are told an ABORT which answer as one robot.
+const MACHINES: usize = 4;
 /// How often an INIT is sent again because the agent's boot or clock was another.
 const STALE: u32 = 3;
 
@@ -142,7 +144,7 @@ struct LastInit {
 }
 
 /// A query under way, or about to be repeated.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Pending {
     /// The client's request, or the question of several robots that it belongs to.
     request: u64,
@@ -164,6 +166,11 @@ enum Purpose {
     Outcome(InitId),
     /// The answer is a part of a [`Question`]'s.
     Part,
+    /// An ABORT for each machine that answers as the robot, whose answers are not passed on. These boots said that it was not
+    /// meant for them, and got one of their own.
+    AbortEach(BTreeSet<u32>),
+    /// An ABORT for one of these machines.
+    AbortOne,
 }
 
 impl Endpoint {
@@ -191,6 +198,25 @@ impl Endpoint {
         let Some(mut pending) = self.pending.remove(&query) else {
             return Vec::new();
         };
+        if let Purpose::AbortEach(told) = &mut pending.purpose {
+            let mut again = None;
+            if let Verdict::Stale { boot, clock_ms } = verdict
+                && told.len() < MACHINES
+                && told.insert(boot)
+            {
+                again = Some(Pending {
+                    purpose: Purpose::AbortOne,
+                    ..pending.clone()
+                });
+                self.on_clock(now, &pending.robot, &pending.agent, boot, clock_ms);
+            }
+            // Others may say so, too.
+            self.pending.insert(query, pending);
+            return again
+                .map(|again| self.ask(now, again))
+                .into_iter()
+                .collect();
+        }
         if let Verdict::Stale { boot, clock_ms } = verdict {
             self.on_clock(now, &pending.robot, &pending.agent, boot, clock_ms);
             pending.stale += 1;
@@ -256,6 +282,8 @@ impl Endpoint {
                 };
                 vec![EndpointEffect::Answer { request, body }]
             }
+            // The one for each keeps silent when the client has waited long enough.
+            Purpose::AbortEach(_) | Purpose::AbortOne => Vec::new(),
             Purpose::Part => {
                 let body = match verdict {
                     Verdict::Answer(body) => Some(body),
@@ -268,7 +296,9 @@ impl Endpoint {
 
     /// A query ended without a reply: the robot or a router is not reached.
     pub fn handle_no_reply(&mut self, now: Instant, query: u64) -> Vec<EndpointEffect> {
-        if let Some(pending) = self.pending.get_mut(&query) {
+        // Its end, when all machines have answered.
+        let is_end = |pending: &Pending| matches!(pending.purpose, Purpose::AbortEach(_));
+        if let Some(pending) = self.pending.get_mut(&query).filter(|it| !is_end(it)) {
             pending.again = Some(now + AGAIN);
         }
         Vec::new()

@@ -17,6 +17,8 @@ const LACKS: char = '!';
 /// Begins the first line of every other journal.
 const WHOLE: char = '=';
 
+const NO_ID: &str = "its file 'id' does not hold 32 hexadecimal digits; remove the directory, and the robot joins as a new one";
+
 /// An agent's directory.
 #[derive(Debug)]
 pub struct Journal {
@@ -66,14 +68,17 @@ impl Journal {
             )
         })?;
         let id = directory.join("id");
-        let known = fs::read_to_string(&id).unwrap_or_default();
-        let agent = match from_hex(known.trim()) {
-            Some(known) => hex(&known),
-            None => {
+        let agent = match fs::read(&id) {
+            Ok(known) => {
+                let known = from_hex(String::from_utf8_lossy(&known).trim());
+                hex(&known.ok_or_else(|| io::Error::other(NO_ID))?)
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 let new = hex(&random);
                 write_whole(&id, new.as_bytes())?;
                 new
             }
+            Err(error) => return Err(error),
         };
         let path = directory.join("journal");
         let text = fs::read(&path).unwrap_or_default();
@@ -277,6 +282,10 @@ mod tests {
             found.complete
         });
         assert_eq!(complete, [true, false]);
+        // A damaged file may have been another agent's.
+        fs::write(copy.join("id"), "01").unwrap();
+        let damaged = Journal::open(&copy, ClientId([2; 16])).unwrap_err();
+        assert!(damaged.to_string().ends_with(NO_ID), "{damaged}");
         for directory in [first, copy] {
             fs::remove_dir_all(directory).unwrap();
         }

@@ -1,5 +1,7 @@
 //! Requests of clients to robots, and the outcome of INITs.
 
+use std::collections::BTreeSet;
+
 use ztl_core::envelope::Envelope;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message, Request};
@@ -59,6 +61,7 @@ impl Endpoint {
             return answer(unknown());
         };
         let is_init = kind == Some(Request::Init);
+        let is_abort = kind == Some(Request::Abort);
         let hash = checksum(format!("{robot_scope};{}", message.payload).as_bytes());
         let silence = vec![EndpointEffect::Silence { request }];
         let robot = self.robots.get(name);
@@ -68,13 +71,11 @@ impl Endpoint {
                 Some(format!("No controller for scope: {scope}"))
             }
             (_, None) => Some(format!("robot '{name}' is not connected")),
-            (Some(robot), _) if robot.is_doubted => Some(format!(
+            (Some(robot), _) if robot.is_doubted && !is_abort => Some(format!(
                 "two machines answer as robot '{name}', so neither gets a task"
             )),
             // No flood of other requests keeps a task from being ended.
-            _ if self.is_full(1)
-                && (kind != Some(Request::Abort) || self.pending.len() >= 2 * MOST) =>
-            {
+            _ if self.is_full(1) && (!is_abort || self.pending.len() >= 2 * MOST) => {
                 Some("too many requests are waiting, try again".to_owned())
             }
             _ => None,
@@ -86,6 +87,13 @@ impl Endpoint {
                 Some(reason) if is_init => self.refuse(now, asked, scope, name, hash, &reason),
                 _ => silence,
             };
+        };
+        let purpose = match robot.is_doubted {
+            // Which machine runs the task is not known, nor what a machine's answer says of it.
+            true => Purpose::AbortEach(BTreeSet::new()),
+            false => Purpose::Request {
+                scope: scope.to_owned(),
+            },
         };
         let mut rules = None;
         if is_init {
@@ -128,9 +136,7 @@ impl Endpoint {
                 envelope: asked.envelope,
                 body,
             },
-            purpose: Purpose::Request {
-                scope: scope.to_owned(),
-            },
+            purpose,
             deadline: now + LONGEST,
             again: None,
             stale: 0,

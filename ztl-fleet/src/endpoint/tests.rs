@@ -374,6 +374,32 @@ fn an_init_is_refused_while_two_machines_answer_and_one_for_a_robot_of_the_file_
 }
 
 #[test]
+fn while_two_machines_answer_each_is_told_an_abort_once_and_the_client_nothing() {
+    let mut endpoint = endpoint();
+    endpoint.handle_doubt("arm", true);
+    let (each, abort) = asked(&ask(&mut endpoint, 0, 1, None, "/arm/lab;3;42;"));
+    let stale = |boot: u32| Verdict::Stale {
+        boot,
+        clock_ms: 1000,
+    };
+    let answer = Verdict::Answer(b"/lab;4;42;True".to_vec());
+    assert_eq!(endpoint.handle_verdict(at(1), each, answer.clone()), []);
+    let (one, again) = asked(&endpoint.handle_verdict(at(2), each, stale(8)));
+    assert_eq!((again, endpoint.clock(at(2), "arm")), (abort, (8, 1000)));
+    assert_eq!(endpoint.handle_verdict(at(2), each, stale(8)), []);
+    assert_eq!(endpoint.handle_verdict(at(3), one, answer), []);
+    // Anybody with the key could answer under many names.
+    for boot in 9..12 {
+        asked(&endpoint.handle_verdict(at(4), each, stale(boot)));
+    }
+    assert_eq!(endpoint.handle_verdict(at(4), each, stale(12)), []);
+    endpoint.handle_no_reply(at(5), each);
+    let silence = EndpointEffect::Silence { request: 1 };
+    let at_last = endpoint.handle_timeout(at(1900));
+    assert!(!at_last.is_empty() && at_last.iter().all(|effect| *effect == silence));
+}
+
+#[test]
 fn digits_that_are_not_ascii_are_refused() {
     let mut endpoint = endpoint();
     for odd in ["/arm/lab;\u{ff11};-1;x", "/arm/lab;3;\u{0664}2;"] {

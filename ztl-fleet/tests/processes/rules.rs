@@ -108,6 +108,20 @@ impl Twins {
         }
     }
 
+    /// A client's ABORT reaches whichever machine has the task. The client is not told so: the other one might have said it.
+    #[track_caller]
+    fn assert_aborted(&self) {
+        let mut client = self.fleet.client();
+        for (mut remote, id) in self.tasks() {
+            let told = client.abort(id.clone());
+            assert!(told.is_err(), "{told:?}");
+            until("it is aborted", PATIENCE, || {
+                let state = remote.status(id.clone()).unwrap().state;
+                (state == State::Aborted).then_some(())
+            });
+        }
+    }
+
     /// `stop-all` is not confirmed, since the second machine may move.
     #[track_caller]
     fn assert_missed(&self) {
@@ -141,6 +155,7 @@ impl Twins {
 fn of_a_copied_directory_both_machines_are_stopped_and_neither_gets_a_task() {
     let twins = Twins::new(Fleet::new(), "", "");
     twins.assert_noticed("Two agents have the name and the id of robot 'arm'");
+    twins.assert_aborted();
     twins.assert_stopped();
     // One that is silent may move as well.
     twins.agents[1].signal("STOP");
@@ -173,6 +188,7 @@ fn of_a_copied_key_both_machines_are_stopped_and_neither_gets_a_task() {
     let keys = "fleet-key: arm.key_secret\nclient-keys: desk.key\n";
     let twins = Twins::new(fleet, keys, keys);
     twins.assert_noticed("Two agents have the key of robot 'arm'");
+    twins.assert_aborted();
     twins.assert_stopped();
 }
 
