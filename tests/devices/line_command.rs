@@ -195,6 +195,12 @@ fn ends_of_a_half_duplex_line_that_send_at_once_damage_each_other() {
         let end: Endpoint = format!("serial:{link}").parse().unwrap();
         end.open().unwrap()
     });
+    // What goes to an end that is not known to be there is lost.
+    until("each end hears the first one", PATIENCE, || {
+        ports[0].writer.write_all(b"?").unwrap();
+        let heard = [heard(&mut ports[1]), heard(&mut ports[2])];
+        (heard == [b"?", b"?"]).then_some(())
+    });
     let bytes = pattern(200);
     ports[0].writer.write_all(&bytes).unwrap();
     assert_eq!(heard(&mut ports[1]), bytes);

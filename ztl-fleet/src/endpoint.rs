@@ -16,19 +16,17 @@ use std::time::Duration;
 use ztl_core::Instant;
 use ztl_core::envelope::{ClientId, Envelope};
 
-use crate::wire::{ANOTHER_INIT, InitId, InitRules, RobotInfo, Verdict};
+use crate::wire::{ANOTHER_INIT, InitId, InitRules, RobotInfo, Verdict, millis};
 use questions::Question;
 pub use requests::robot_of;
 use robots::Robot;
 
-/// How long a request may take, less than a client's timeout of 2 s.
+/// How long a request may take and an INIT may act, less than a client's timeout of 2 s: the original's takes silence for *not started*.
 pub(crate) const LONGEST: Duration = Duration::from_millis(1900);
 /// How long a robot's server may hold a STATUS, in milliseconds, so that its answer arrives in time.
 const LONGEST_HOLD_MS: u64 = 1500;
 /// Pause before a query without a reply is repeated.
 const AGAIN: Duration = Duration::from_millis(100);
-/// How long an INIT may act after it was sent: little longer than its client waits.
-const VALID_MS: u64 = 2500;
 /// How long the last INIT of a client is remembered.
 const KEEP: Duration = Duration::from_secs(60);
 /// Most clients whose last INIT is remembered, and most requests at a time.
@@ -229,7 +227,7 @@ impl Endpoint {
                     let new = InitRules {
                         id: rules.id,
                         boot,
-                        until_ms: clock_ms.saturating_add(VALID_MS),
+                        until_ms: clock_ms.saturating_add(millis(pending.deadline.since(now))),
                     };
                     *rules = self.note_rules(*rules, new);
                 }

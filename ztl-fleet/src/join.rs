@@ -28,7 +28,7 @@ use crate::routers;
 use crate::seal;
 use crate::seldom::{Seldom, SeldomOf};
 use crate::session::{self, ZenohError, key};
-use crate::wire::{AgentQuery, RobotInfo, Verdict};
+use crate::wire::{AgentQuery, RobotInfo, Verdict, millis};
 use asked::{Asked, Clients, Seen};
 use requests::{Aborting, Rules};
 use server::ServerState;
@@ -349,7 +349,7 @@ impl Shared {
             boot: rules.agent.boot(),
             clock_ms: now().as_millis(),
             since: self.since,
-            held_ms: u64::try_from(self.claimed.elapsed().as_millis()).unwrap_or(u64::MAX),
+            held_ms: millis(self.claimed.elapsed()),
             groups: self.config.groups.clone(),
             streams: self.config.publish.is_some(),
             ready: problem.is_none(),

@@ -12,7 +12,7 @@ use zenoh::{Config, Session, Wait as _};
 
 use crate::config::Links;
 use crate::obstacles::obstacles;
-use crate::wire::{ROOT, Verdict, from_hex, is_name};
+use crate::wire::{ROOT, Verdict, from_hex, is_name, millis};
 
 /// What failed in Zenoh.
 pub type ZenohError = Box<dyn std::error::Error + Send + Sync>;
@@ -171,10 +171,6 @@ fn warn_of_dates(links: &Links) {
     if let Some(mistake) = &links.misdated {
         warn!(target: "fleet", "{}.", mistake.sentence());
     }
-}
-
-fn millis(time: Duration) -> u64 {
-    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Why a router does not start, by what Zenoh says, which includes places in its source.

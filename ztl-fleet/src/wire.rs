@@ -1,10 +1,17 @@
 //! What agents and endpoints say to each other (docs/fleet.md): parameters of queries, and verdicts.
 
 use std::fmt::{self, Write as _};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use ztl_core::envelope::ClientId;
 use ztl_core::{Message, Request};
+
+/// As numbers on the wire: whole milliseconds.
+#[must_use]
+pub fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}
 
 /// First chunk of every key.
 pub const ROOT: &str = "ztl";

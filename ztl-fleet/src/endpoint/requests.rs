@@ -8,10 +8,9 @@ use ztl_core::{Instant, Message, Request};
 
 use super::{
     Ask, ClientRequest, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST,
-    LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, VALID_MS, about_server, rejection,
-    with_scope,
+    LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, about_server, rejection, with_scope,
 };
-use crate::wire::{ANOTHER_INIT, checksum, is_name};
+use crate::wire::{ANOTHER_INIT, checksum, is_name, millis};
 
 /// The robot and its own scope in a scope of the endpoint: `/NAME/scope`.
 pub(super) fn split(scope: &str) -> Option<(&str, &str)> {
@@ -108,7 +107,7 @@ impl Endpoint {
             let mut new = InitRules {
                 id,
                 boot,
-                until_ms: clock_ms.saturating_add(VALID_MS),
+                until_ms: clock_ms.saturating_add(millis(LONGEST)),
             };
             if asked.envelope.is_some() {
                 match self.note_init(now, name, &agent, hash, new) {

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use ztl_core::Instant;
 
 use super::{Endpoint, EndpointEffect, RobotInfo};
+use crate::wire::millis;
 
 /// Most robots that are known.
 const MOST_ROBOTS: usize = 10_000;
@@ -30,8 +31,7 @@ impl Robot {
     /// The boot id of its agent, and what the agent's clock shows at least; zeros if that is not known.
     pub(super) fn clock(&self, now: Instant) -> (u32, u64) {
         let (boot, clock_ms, heard) = self.clock;
-        let since = u64::try_from(now.since(heard).as_millis()).unwrap_or(u64::MAX);
-        (boot, clock_ms.saturating_add(since))
+        (boot, clock_ms.saturating_add(millis(now.since(heard))))
     }
 }
 

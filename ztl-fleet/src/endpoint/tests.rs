@@ -83,7 +83,7 @@ fn a_request_goes_to_the_robot_with_its_own_scope_and_back() {
         panic!();
     };
     assert_eq!(body, b"/lab;1;-1;x;y");
-    assert_eq!((rules.id.number, rules.boot, rules.until_ms), (3, 7, 4000));
+    assert_eq!((rules.id.number, rules.boot, rules.until_ms), (3, 7, 3400));
     let answer = Verdict::Answer(b"/lab;1;42;on".to_vec());
     let told = endpoint.handle_verdict(at(1001), query, answer);
     assert_eq!(answered(&told), "/arm/lab;1;42;on");
@@ -146,7 +146,7 @@ fn an_init_for_an_agent_that_was_restarted_is_sent_once_more() {
     else {
         panic!();
     };
-    assert_eq!((rules.boot, rules.until_ms), (8, 2600));
+    assert_eq!((rules.boot, rules.until_ms), (8, 1995));
     assert_eq!(rules.id.client, ClientId([9; 16]));
 }
 

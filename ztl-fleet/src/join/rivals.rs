@@ -12,7 +12,7 @@ use super::asked::Asked;
 use super::{CLAIM, JoinEnd, Shared};
 use crate::caller::Caller;
 use crate::session::{self, ZenohError};
-use crate::wire::{Verdict, from_hex};
+use crate::wire::{Verdict, from_hex, millis};
 
 /// How often an agent looks whether another one has its id.
 pub(super) const AGAIN: Duration = Duration::from_secs(2);
@@ -105,8 +105,7 @@ impl Shared {
         };
         // Half of the way is back. The time of day may be wrong on a robot.
         let held = self.claimed.elapsed().saturating_sub(asked.elapsed() / 2);
-        let held = u64::try_from(held.as_millis()).unwrap_or(u64::MAX);
-        if has_it_for_longer((rival.held_ms, &rival.agent), (held, &self.id)) {
+        if has_it_for_longer((rival.held_ms, &rival.agent), (millis(held), &self.id)) {
             error!(target: "fleet", "Agent {other} has had the name '{robot}' for longer; this one leaves.");
             let ends = self.ends.lock().unwrap_or_else(PoisonError::into_inner);
             // The receiver is gone when this agent ends anyway.

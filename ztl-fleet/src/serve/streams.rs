@@ -20,7 +20,7 @@ use crate::seal::Request;
 use crate::seldom::{Seldom, brief};
 use crate::session::{ZenohError, parts};
 use crate::streams::{Granted, Head, Incoming, RENEW, fewest, is_wanted, topics_of, within};
-use crate::wire::{AgentQuery, ROOT, Verdict, fresh, hex};
+use crate::wire::{AgentQuery, ROOT, Verdict, fresh, hex, millis};
 
 /// How long to wait for an agent's answer.
 const LIMIT: Duration = Duration::from_secs(2);
@@ -351,7 +351,7 @@ impl Relay {
             return;
         };
         let (boot, clock_ms, heard) = robot.known.clock;
-        let since = u64::try_from(now().since(heard).as_millis()).unwrap_or(u64::MAX);
+        let since = millis(now().since(heard));
         let until = clock_ms.saturating_add(since).saturating_add(VALID_MS);
         let request = Request {
             robot: name,
