@@ -7,15 +7,19 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
 use ztl_core::Instant;
+use ztl_std::RemoteId;
 use ztl_std::time::now;
 
 use crate::event::{DecidedBy, Question, RequestNumber, RunCommand, RunEvent, StampedEvent};
 use crate::player::{PlayOptions, Player, Request};
 use crate::script::Script;
-use crate::server::{Connected, Connection, ServerAnswer};
+use crate::server::{Connected, Connection, ServerAnswer, ServerRequest};
 
 /// A [`RunnerHandle::stop_all`] so soon after another, while nothing runs, is the same.
 const SAME_PRESS: Duration = Duration::from_millis(200);
+
+/// Most tasks that a connection is known to have started.
+const STARTED: usize = 256;
 
 /// Opens a connection to the server with this name: one for each request that is under way at the same time.
 pub type Connect = Box<dyn FnMut(&str) -> Connected + Send>;
@@ -175,7 +179,8 @@ impl Runner {
                 Ok(Input::Command(command, by)) => {
                     self.player.handle_command(now(), command, by);
                 }
-                Ok(Input::Answer(request, answer, worker)) => {
+                Ok(Input::Answer(request, answer, mut worker)) => {
+                    worker.note(&answer);
                     let idle = self.idle.entry(worker.remote.clone()).or_default();
                     idle.push(worker);
                     self.player.handle_answer(now(), request, answer);
@@ -225,7 +230,15 @@ impl Runner {
 
     fn send(&mut self, request: Request) -> Result<(), String> {
         let remote = &request.remote;
-        let worker = match self.idle.get_mut(remote).and_then(Vec::pop) {
+        let idle = self.idle.get_mut(remote).and_then(|idle| {
+            // Who has started a task asks for it: to a server with `needs-client`, a connection that falls silent is a
+            // client that is gone.
+            let starter = idle.iter().position(|it| it.has_started(&request.body));
+            starter
+                .map(|index| idle.swap_remove(index))
+                .or_else(|| idle.pop())
+        });
+        let worker = match idle {
             Some(worker) => worker,
             None => Worker::start(remote, (self.connect)(remote)?, self.handle.clone())?,
         };
@@ -250,6 +263,8 @@ impl std::fmt::Debug for Runner {
 #[derive(Debug)]
 struct Worker {
     remote: String,
+    /// The last tasks that it has started, newest last.
+    started: VecDeque<RemoteId>,
     requests: Sender<(Request, SeenStops, Worker)>,
 }
 
@@ -275,8 +290,28 @@ impl Worker {
             .map_err(|error| format!("no thread for it: {error}"))?;
         Ok(Self {
             remote: remote.to_owned(),
+            started: VecDeque::new(),
             requests,
         })
+    }
+
+    fn note(&mut self, answer: &ServerAnswer) {
+        if let ServerAnswer::Started { id, .. } = answer {
+            self.started.push_back(id.clone());
+            if self.started.len() > STARTED {
+                self.started.pop_front();
+            }
+        }
+    }
+
+    /// Whether the request is about a task that it has started.
+    fn has_started(&self, request: &ServerRequest) -> bool {
+        match request {
+            ServerRequest::Status { id, .. } | ServerRequest::Abort { id } => {
+                self.started.contains(id)
+            }
+            ServerRequest::Init { .. } | ServerRequest::Probe | ServerRequest::Tasks => false,
+        }
     }
 }
 
@@ -284,7 +319,7 @@ impl Worker {
 mod tests {
     use super::*;
     use crate::Defaults;
-    use crate::server::{Acceptance, ServerRequest};
+    use crate::server::Acceptance;
 
     /// A server that accepts every INIT that it gets, once the test lets it.
     struct Gated {
@@ -393,6 +428,82 @@ mod tests {
         assert!(runner.decide(RunCommand::Start, scene));
         open.send(()).unwrap();
         assert_eq!(arrived.recv_timeout(wait).as_deref(), Ok("x"));
+    }
+
+    /// A connection that gives its number as an id, and tells who is asked for which id.
+    struct Numbered {
+        number: RemoteId,
+        asked: Sender<(RemoteId, RemoteId)>,
+    }
+
+    impl Connection for Numbered {
+        fn request(&mut self, request: &ServerRequest, _: &dyn Fn() -> bool) -> ServerAnswer {
+            let text = String::new();
+            if let ServerRequest::Status { id, .. } = request {
+                let asked = (self.number.clone(), id.clone());
+                self.asked.send(asked).unwrap();
+                return ServerAnswer::Unclear { text };
+            }
+            ServerAnswer::Started {
+                id: self.number.clone(),
+                text,
+                server: crate::server::Server::Original,
+            }
+        }
+
+        fn offers(&mut self) -> Option<ztl_std::Offers> {
+            None
+        }
+
+        fn would_accept(&mut self, _: &str, _: &str, _: &str) -> Acceptance {
+            Acceptance::Unknown
+        }
+    }
+
+    #[test]
+    fn the_connection_that_started_a_task_asks_for_it() {
+        let script = Script::read("f", b"one: {a: {r: {x: 1}}}", Defaults::default()).unwrap();
+        let (asked, heard) = mpsc::channel();
+        let mut count = 0_i64;
+        let connect: Connect = Box::new(move |_| {
+            count += 1;
+            Ok(Box::new(Numbered {
+                number: count.into(),
+                asked: asked.clone(),
+            }))
+        });
+        let mut runner = Runner::new(script.into(), PlayOptions::default(), connect);
+        let mut send = |bodies: &[ServerRequest]| {
+            for body in bodies {
+                let (number, remote) = (RequestNumber(1), "r".to_owned());
+                let body = body.clone();
+                let request = Request {
+                    number,
+                    remote,
+                    body,
+                };
+                runner.send(request).unwrap();
+            }
+            while runner.idle.get("r").map_or(0, Vec::len) < 2 {
+                runner.next(Duration::from_millis(1));
+            }
+        };
+        let [handler, component, goal] = ["h", "c", "g"].map(str::to_owned);
+        let init = ServerRequest::Init {
+            handler,
+            component,
+            goal,
+        };
+        send(&[init.clone(), init]);
+        for id in [1, 2, 1, 1, 2, 2] {
+            let id = RemoteId::from(id);
+            send(&[ServerRequest::Status {
+                id: id.clone(),
+                text: String::new(),
+                hold: Duration::ZERO,
+            }]);
+            assert_eq!(heard.try_recv(), Ok((id.clone(), id)));
+        }
     }
 
     #[test]

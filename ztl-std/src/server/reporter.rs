@@ -212,7 +212,8 @@ impl TaskReporter {
     }
 
     /// Aborts the task when its client is gone: when nothing has arrived from the client for `silence` since the
-    /// answer to the INIT. Choose 5 s or more, since a waiting client asks every second and networks stall.
+    /// answer to the INIT. Choose 5 s or more, since a waiting client asks every second and networks stall. A clone of a
+    /// client is another client.
     ///
     /// Has no effect for clients that do not identify themselves, such as the original's.
     pub fn needs_client(&self, silence: Duration) {
