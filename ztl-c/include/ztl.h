@@ -507,7 +507,8 @@ int ztl_task_reject_abort(ztl_server *server, unsigned int task);
 
 /**
  * Stops the task when its client is silent for this time (5000 ms or more) after it was told that the task has started.
- * Has no effect for clients that do not identify themselves, such as the Python original's.
+ * A clone of a client is another client. Has no effect for clients that do not identify themselves, such as the Python
+ * original's.
  */
 int ztl_task_needs_client(ztl_server *server,
                           unsigned int task,

@@ -106,7 +106,8 @@ pub unsafe extern "C" fn ztl_task_reject_abort(server: *mut Server, task: c_uint
 }
 
 /// Stops the task when its client is silent for this time (5000 ms or more) after it was told that the task has started.
-/// Has no effect for clients that do not identify themselves, such as the Python original's.
+/// A clone of a client is another client. Has no effect for clients that do not identify themselves, such as the Python
+/// original's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ztl_task_needs_client(
     server: *mut Server,

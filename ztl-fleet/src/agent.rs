@@ -61,6 +61,8 @@ pub enum AgentEffect {
         id: InitId,
         /// Its body.
         body: Vec<u8>,
+        /// When it must have been sent, by the agent's clock in milliseconds.
+        until_ms: u64,
     },
     /// Ask the server for the outcome of an INIT, then call [`Agent::handle_server_outcome`].
     AskServer(InitId),
@@ -254,7 +256,8 @@ impl Agent {
             server,
         }));
         let body = body.to_vec();
-        effects.push(AgentEffect::Forward { id, body });
+        let until_ms = rules.until_ms;
+        effects.push(AgentEffect::Forward { id, body, until_ms });
         effects
     }
 

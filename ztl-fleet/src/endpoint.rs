@@ -156,6 +156,15 @@ struct Pending {
     stale: u32,
 }
 
+/// Machines that are told an ABORT.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+struct EachTold {
+    /// Boots that said that it was not meant for them, and got one of their own.
+    told: BTreeSet<u32>,
+    /// How many answers have come to the last query.
+    answers: u32,
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Purpose {
     /// The answer goes back with this scope instead of the robot's.
@@ -164,11 +173,10 @@ enum Purpose {
     Outcome(InitId),
     /// The answer is a part of a [`Question`]'s.
     Part,
-    /// An ABORT for each machine that answers as the robot, whose answers are not passed on. These boots said that it was not
-    /// meant for them, and got one of their own.
-    AbortEach(BTreeSet<u32>),
-    /// An ABORT for one of these machines.
-    AbortOne,
+    /// An ABORT for each machine that answers as the robot, whose answers are not passed on.
+    AbortEach(EachTold),
+    /// An ABORT for one of these machines, by its boot.
+    AbortOne(u32),
 }
 
 impl Endpoint {
@@ -196,14 +204,15 @@ impl Endpoint {
         let Some(mut pending) = self.pending.remove(&query) else {
             return Vec::new();
         };
-        if let Purpose::AbortEach(told) = &mut pending.purpose {
+        if let Purpose::AbortEach(each) = &mut pending.purpose {
+            each.answers += 1;
             let mut again = None;
             if let Verdict::Stale { boot, clock_ms } = verdict
-                && told.len() < MACHINES
-                && told.insert(boot)
+                && each.told.len() < MACHINES
+                && each.told.insert(boot)
             {
                 again = Some(Pending {
-                    purpose: Purpose::AbortOne,
+                    purpose: Purpose::AbortOne(boot),
                     ..pending.clone()
                 });
                 self.on_clock(now, &pending.robot, &pending.agent, boot, clock_ms);
@@ -214,6 +223,14 @@ impl Endpoint {
                 .map(|again| self.ask(now, again))
                 .into_iter()
                 .collect();
+        }
+        if let (Purpose::AbortOne(meant), Verdict::Stale { boot, .. }) =
+            (&pending.purpose, &verdict)
+            && meant != boot
+        {
+            // It was told itself.
+            self.pending.insert(query, pending);
+            return Vec::new();
         }
         if let Verdict::Stale { boot, clock_ms } = verdict {
             self.on_clock(now, &pending.robot, &pending.agent, boot, clock_ms);
@@ -256,9 +273,10 @@ impl Endpoint {
                     Verdict::Answer(body) => with_scope(&body, &scope),
                     // Only an INIT can be known not to have acted.
                     Verdict::NotStarted(reason) if id.is_some() => rejection(&scope, &reason),
-                    Verdict::Stale { .. } if is_latest => {
-                        rejection(&scope, "the robot's agent was restarted, try again")
-                    }
+                    Verdict::Stale { .. } if is_latest => rejection(
+                        &scope,
+                        "the robot's agent was restarted, or it came too late there; try again",
+                    ),
                     _ => return vec![EndpointEffect::Silence { request }],
                 };
                 if let Some(id) = id.filter(|_| !is_another) {
@@ -281,7 +299,7 @@ impl Endpoint {
                 vec![EndpointEffect::Answer { request, body }]
             }
             // The one for each keeps silent when the client has waited long enough.
-            Purpose::AbortEach(_) | Purpose::AbortOne => Vec::new(),
+            Purpose::AbortEach(_) | Purpose::AbortOne(_) => Vec::new(),
             Purpose::Part => {
                 let body = match verdict {
                     Verdict::Answer(body) => Some(body),
@@ -294,10 +312,16 @@ impl Endpoint {
 
     /// A query ended without a reply: the robot or a router is not reached.
     pub fn handle_no_reply(&mut self, now: Instant, query: u64) -> Vec<EndpointEffect> {
-        // Its end, when all machines have answered.
-        let is_end = |pending: &Pending| matches!(pending.purpose, Purpose::AbortEach(_));
-        if let Some(pending) = self.pending.get_mut(&query).filter(|it| !is_end(it)) {
-            pending.again = Some(now + AGAIN);
+        let Some(pending) = self.pending.get_mut(&query) else {
+            return Vec::new();
+        };
+        pending.again = Some(now + AGAIN);
+        if let Purpose::AbortEach(each) = &mut pending.purpose
+            && std::mem::take(&mut each.answers) >= 2
+        {
+            let request = pending.request;
+            self.pending.remove(&query);
+            return vec![EndpointEffect::Silence { request }];
         }
         Vec::new()
     }

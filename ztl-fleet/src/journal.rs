@@ -4,6 +4,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use tracing::warn;
+
 use crate::agent::Entry;
 use crate::wire::{from_hex, hex};
 use ztl_core::envelope::ClientId;
@@ -16,8 +18,6 @@ const AGAIN: u64 = 64 << 10;
 const LACKS: char = '!';
 /// Begins the first line of every other journal.
 const WHOLE: char = '=';
-
-const NO_ID: &str = "its file 'id' does not hold 32 hexadecimal digits; remove the directory, and the robot joins as a new one";
 
 /// An agent's directory.
 #[derive(Debug)]
@@ -68,17 +68,19 @@ impl Journal {
             )
         })?;
         let id = directory.join("id");
-        let agent = match fs::read(&id) {
-            Ok(known) => {
-                let known = from_hex(String::from_utf8_lossy(&known).trim());
-                hex(&known.ok_or_else(|| io::Error::other(NO_ID))?)
-            }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+        let known = fs::read(&id);
+        let is_new = matches!(&known, Err(error) if error.kind() == io::ErrorKind::NotFound);
+        let known = String::from_utf8_lossy(&known.unwrap_or_default()).into_owned();
+        let agent = match from_hex(known.trim()) {
+            Some(known) => hex(&known),
+            None => {
                 let new = hex(&random);
                 write_whole(&id, new.as_bytes())?;
+                if !is_new {
+                    warn!(target: "fleet", "{} did not hold the agent's id, 32 hexadecimal digits; it has a new one now.", id.display());
+                }
                 new
             }
-            Err(error) => return Err(error),
         };
         let path = directory.join("journal");
         let text = fs::read(&path).unwrap_or_default();
@@ -282,10 +284,6 @@ mod tests {
             found.complete
         });
         assert_eq!(complete, [true, false]);
-        // A damaged file may have been another agent's.
-        fs::write(copy.join("id"), "01").unwrap();
-        let damaged = Journal::open(&copy, ClientId([2; 16])).unwrap_err();
-        assert!(damaged.to_string().ends_with(NO_ID), "{damaged}");
         for directory in [first, copy] {
             fs::remove_dir_all(directory).unwrap();
         }

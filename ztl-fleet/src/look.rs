@@ -275,8 +275,11 @@ impl Select {
             };
             return Err(format!("robot '{name}' is not there; {others}").into());
         };
+        let doubt = format!(
+            "several machines answer as robot '{name}'; stop all tasks with stop-all, and give each robot its own name"
+        );
         if found.is_doubted {
-            return Err(format!("several machines answer as robot '{name}'; stop all tasks with stop-all, and give each robot its own name").into());
+            return Err(doubt.into());
         }
         if let Some((_, Some(info))) = &found.agent
             && !info.scopes.is_empty()
@@ -292,6 +295,12 @@ impl Select {
             let body = format!("{own};3;{id};abort command");
             let answer = ask(&caller, &all, AgentQuery::Request, body.as_bytes(), LIMIT);
             let answer = answer.into_iter().flatten().next();
+            if let [found] = &all[..]
+                && let Some((agent, _)) = &found.agent
+                && caller.is_in_doubt(name, agent)
+            {
+                return Err(doubt.into());
+            }
             let told = answer.as_deref().and_then(|body| Message::parse(body).ok());
             let about = told.filter(|told| told.scope == own && told.id == id.to_string());
             let state = about

@@ -203,6 +203,20 @@ impl RelayClient {
         body: &[u8],
         limit: Duration,
     ) -> Result<Vec<u8>, NotRelayed> {
+        self.ask_before(envelope, body, limit, limit)
+    }
+
+    /// The same, and sends the request only if the server is reached within `send`.
+    ///
+    /// # Errors
+    /// [`NotRelayed`].
+    pub fn ask_before(
+        &self,
+        envelope: Option<Envelope>,
+        body: &[u8],
+        send: Duration,
+        limit: Duration,
+    ) -> Result<Vec<u8>, NotRelayed> {
         let end = Instant::now() + limit;
         let idle = self
             .idle
@@ -215,7 +229,7 @@ impl RelayClient {
         };
         // An INIT that nobody waits for any more must not arrive later.
         dialer.discard_unsent(true);
-        if !matches!(dialer.can_send(limit), Ok(true)) {
+        if !matches!(dialer.can_send(send), Ok(true)) {
             return Err(NotRelayed::NotSent);
         }
         // A second answer to an earlier request is none to this one, and without an envelope it could not be told apart.

@@ -18,8 +18,8 @@ pub const FLEET: &[Mutant] = &[
         name: "the agent writes an INIT into its journal after it has sent it",
         edits: &[(
             AGENT,
-            "effects.push(AgentEffect::Forward { id, body });",
-            "effects.push(AgentEffect::Forward { id, body }); if ON { effects.reverse(); }",
+            "effects.push(AgentEffect::Forward { id, body, until_ms });",
+            "effects.push(AgentEffect::Forward { id, body, until_ms }); if ON { effects.reverse(); }",
         )],
         caught_in: SEEDS,
         complaint: TWICE,

@@ -1,13 +1,11 @@
 //! Requests of clients to robots, and the outcome of INITs.
 
-use std::collections::BTreeSet;
-
 use ztl_core::envelope::Envelope;
 use ztl_core::integer::Integer;
 use ztl_core::{Instant, Message, Request};
 
 use super::{
-    Ask, ClientRequest, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST,
+    Ask, ClientRequest, EachTold, Endpoint, EndpointEffect, InitId, InitRules, KEEP, LONGEST,
     LONGEST_HOLD_MS, LastInit, MOST, Pending, Purpose, about_server, rejection, with_scope,
 };
 use crate::wire::{ANOTHER_INIT, checksum, is_name, millis};
@@ -89,7 +87,7 @@ impl Endpoint {
         };
         let purpose = match robot.is_doubted {
             // Which machine runs the task is not known, nor what a machine's answer says of it.
-            true => Purpose::AbortEach(BTreeSet::new()),
+            true => Purpose::AbortEach(EachTold::default()),
             false => Purpose::Request {
                 scope: scope.to_owned(),
             },
@@ -100,7 +98,8 @@ impl Endpoint {
             let id = asked.envelope.map_or(
                 InitId {
                     client: asked.fresh,
-                    number: 1,
+                    // This client sends nothing else with this id.
+                    number: 0,
                 },
                 |Envelope { client, number, .. }| InitId { client, number },
             );

@@ -31,7 +31,9 @@ impl Robot {
     /// The boot id of its agent, and what the agent's clock shows at least; zeros if that is not known.
     pub(super) fn clock(&self, now: Instant) -> (u32, u64) {
         let (boot, clock_ms, heard) = self.clock;
-        (boot, clock_ms.saturating_add(millis(now.since(heard))))
+        // A request may have arrived before the clock was heard, and waited for its turn.
+        let then = clock_ms.saturating_sub(millis(heard.since(now)));
+        (boot, then.saturating_add(millis(now.since(heard))))
     }
 }
 

@@ -387,16 +387,48 @@ fn while_two_machines_answer_each_is_told_an_abort_once_and_the_client_nothing()
     let (one, again) = asked(&endpoint.handle_verdict(at(2), each, stale(8)));
     assert_eq!((again, endpoint.clock(at(2), "arm")), (abort, (8, 1000)));
     assert_eq!(endpoint.handle_verdict(at(2), each, stale(8)), []);
-    assert_eq!(endpoint.handle_verdict(at(3), one, answer), []);
+    assert_eq!(endpoint.handle_verdict(at(3), one, stale(7)), []);
+    assert_eq!(endpoint.handle_verdict(at(3), one, answer.clone()), []);
     // Anybody with the key could answer under many names.
     for boot in 9..12 {
         asked(&endpoint.handle_verdict(at(4), each, stale(boot)));
     }
     assert_eq!(endpoint.handle_verdict(at(4), each, stale(12)), []);
-    endpoint.handle_no_reply(at(5), each);
     let silence = EndpointEffect::Silence { request: 1 };
-    let at_last = endpoint.handle_timeout(at(1900));
-    assert!(!at_last.is_empty() && at_last.iter().all(|effect| *effect == silence));
+    assert_eq!(endpoint.handle_no_reply(at(5), each), [silence]);
+    assert_eq!(endpoint.handle_verdict(at(6), each, answer), []);
+}
+
+#[test]
+fn an_abort_is_repeated_while_only_one_of_two_machines_answers() {
+    let mut endpoint = endpoint();
+    endpoint.handle_doubt("arm", true);
+    let (each, abort) = asked(&ask(&mut endpoint, 0, 1, None, "/arm/lab;3;42;"));
+    let answer = Verdict::Answer(b"/lab;4;42;True".to_vec());
+    assert_eq!(endpoint.handle_verdict(at(1), each, answer.clone()), []);
+    assert_eq!(endpoint.handle_no_reply(at(2), each), []);
+    let (again, what) = asked(&endpoint.handle_timeout(at(102)));
+    assert_eq!(what, abort);
+    for _ in 0..2 {
+        assert_eq!(endpoint.handle_verdict(at(103), again, answer.clone()), []);
+    }
+    let silence = EndpointEffect::Silence { request: 1 };
+    assert_eq!(endpoint.handle_no_reply(at(104), again), [silence]);
+}
+
+#[test]
+fn an_init_that_waited_for_its_turn_is_valid_no_longer() {
+    let mut endpoint = endpoint();
+    endpoint.handle_info(at(1700), "arm", "a", info(7));
+    let (_, what) = asked(&ask(&mut endpoint, 1600, 1, None, "/arm/lab;1;-1;x"));
+    let Ask::Request {
+        rules: Some(rules), ..
+    } = what
+    else {
+        panic!();
+    };
+    // The agent's clock showed 500 ms at 1700.
+    assert_eq!((rules.id.number, rules.until_ms), (0, 400 + 1900));
 }
 
 #[test]

@@ -137,8 +137,8 @@ impl Shared {
                     }
                     // Written when it was decided.
                     AgentEffect::Record(_) => continue,
-                    AgentEffect::Forward { id, body } => {
-                        let said = self.forward(id, &body, early_end);
+                    AgentEffect::Forward { id, body, until_ms } => {
+                        let said = self.forward(id, &body, until_ms, early_end);
                         self.decide(|rules| rules.agent.handle_server(now(), id, said))
                     }
                     AgentEffect::AskServer(id) => {
@@ -162,7 +162,7 @@ impl Shared {
         rules.write(effects)
     }
 
-    fn forward(&self, id: InitId, body: &[u8], early_end: bool) -> ServerSaid {
+    fn forward(&self, id: InitId, body: &[u8], until_ms: u64, early_end: bool) -> ServerSaid {
         if self.server_is_away() {
             // Its client would not wait for so long until that is certain.
             return ServerSaid::NotSent(NotRelayed::NotSent.to_string());
@@ -171,7 +171,12 @@ impl Shared {
             early_end,
             ..envelope(id)
         };
-        match self.client.ask(Some(envelope), body, ANSWER) {
+        // The server may be there again only after that.
+        let left = Duration::from_millis(until_ms.saturating_sub(now().as_millis()));
+        let asked = self
+            .client
+            .ask_before(Some(envelope), body, left.min(ANSWER), ANSWER);
+        match asked {
             Ok(answer) => {
                 self.started().note(&answer);
                 let client = crate::wire::hex(&id.client);

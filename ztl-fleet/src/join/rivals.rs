@@ -53,7 +53,7 @@ impl Shared {
         }
         *self.copy.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         if self.told.copies.may() {
-            error!(target: "fleet", "Another agent has the name '{robot}' and this one's key or id: endpoints send nothing but 'stop' to both. Give each robot its own name, key and 'state' directory.");
+            error!(target: "fleet", "Another agent has the name '{robot}' and this one's key or id: endpoints send nothing but ABORTs and 'stop' to both. Give each robot its own name, key and 'state' directory.");
         }
     }
 

@@ -43,8 +43,10 @@ with zenoh.open(config) as session:
     late = other.replace(f"until={until}", "until=1")
     print("late", ask(f"{base}/request?{late}", init).split(" ")[0], flush=True)
     number = first.split(";")[2]
+    # With them, the robot knows that its client is there.
+    asks = rules.replace("number=1", "number=3")
     state = "1"
     while state in "01":
-        state, _, text = ask(f"{base}/request", f"{scope};2;{number};".encode()).split(";", 3)[1:]
+        state, _, text = ask(f"{base}/request?{asks}", f"{scope};2;{number};".encode()).split(";", 3)[1:]
         time.sleep(0.1)
     print("end", state, text, flush=True)

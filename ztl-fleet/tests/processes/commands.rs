@@ -10,7 +10,10 @@ use ztl_fleet::config::Links;
 use ztl_fleet::session::{self, key};
 use ztl_fleet::wire::{AgentQuery, Verdict};
 use ztl_std::State;
-use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, Server, end, reserve_port, start, until};
+use ztl_tests::lab::{
+    ACCEPTED, Ended, OriginalClient, PATIENCE, Process, Scratch, Server, connect_to, end,
+    reserve_port, start, until, ztl,
+};
 
 use crate::{Fleet, fleet};
 
@@ -261,4 +264,23 @@ fn a_signal_ends_the_demo_with_all_that_it_started() {
         assert_eq!(ended.code, Some(code), "{ended:?}");
         assert_nothing_left(&scratch);
     }
+}
+
+#[test]
+fn a_task_that_needs_its_client_is_aborted_if_that_is_gone_and_not_if_it_is_the_originals() {
+    let fleet = Fleet::new();
+    let file = fleet.scratch.path("serve.yaml");
+    let tasks = "{drive: {far: {built-in: sleep, needs-client: 1 s}}}";
+    std::fs::write(&file, format!("port: 0\nscopes: {{/test: {tasks}}}\n")).unwrap();
+    let server = Server::start(ztl().arg("serve").arg(&file));
+    let _agent = fleet.join(&server, "");
+    let mut original = OriginalClient::connect(fleet.port, "/arm/test");
+    let id = original.start("drive", "far", "600");
+    let gone = start(&mut fleet.client(), "drive", "far", "600");
+    let mut direct = connect_to(&server.endpoint(), "/test");
+    until("the task of a client that is gone", PATIENCE, || {
+        let state = direct.status(gone).ok()?.state;
+        (state == State::Aborted).then_some(())
+    });
+    assert_eq!(original.status(id).number, ACCEPTED);
 }

@@ -1,7 +1,8 @@
 //! Client liveness: aborts the tasks of clients that are gone.
 //!
 //! Silence counts from the moment by which the INIT has been answered, so that a client that dies before its first
-//! STATUS is gone, too. The original's clients never identify themselves.
+//! STATUS is gone, too. The original's clients never identify themselves; an endpoint of a fleet that passes on their
+//! INITs gives them the number 0.
 //!
 //! This rule of the protocol (12.7) is not in `ztl-core`, because it needs a list of tasks per client, which
 //! no firmware uses.
@@ -26,36 +27,27 @@ pub(super) struct ClientLiveness {
 
 #[derive(Default)]
 struct Client {
-    /// When a request other than a new INIT came last, if one did.
-    heard: Option<Instant>,
-    tasks: Vec<Watched>,
-}
-
-struct Watched {
-    id: TaskId,
-    /// By when the INIT is answered. Before, the client waits and asks nothing.
-    answered: Instant,
-    /// How long the client may be silent.
-    silence: Duration,
+    /// When it was last heard. Until its INIT is answered, it waits and asks nothing.
+    heard: Instant,
+    /// Its tasks, and how long it may be silent for each.
+    tasks: Vec<(TaskId, Duration)>,
 }
 
 impl ClientLiveness {
     /// Aborts a task when its client is silent for so long.
     pub(super) fn watch(&mut self, now: Instant, client: ClientId, id: TaskId, silence: Duration) {
         let client = self.clients.entry(client).or_default();
-        client.tasks.retain(|known| known.id != id);
-        client.tasks.push(Watched {
-            id,
-            answered: now + HOLD,
-            silence,
-        });
+        client.heard = client.heard.max(now + HOLD);
+        client.tasks.retain(|(known, _)| *known != id);
+        client.tasks.push((id, silence));
         self.next.get_or_insert(now + CHECK);
     }
 
-    /// A client sent a request other than a new INIT.
-    pub(super) fn on_heard(&mut self, now: Instant, client: ClientId) {
+    /// A client sent a request.
+    pub(super) fn on_heard(&mut self, now: Instant, client: ClientId, is_init: bool) {
         if let Some(client) = self.clients.get_mut(&client) {
-            client.heard = Some(now);
+            let held = if is_init { HOLD } else { Duration::ZERO };
+            client.heard = client.heard.max(now + held);
         }
     }
 
@@ -72,12 +64,11 @@ impl ClientLiveness {
         }
         self.clients.retain(|_, client| {
             let heard = client.heard;
-            client.tasks.retain(|task| {
-                let last = heard.unwrap_or_default().max(task.answered);
-                let silent = now.since(last) >= task.silence;
-                let runs = runs(task.id);
+            client.tasks.retain(|(id, silence)| {
+                let silent = now.since(heard) >= *silence;
+                let runs = runs(*id);
                 if silent && runs {
-                    gone.push(task.id);
+                    gone.push(*id);
                 }
                 runs && !silent
             });
@@ -107,12 +98,13 @@ mod tests {
             [],
             "the INIT is answered after 1500 ms"
         );
-        clients.on_heard(at(2499), a);
+        clients.on_heard(at(2499), a, false);
         assert_eq!(clients.gone(at(2750), |_| true), [three]);
-        clients.on_heard(at(3000), a);
-        assert_eq!(clients.gone(at(3500), |_| true), []);
-        clients.watch(at(4500), b, three, Duration::from_secs(4));
-        clients.on_heard(at(5000), a);
+        // While another INIT is undecided, it asks nothing.
+        clients.on_heard(at(3000), a, true);
+        assert_eq!(clients.gone(at(5000), |_| true), []);
+        clients.watch(at(4500), b, three, Duration::from_secs(3));
+        clients.on_heard(at(5000), a, false);
         assert_eq!(clients.gone(at(5900), |_| true), []);
         assert_eq!(
             clients.gone(at(6000), |_| true),

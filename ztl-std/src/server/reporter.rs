@@ -165,6 +165,8 @@ pub struct TaskReporter {
     progress: OnceLock<Slot>,
     ended: bool,
     client: Option<ClientId>,
+    /// Whether the client sends requests after its INIT.
+    pub(super) can_be_missed: bool,
 }
 
 impl TaskReporter {
@@ -172,6 +174,7 @@ impl TaskReporter {
         Self {
             id,
             client,
+            can_be_missed: client.is_some(),
             mailbox,
             progress: OnceLock::new(),
             ended: false,
@@ -217,7 +220,7 @@ impl TaskReporter {
     ///
     /// Has no effect for clients that do not identify themselves, such as the original's.
     pub fn needs_client(&self, silence: Duration) {
-        if let Some(client) = self.client {
+        if let Some(client) = self.client.filter(|_| self.can_be_missed) {
             self.post(Report::NeedsClient(client, silence));
         }
     }

@@ -69,10 +69,9 @@ impl Engine {
             self.logged_used_up = true;
             error!(target: TASKS, "All task ids are used up: every further task is refused. Restart the server, without its journal if it has one.");
         }
-        if let Some(envelope) = envelope
-            && !matches!(action, Some(Action::Start { .. }))
-        {
-            self.clients.on_heard(now(), envelope.client);
+        if let Some(envelope) = envelope {
+            let is_init = matches!(action, Some(Action::Start { .. }));
+            self.clients.on_heard(now(), envelope.client, is_init);
         }
         match action {
             Some(Action::Start { id, scope, payload }) => {
@@ -85,7 +84,9 @@ impl Engine {
                     let scope = self.dispatcher.memory().scope_name(scope);
                     events.on_asked(scope, id, payload, client);
                 }
-                let task = TaskReporter::new(id, self.mailbox.clone(), client);
+                let mut task = TaskReporter::new(id, self.mailbox.clone(), client);
+                // Who sends no other request cannot be missed.
+                task.can_be_missed = envelope.is_some_and(|envelope| envelope.number > 0);
                 match self.handlers.get_mut(usize::from(scope.0)) {
                     Some(handler) => {
                         handler.start_payload(task, payload);

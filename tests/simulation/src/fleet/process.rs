@@ -278,7 +278,7 @@ impl World {
                         rewrite(known);
                     }
                 }
-                AgentEffect::Forward { id, body } => {
+                AgentEffect::Forward { id, body, .. } => {
                     self.forward(robot, boot, FromAgent::Init(id), Some((id, false)), body);
                 }
                 AgentEffect::AskServer(id) => {
