@@ -31,7 +31,7 @@ const AGAIN: Duration = Duration::from_millis(100);
 const KEEP: Duration = Duration::from_secs(60);
 /// Most clients whose last INIT is remembered, and most requests at a time.
 const MOST: usize = 10_000;
-/// Most machines that are told an ABORT which answer as one robot.
+/// Most machines that answer as one robot and are told an ABORT one by one.
 const MACHINES: usize = 4;
 /// How often an INIT is sent again because the agent's boot or clock was another.
 const STALE: u32 = 3;
@@ -298,7 +298,7 @@ impl Endpoint {
                 };
                 vec![EndpointEffect::Answer { request, body }]
             }
-            // The one for each keeps silent when the client has waited long enough.
+            // The client gets no answer.
             Purpose::AbortEach(_) | Purpose::AbortOne(_) => Vec::new(),
             Purpose::Part => {
                 let body = match verdict {

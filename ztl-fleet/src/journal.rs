@@ -5,10 +5,10 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use tracing::warn;
+use ztl_core::envelope::ClientId;
 
 use crate::agent::Entry;
 use crate::wire::{from_hex, hex};
-use ztl_core::envelope::ClientId;
 
 /// A journal that is longer is written anew, in bytes.
 const LONGEST: u64 = 4 << 20;
