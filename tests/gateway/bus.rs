@@ -46,7 +46,9 @@ impl Line {
 }
 
 fn ended(remote: &mut RemoteTask, id: TaskId) -> State {
-    remote.wait(id, LIMIT).expect("an answer").state
+    let end = remote.wait(id, LIMIT).expect("an answer");
+    println!("{end:?}");
+    end.state
 }
 
 #[test]
@@ -216,8 +218,8 @@ fn a_node_that_moves_after_its_line_was_opened_again_goes_on_with_its_task() {
     ]);
     let mut wires = Process::start(&mut command);
     let url = format!("rs485:tcp:127.0.0.1:{between}");
-    // So that a search has time beside a node with a task.
-    let gateway = Server::gateway(&[&format!("arm={url}?wait=30")]);
+    // Patient, as above.
+    let gateway = Server::gateway(&[&format!("arm={url}?wait=100")]);
     gateway.wait_ready("arm.left");
     let mut remote = connect(&gateway.endpoint());
     let port = gateway.port.to_string();
