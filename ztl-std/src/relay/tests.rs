@@ -109,6 +109,18 @@ fn an_answer_for_a_client_that_is_gone_is_dropped() {
 }
 
 #[test]
+fn a_request_is_not_sent_to_a_server_that_is_reached_too_late() {
+    // It never answers the handshake.
+    let mute = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let at = format!("tcp://127.0.0.1:{}", mute.local_addr().unwrap().port());
+    let client = RelayClient::new(&at, None).unwrap();
+    let (begun, send) = (Instant::now(), Duration::from_millis(100));
+    let told = client.ask_before(envelope(1), b"late", send, PATIENCE);
+    assert_eq!(told, Err(NotRelayed::NotSent));
+    assert!(begun.elapsed() < PATIENCE / 2);
+}
+
+#[test]
 fn requests_tell_which_came_over_the_same_connection() {
     let relay = Relay::start("tcp://127.0.0.1:*");
     let (first, other) = (relay.client(), relay.client());
