@@ -32,6 +32,14 @@ fn hostile() -> String {
 /// A device whose port does not exist.
 const WRIST: &str = "wrist=serial:/no/such/port";
 
+/// Kills it, as if its plug was pulled.
+#[track_caller]
+fn unplug(device: &mut Process, link: &str) {
+    // If it stayed, it would lead to the next process that gets a pty with the same number.
+    std::fs::remove_file(link).expect("the link");
+    device.kill();
+}
+
 /// A gateway with a device at `link`, one inside of it, and more.
 fn gateway(port: u16, link: &str, more: &[&str]) -> Server {
     let mut command = ztl();
@@ -65,7 +73,7 @@ fn devices_are_shown_with_their_links_and_since_when_one_is_silent() {
     let (_process, url) = web(0, &robots, &[]);
     let mut driver = drive("devices", &url, &console);
     driver.wait_for("do: kill the device");
-    device.kill();
+    unplug(&mut device, &link);
     driver.write_line("done");
     driver.wait_for("do: start the device");
     let _device = simulated_gripper(&on);
@@ -144,7 +152,7 @@ fn a_device_that_does_not_answer_is_not_called_stopped() {
     client.subscribe("/ztl/tasks");
     // Once the device has begun: before, it is still waiting in the gateway, and can be aborted for certain.
     client.task(|task| task["task"] == "arm:finger:100" && task["state"] == "ACCEPTED");
-    device.kill();
+    unplug(&mut device, &link);
     for _ in 0..2 {
         let (confirmed, why) = stopped(&mut client);
         assert!(
