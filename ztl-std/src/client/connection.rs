@@ -168,9 +168,10 @@ impl Connection {
         if self.socket.is_none() || !self.probed {
             let mut body = Vec::new();
             let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+            let start = Instant::now();
             // Sent at any length, because its reply reports the longest message.
             let envelope = self.client.probe(now(), &mut sink);
-            let said = self.exchange(wanted, envelope, &body);
+            let said = self.exchange(wanted, start, envelope, &body);
             if let ClientReply::Task(Status { text, .. }) =
                 said.map_err(|unanswered| unanswered.error)?
             {
@@ -218,8 +219,9 @@ impl Connection {
         }
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        let start = Instant::now();
         let envelope = self.client.outcome(now(), &mut sink)?;
-        Some(self.exchange(None, envelope, &body))
+        Some(self.exchange(None, start, envelope, &body))
     }
 
     /// Whether the system discards what it has not delivered yet when the connection is closed, also because the process
@@ -246,9 +248,10 @@ impl Connection {
     ) -> Result<ClientReply, Unanswered> {
         let mut body = Vec::new();
         let mut sink = |bytes: &[u8]| body.extend_from_slice(bytes);
+        let start = Instant::now();
         let envelope = request(&mut self.client, &mut sink);
         self.check_length(body.len())?;
-        self.exchange(wanted, envelope, &body)
+        self.exchange(wanted, start, envelope, &body)
     }
 
     /// Checks a message's length. The server would end the connection if it was too long.
@@ -263,13 +266,14 @@ impl Connection {
         }
     }
 
+    /// Sends a request whose time runs since `start`, and waits for its answer.
     fn exchange(
         &mut self,
         wanted: Wanted<'_>,
+        start: Instant,
         envelope: Envelope,
         body: &[u8],
     ) -> Result<ClientReply, Unanswered> {
-        let start = Instant::now();
         let mut socket = self.take_socket()?;
         let said = self.converse(wanted, &mut socket, start, envelope, body);
         match &said {
