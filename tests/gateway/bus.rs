@@ -458,13 +458,11 @@ fn mistakes_of_a_shared_line_say_what_is_right() {
     assert!(device("sim:head@33").contains("'33' is not an address from 1 to 32"));
 }
 
-#[test]
-fn boards_on_a_half_duplex_line_are_found_and_served() {
-    let left = Line::of(&["left=sim:gripper@1"]);
-    let right = Line::of(&["right=sim:gripper@2"]);
-    let pair = left.scratch.path("pair").display().to_string();
-    let ends =
-        [&left, &right].map(|line| format!("serial:{}", line.scratch.path("line").display()));
+/// A gateway with these two lines joined to one, and what joins them.
+#[track_caller]
+fn joined(lines: [&Line; 2]) -> (Server, Process) {
+    let pair = lines[0].scratch.path("pair").display().to_string();
+    let ends = lines.map(|line| format!("serial:{}", line.scratch.path("line").display()));
     let mut command = ztl();
     command
         .args(["line", "--half-duplex", &format!("pty:{pair}")])
@@ -472,6 +470,14 @@ fn boards_on_a_half_duplex_line_are_found_and_served() {
     let wires = Process::start(&mut command);
     wires.wait_for("Seed ");
     let gateway = Server::gateway(&[&format!("arm=rs485:{pair}?wait=100")]);
+    (gateway, wires)
+}
+
+#[test]
+fn boards_on_a_half_duplex_line_are_found_and_served() {
+    let left = Line::of(&["left=sim:gripper@1"]);
+    let right = Line::of(&["right=sim:gripper@2"]);
+    let (gateway, _wires) = joined([&left, &right]);
     let mut remote = connect(&gateway.endpoint());
     for name in ["arm.left", "arm.right"] {
         gateway.wait_ready(name);
@@ -489,16 +495,7 @@ fn an_id_at_two_addresses_is_named_and_no_node_with_it_gets_tasks() {
     // Boards with equal places on their lines have equal ids.
     let first = Line::of(&["left=sim:gripper@1", "right=sim:gripper@2"]);
     let mut second = Line::of(&["left=sim:gripper@3"]);
-    let pair = first.scratch.path("pair").display().to_string();
-    let ends =
-        [&first, &second].map(|line| format!("serial:{}", line.scratch.path("line").display()));
-    let mut command = ztl();
-    command
-        .args(["line", "--half-duplex", &format!("pty:{pair}")])
-        .args(ends);
-    let wires = Process::start(&mut command);
-    wires.wait_for("Seed ");
-    let gateway = Server::gateway(&[&format!("arm=rs485:{pair}?wait=100")]);
+    let (gateway, _wires) = joined([&first, &second]);
     gateway.process.wait_for("several nodes have the id");
     let mut remote = connect(&gateway.endpoint());
     let refused = remote.trigger("arm.left", "finger", "10");

@@ -51,7 +51,7 @@ pub enum EndpointEffect {
         /// The request.
         request: u64,
     },
-    /// Send a query to a robot's agent; then call [`Endpoint::handle_verdict`] for its first reply, or
+    /// Send a query to a robot's agent; then call [`Endpoint::handle_verdict`] for its reply, and
     /// [`Endpoint::handle_no_reply`].
     Ask {
         /// The query.
@@ -194,7 +194,7 @@ impl Endpoint {
         }
     }
 
-    /// The first reply to a query.
+    /// The first reply to a query; of an ABORT that goes to several machines, each reply.
     pub fn handle_verdict(
         &mut self,
         now: Instant,
@@ -310,7 +310,7 @@ impl Endpoint {
         }
     }
 
-    /// A query ended without a reply: the robot or a router is not reached.
+    /// A query ended: the robot or a router is not reached, or all replies have come.
     pub fn handle_no_reply(&mut self, now: Instant, query: u64) -> Vec<EndpointEffect> {
         let Some(pending) = self.pending.get_mut(&query) else {
             return Vec::new();
