@@ -52,7 +52,7 @@ pub enum EndpointEffect {
         request: u64,
     },
     /// Send a query to a robot's agent; then call [`Endpoint::handle_verdict`] for its reply, and
-    /// [`Endpoint::handle_no_reply`].
+    /// [`Endpoint::handle_no_reply`] at its end.
     Ask {
         /// The query.
         query: u64,
