@@ -180,7 +180,7 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
 #[test]
 fn a_base_stops_when_its_client_is_gone_and_gets_nothing_more_from_a_killed_server() {
     let bound = "bound: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, dead-man: 20 s,
-            message: {linear: {x: 0.5}}, stop: {}, needs-client: 1 s},
+            message: {linear: {x: 0.5}}, stop: {}, needs-client: 2 s},
     drive: {";
     let robot = Robot::new(&DRIVE.replacen("drive: {", bound, 1));
     let drives = || robot.twists().last().is_some_and(|line| line == GO);

@@ -282,9 +282,9 @@ fn a_waiting_task_can_be_aborted_without_starting() {
 fn a_task_that_needs_its_client_is_aborted_without_it() {
     let rig = Rig::new(
         r#"
-        needs: {run: [sh, -c, 'echo $$ > needs; exec sleep 60'], needs-client: 1500 ms}
+        needs: {run: [sh, -c, 'echo $$ > needs; exec sleep 60'], needs-client: 2 s}
         carries: {run: [sh, -c, 'echo $$ > carries; exec sleep 60']}
-        sleeps: {built-in: sleep, needs-client: 1500 ms}
+        sleeps: {built-in: sleep, needs-client: 2 s}
         "#,
     );
     let mut other = rig.remote();
@@ -298,7 +298,7 @@ fn a_task_that_needs_its_client_is_aborted_without_it() {
     });
     let [needs, carries] = ["needs", "carries"].map(|name| rig.process(name));
     // The client counts as present while it waits.
-    std::thread::sleep(Duration::from_secs(2));
+    std::thread::sleep(Duration::from_secs(3));
     assert!(lives(needs));
     let ids = clients.each_ref().map(|(_, id)| *id);
     for (mut client, _) in clients {

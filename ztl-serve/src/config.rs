@@ -411,7 +411,7 @@ impl<'d> ConfigReader<'d> {
 
     /// How long a client may be silent.
     fn silence(&mut self, node: &'d Node) -> Option<Duration> {
-        self.at_least_a_second(node, "a client that waits asks every second; better 5s")
+        self.at_least(node, 2, "a client that waits asks every second; better 5s")
     }
 }
 

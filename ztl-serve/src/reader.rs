@@ -103,12 +103,12 @@ impl<'d> ConfigReader<'d> {
         Some(time)
     }
 
-    /// A time that must not be less than a second, and why.
-    pub(crate) fn at_least_a_second(&mut self, node: &'d Node, why: &str) -> Option<Duration> {
+    /// A time that must not be less than so many seconds, and why.
+    pub(crate) fn at_least(&mut self, node: &'d Node, seconds: u64, why: &str) -> Option<Duration> {
         let time = self.time(node, Duration::MAX)?;
-        if time < Duration::from_secs(1) {
+        if time < Duration::from_secs(seconds) {
             self.yaml
-                .wrong(node, format!("this must be at least 1s: {why}"));
+                .wrong(node, format!("this must be at least {seconds}s: {why}"));
             return None;
         }
         Some(time)

@@ -223,7 +223,7 @@ scopes:
       twelve: {run: [sh], output: 2 GiB, decide: 1 s}
       thirteen: {run: [sh], abort: no, busy: replace}
       fourteen: {run: [sh], abort: no, needs-client: 5 s}
-      fifteen: {built-in: sleep, needs-client: 5 ms}
+      fifteen: {built-in: sleep, needs-client: 1 s}
       sixteen: {goal: number}
       'a:b': echo
 ";
@@ -256,7 +256,7 @@ scopes:
         "robot.yaml:17:50: decide needs exit codes that reject: rejected-by: [2]",
         "robot.yaml:18:46: busy: replace aborts tasks; remove abort: no",
         "robot.yaml:19:54: needs-client aborts tasks; remove abort: no",
-        "robot.yaml:20:48: this must be at least 1s: a client that waits asks every second; better 5s",
+        "robot.yaml:20:48: this must be at least 2s: a client that waits asks every second; better 5s",
         "robot.yaml:21:16: nothing does this task; write run: [PROGRAM, ARGUMENT]",
         "robot.yaml:22:7: invalid name 'a:b' for a component: expected no ':' and no control characters",
     ];

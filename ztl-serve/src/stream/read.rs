@@ -135,7 +135,7 @@ impl<'d> ConfigReader<'d> {
         let interval = rate.and_then(|node| self.rate(node));
         let when_watched = fields.optional("when-watched");
         let why = "subscribers that come and go would start the program too often";
-        let when_watched = when_watched.and_then(|node| self.at_least_a_second(node, why));
+        let when_watched = when_watched.and_then(|node| self.at_least(node, 1, why));
         let signal = signals.into_iter().flatten().next();
         let origin = match (topic_node, signal, event_node) {
             (Some(node), ..) => self
