@@ -270,7 +270,7 @@ fn a_signal_ends_the_demo_with_all_that_it_started() {
 fn a_task_that_needs_its_client_is_aborted_if_that_is_gone_and_not_if_it_is_the_originals() {
     let fleet = Fleet::new();
     let file = fleet.scratch.path("serve.yaml");
-    let tasks = "{drive: {far: {built-in: sleep, needs-client: 1 s}}}";
+    let tasks = "{drive: {far: {built-in: sleep, needs-client: 2 s}}}";
     std::fs::write(&file, format!("port: 0\nscopes: {{/test: {tasks}}}\n")).unwrap();
     let server = Server::start(ztl().arg("serve").arg(&file));
     let _agent = fleet.join(&server, "");
