@@ -2,13 +2,13 @@
 
 use std::process::Command;
 
-use ztl_std::State;
+use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, Scratch, Server, Terminal, connect_to, end, original_tool, start,
     until, ztl,
 };
 
-use crate::{Fleet, fleet, tasks};
+use crate::{Fleet, fleet};
 
 const ROBOTS: [&str; 5] = ["arm-1", "arm-2", "arm-3", "arm-4", "arm-5"];
 
@@ -26,7 +26,7 @@ impl Stage {
         let (mut servers, mut agents) = (Vec::new(), Vec::new());
         let mut remotes = "remotes:\n".to_owned();
         let mut steps =
-            [("wave", 2), ("bow", 0)].map(|(step, time)| (format!("  {step}:\n"), time));
+            [("wave", 4), ("bow", 0)].map(|(step, time)| (format!("  {step}:\n"), time));
         for robot in ROBOTS {
             let server = Server::naps();
             let file = fleet.scratch.path(format!("{robot}.yaml"));
@@ -56,9 +56,15 @@ impl Stage {
         stage
     }
 
+    /// A client of this robot through the endpoint.
+    fn remote(&self, robot: &str) -> RemoteTask {
+        let endpoint = format!("tcp://127.0.0.1:{}", self.fleet.port);
+        connect_to(&endpoint, &format!("/{robot}/test"))
+    }
+
     fn wait_there(&self, robot: &str) {
         let scope = format!("/{robot}/test");
-        let mut remote = connect_to(&format!("tcp://127.0.0.1:{}", self.fleet.port), &scope);
+        let mut remote = self.remote(robot);
         until("the robot is served", PATIENCE, || {
             let scopes = remote.describe().ok()??.scopes;
             scopes.contains_key(&scope).then_some(())
@@ -72,12 +78,14 @@ impl Stage {
         command
     }
 
-    /// Cuts the last robot off while it does the first step.
+    /// Cuts the last robot off while it does the first step. Its agent has answered the INIT then.
     fn cut(&self) {
-        let server = &self.servers[4];
-        until("the first step", PATIENCE, || {
-            (tasks(server) == 1).then_some(())
+        let mut direct = connect_to(&self.servers[4].endpoint(), "/test");
+        let id = until("the first step", PATIENCE, || {
+            Some(direct.tasks().ok()??.tasks.first()?.id.clone())
         });
+        let status = self.remote("arm-5").status(id).unwrap();
+        assert_eq!(status.state, State::Accepted);
         self.agents[4].signal("STOP");
     }
 
@@ -137,8 +145,7 @@ fn the_originals_player_starts_nothing_twice_and_nothing_late() {
     player.type_in("q");
     stage.join();
     stage.wait_there("arm-5");
-    let at = format!("tcp://127.0.0.1:{}", stage.fleet.port);
-    let mut remote = connect_to(&at, "/arm-5/test");
+    let mut remote = stage.remote("arm-5");
     let id = start(&mut remote, "nap", "for", "0");
     assert_eq!(end(&mut remote, id).0, State::Completed);
     // The wave, and the task after it; the bow that could not be triggered did not follow.
