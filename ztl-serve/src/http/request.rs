@@ -382,7 +382,7 @@ impl<'d> ConfigReader<'d> {
             .map_err(|error| format!("{}: {error}", wrong()))?;
         Ok(Address {
             origin,
-            trust: is_encrypted.then(|| trust.unwrap_or(Trust::System)),
+            trust: is_encrypted.then(|| trust.unwrap_or_else(Trust::system)),
             path,
             query: query.map(template).transpose()?,
         })

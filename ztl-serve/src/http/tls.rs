@@ -62,6 +62,13 @@ impl Trust {
         Ok(Self::Pinned(Arc::new(config)))
     }
 
+    /// The authorities of the system. They are read now, since that takes time which a request may not have.
+    pub(super) fn system() -> Self {
+        // Without authorities, the request says so.
+        let _ = Self::System.config();
+        Self::System
+    }
+
     /// How a connection begins.
     ///
     /// # Errors
