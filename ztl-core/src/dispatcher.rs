@@ -222,6 +222,11 @@ impl<M: Memory> Dispatcher<M> {
         }
     }
 
+    /// Continues with the id after `last`, also if that is lower than the configured one. Call it before the first request.
+    pub fn continue_after(&mut self, last: TaskId) {
+        self.next = last.next();
+    }
+
     /// Changes how long an ended task is kept, also for tasks that have already ended.
     pub const fn set_keep(&mut self, keep: Duration) {
         self.keep = micros(keep);

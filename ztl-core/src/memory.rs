@@ -139,6 +139,11 @@ pub trait Memory {
         None
     }
 
+    /// The last task id that may be given; `None`, the default, if all may.
+    fn last_id(&self) -> Option<TaskId> {
+        None
+    }
+
     /// Whether one more reply can be held.
     fn can_hold(&self) -> bool;
     /// Adds a held reply.

@@ -60,6 +60,7 @@ texts! {
     ManyWaiting => "too many requests are waiting, try again",
     ManyClients => "too many clients at a time, try again in a minute",
     NoMoreIds => "all task ids are used up; restart the server, without its journal if it has one",
+    NoIdYet => "no task id is reserved, try again; the server's log says why",
     GivenUp => "this INIT was given up by its client",
     NumberTaken => "another INIT has this number",
     Settled => "settled by a later INIT",

@@ -115,6 +115,35 @@ fn no_id_is_reused_after_a_power_cut() {
 }
 
 #[test]
+fn the_id_of_a_task_that_was_refused_is_not_given_again() {
+    // The server's random first id would be below this one.
+    let mut rig = OnDisk::new(&journal_up_to(2_000_000_000));
+    let refused = |rig: &OnDisk, component: &str| {
+        let refused = rig.client().trigger("motors", component, "");
+        refused.expect_err("there is no such component");
+        let said = format!("'motors:{component}:' was refused");
+        let line = rig.gateway.process.wait_for(&said);
+        let id = line
+            .split("task ")
+            .nth(1)
+            .and_then(|rest| rest.split(' ').next());
+        id.and_then(|id| id.parse().ok()).expect("its id")
+    };
+    let mut given: BTreeSet<u32> = BTreeSet::new();
+    for round in 0..3 {
+        given.insert(refused(&rig, &format!("nothing-{round}")));
+        match round {
+            0 => rig.start_again(),
+            _ => rig.cut_the_power(),
+        }
+    }
+    let task = rig.client().trigger("motors", "arm", "7 1");
+    let id = task.expect("it is taken").id;
+    given.insert(id.number().expect("a short id").get());
+    assert_eq!(given.len(), 4, "{given:?}");
+}
+
+#[test]
 fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
     let mut rig = OnDisk::new("");
     let mut client = rig.client();

@@ -61,6 +61,10 @@ impl<M: Memory> Dispatcher<M> {
             asked.reply.text = ReplyText::NoMoreIds;
             return;
         };
+        if self.memory.last_id().is_some_and(|last| id > last) {
+            asked.reply.text = ReplyText::NoIdYet;
+            return;
+        }
         // Check everything that can reject the INIT before `admit`, which may drop an ended task.
         if let Some(Envelope { client, number, .. }) = asked.envelope
             && !self.remember(client, (*number, check), First::Pending, Some(id), "")

@@ -21,8 +21,8 @@ use crate::describe::Descriptions;
 use crate::log_targets::GATEWAY;
 use crate::random;
 use crate::server::{
-    Answers, BindError, OwnTasks, Restored, RestoredTask, TaskHandler, TaskReporter, TaskServer,
-    offered, would_take,
+    Answers, BindError, OwnTasks, ReservedIds, Restored, RestoredTask, TaskHandler, TaskReporter,
+    TaskServer, offered, would_take,
 };
 use crate::task_request::{TaskRequest, encoded};
 
@@ -307,8 +307,12 @@ impl TaskHandler for Gateway {
         }));
         Restored {
             tasks,
-            last_id: journal.last_id(),
+            last_id: None,
         }
+    }
+
+    fn reserved_ids(&self) -> Option<Arc<ReservedIds>> {
+        Some(self.devices.0.journal.as_ref()?.reserved_ids())
     }
 
     fn connect(&mut self, own_tasks: OwnTasks) {

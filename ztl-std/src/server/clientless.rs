@@ -18,6 +18,7 @@ impl Engine {
     pub(super) fn reserve(&mut self, Ready(ready): Ready) {
         if let Some(id) = self.dispatcher.next_id() {
             self.dispatcher.skip_to(id);
+            self.dispatcher.memory().give(id);
             ready(id);
         }
     }

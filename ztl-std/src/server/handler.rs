@@ -7,6 +7,7 @@ use ztl_core::{State, TaskId, TaskSpec};
 
 use super::own_tasks::OwnTasks;
 use super::reporter::TaskReporter;
+use super::reserved_ids::ReservedIds;
 use crate::describe::Descriptions;
 use crate::task_request::TaskRequest;
 
@@ -43,6 +44,11 @@ pub trait TaskHandler: Send {
     /// Default: none.
     fn restored(&mut self) -> Restored {
         Restored::default()
+    }
+
+    /// What reserves the ids of all the server's tasks. Called once, on registration. Default: nothing, all ids may be given.
+    fn reserved_ids(&self) -> Option<Arc<ReservedIds>> {
+        None
     }
 
     /// Gets the source of ids for tasks that the handler finds running without a client. Called once, on registration.

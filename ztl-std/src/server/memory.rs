@@ -1,6 +1,7 @@
 //! The dispatcher's memory on the heap: task table, INITs and held answers.
 
 use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
 
 use ztl_core::envelope::{ClientId, Envelope};
 use ztl_core::memory::{LastInit, Memory, Scope, Waiter};
@@ -11,6 +12,7 @@ use super::clock::now;
 use super::handler::Answers;
 use super::incoming::ReturnPath;
 use super::limits::Limits;
+use super::reserved_ids::ReservedIds;
 use super::task_table::{HeapText, TaskTable};
 use crate::describe::{Descriptions, MAX_LENGTH, PART};
 use crate::offers::quoted;
@@ -37,6 +39,8 @@ pub(super) struct ServerMemory {
     answer: Option<String>,
     scope_numbers: HashMap<String, Scope>,
     tasks: TaskTable,
+    /// Limits which ids are given.
+    ids: Option<Arc<ReservedIds>>,
     held: Vec<Waiter<ReturnPath>>,
     inits: HashMap<ClientId, LastInit<HeapText>>,
     /// The client whose last INIT started a task.
@@ -55,6 +59,7 @@ impl ServerMemory {
             answer: None,
             scope_numbers: HashMap::new(),
             tasks: TaskTable::new(limits),
+            ids: None,
             held: Vec::new(),
             inits: HashMap::new(),
             clients: HashMap::new(),
@@ -73,6 +78,18 @@ impl ServerMemory {
     pub(super) fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;
         self.tasks.set_limits(limits);
+    }
+
+    /// Gives only ids that are reserved there.
+    pub(super) fn set_ids(&mut self, ids: Arc<ReservedIds>) {
+        self.ids = Some(ids);
+    }
+
+    /// This id is given.
+    pub(super) fn give(&self, id: TaskId) {
+        if let Some(ids) = &self.ids {
+            ids.give(id);
+        }
     }
 
     /// Adds a scope, or replaces its description.
@@ -234,6 +251,10 @@ impl Memory for ServerMemory {
             },
         };
         self.answer.as_deref()
+    }
+
+    fn last_id(&self) -> Option<TaskId> {
+        self.ids.as_ref()?.last()
     }
 
     fn can_hold(&self) -> bool {

@@ -23,6 +23,7 @@ mod memory;
 mod own_tasks;
 mod reporter;
 mod requests;
+mod reserved_ids;
 mod rounds;
 mod router;
 #[cfg(feature = "publish")]
@@ -50,6 +51,7 @@ pub(crate) use reporter::AbortRejection;
 #[cfg(feature = "gateway")]
 pub(crate) use reporter::Claim;
 pub use reporter::TaskReporter;
+pub use reserved_ids::ReservedIds;
 #[cfg(feature = "publish")]
 pub(crate) use router::{rules, to_bind};
 pub use task_server::{ServerBuilder, TaskServer};

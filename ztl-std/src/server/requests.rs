@@ -75,9 +75,9 @@ impl Engine {
         }
         match action {
             Some(Action::Start { id, scope, payload }) => {
-                self.dispatcher
-                    .memory_mut()
-                    .note_payload(id, payload, now());
+                let memory = self.dispatcher.memory_mut();
+                memory.give(id);
+                memory.note_payload(id, payload, now());
                 let client = envelope.map(|envelope| envelope.client);
                 #[cfg(feature = "publish")]
                 if let Some(events) = &mut self.events {

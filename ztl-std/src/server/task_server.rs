@@ -217,6 +217,12 @@ impl TaskServer {
         if let Some(last) = restored.last_id {
             self.engine.dispatcher.skip_to(last);
         }
+        if let Some(ids) = handler.reserved_ids() {
+            if let Some(last) = TaskId::new(ids.given()) {
+                self.engine.dispatcher.continue_after(last);
+            }
+            self.engine.dispatcher.memory_mut().set_ids(ids);
+        }
         restored.tasks.sort_by_key(|task| task.ended);
         let now = now();
         for task in restored.tasks {

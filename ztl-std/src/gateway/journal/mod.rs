@@ -11,9 +11,9 @@ mod records;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, Weak};
+use std::thread;
 use std::time::Duration;
 
-use ztl_core::TaskId;
 use ztl_link::Restored;
 
 pub use device::DeviceJournal;
@@ -26,9 +26,9 @@ pub(super) use records::UnendedUpdate;
 pub use records::{JournalRecords, Storage};
 
 use crate::random;
-use crate::server::RestoredTask;
+use crate::server::{ReservedIds, RestoredTask};
 
-/// How often the journal is checked for changes by others.
+/// How often the journal is checked for changes by others, and written again if it could not be.
 const CHECK: Duration = Duration::from_secs(1);
 
 /// A journal in a file.
@@ -72,8 +72,9 @@ impl Journal {
         lock(&self.records).gateway()
     }
 
-    pub(super) fn last_id(&self) -> Option<TaskId> {
-        lock(&self.records).last_id()
+    /// The task ids that it reserves.
+    pub(super) fn reserved_ids(&self) -> Arc<ReservedIds> {
+        Arc::clone(lock(&self.records).reserved_ids())
     }
 
     /// The tasks without an end, each with its device's name.
@@ -102,18 +103,21 @@ impl Journal {
     }
 }
 
-/// Checks regularly whether something else altered the journal, while it is open.
+/// Checks regularly whether something else altered the journal, while it is open, and reserves task ids in time.
 fn watch(records: Weak<Mutex<JournalRecords<JournalFile>>>) {
     let check = move || {
+        if let Some(records) = records.upgrade() {
+            lock(&records).reserved_ids().set_thread(thread::current());
+        }
         while let Some(records) = records.upgrade() {
             // A failure is logged there, and the check is repeated.
-            let _ = lock(&records).check_altered(Moment::now());
+            let _ = lock(&records).check(Moment::now());
             drop(records);
-            std::thread::sleep(CHECK);
+            thread::park_timeout(CHECK);
         }
     };
-    // Without a thread, each write still checks.
-    let _ = std::thread::Builder::new()
+    // Without a thread, each write still does this.
+    let _ = thread::Builder::new()
         .name("ztl-journal".to_owned())
         .spawn(check);
 }

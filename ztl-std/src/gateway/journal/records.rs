@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tracing::{info, warn};
@@ -14,7 +15,7 @@ use ztl_link::{Entry, Restored};
 use super::entry::{BoardId, JournalEntry, Moment, Opened, Reserved, TaskEntry, VERSION, Version};
 use crate::gateway::updates::Note;
 use crate::log_targets::GATEWAY;
-use crate::server::{KEEP, RestoredTask};
+use crate::server::{KEEP, ReservedIds, RestoredTask};
 
 /// Bytes written to a file, besides its initial content, before a new one is started.
 const ROTATE: u64 = 1 << 20;
@@ -24,6 +25,8 @@ const CARRIED: usize = 10_000;
 const CARRIED_BYTES: usize = 64 << 20;
 /// Task ids that are reserved at a time, which needs one sync of the disk.
 const BLOCK: u32 = 10_000;
+/// How many are reserved at the start. Few, so that a gateway that is started again and again does not use them up.
+const FIRST_BLOCK: u32 = 1000;
 /// Warn when fewer task ids than this are left.
 const FEW: u32 = 10_000_000;
 /// A client learns the id of a task that is undecided for 1.5 s. The `Start` is written within 1.2 s
@@ -103,8 +106,11 @@ impl Storage for Vec<u8> {
 pub struct JournalRecords<S> {
     storage: S,
     gateway: u64,
-    /// Task ids up to this one are not assigned after a restart; 0 if there is none.
+    /// Task ids up to this one are not assigned after a restart.
     reserved: u32,
+    /// Once this one was assigned, more are reserved.
+    low: u32,
+    ids: Arc<ReservedIds>,
     /// Whether every entry that has an effect must survive a power cut.
     sync: bool,
     /// The latest entry of each task.
@@ -127,6 +133,8 @@ impl<S: Storage> JournalRecords<S> {
             storage,
             gateway: new_id,
             reserved: 0,
+            low: 0,
+            ids: Arc::default(),
             sync: false,
             tasks: BTreeMap::new(),
             len: written.len() as u64,
@@ -147,6 +155,11 @@ impl<S: Storage> JournalRecords<S> {
             }
         }
         let clean = records.read(whole);
+        if records.reserved == 0 {
+            // Random, so that an id of another journal names no task of this one.
+            records.reserved = ((new_id >> 34) as u32).max(1);
+        }
+        records.ids = Arc::new(ReservedIds::after(records.reserved));
         records.warn_of_few_ids();
         records.forget(now);
         records.end_updates(now);
@@ -172,9 +185,9 @@ impl<S: Storage> JournalRecords<S> {
         self.gateway
     }
 
-    /// The last task id that may have been assigned before this start.
-    pub(super) const fn last_id(&self) -> Option<TaskId> {
-        TaskId::new(self.reserved)
+    /// The task ids that it reserves.
+    pub(super) const fn reserved_ids(&self) -> &Arc<ReservedIds> {
+        &self.ids
     }
 
     /// The tasks without an end, each with its device's name.
@@ -420,11 +433,14 @@ impl<S: Storage> JournalRecords<S> {
             self.put_opened(now, &mut bytes);
         }
         let mut reserved = self.reserved;
+        let assigned = line.as_ref().and_then(JournalEntry::task);
+        let assigned = assigned.map_or(0, TaskId::get).max(self.ids.given());
+        if assigned >= self.low && reserved < u32::MAX {
+            let block = if self.opened { BLOCK } else { FIRST_BLOCK };
+            reserved = assigned.max(reserved).saturating_add(block);
+            JournalEntry::Reserved(Reserved::new(now, reserved)).put(&mut bytes);
+        }
         if let Some(line) = &line {
-            if let Some(id) = line.task().filter(|id| id.get() > reserved) {
-                reserved = id.get().saturating_add(BLOCK - 1);
-                JournalEntry::Reserved(Reserved::new(now, reserved)).put(&mut bytes);
-            }
             line.put(&mut bytes);
         }
         let needed = match &line {
@@ -445,7 +461,9 @@ impl<S: Storage> JournalRecords<S> {
         self.len += bytes.len() as u64;
         self.opened = true;
         if reserves {
+            self.low = self.reserved.max(assigned).midpoint(reserved);
             self.reserved = reserved;
+            self.ids.reserve(self.low, reserved);
             self.warn_of_few_ids();
         }
         if let Some(
@@ -457,11 +475,23 @@ impl<S: Storage> JournalRecords<S> {
         Ok(())
     }
 
+    /// What is to be done regularly: starts a new file if something else altered this one, writes what could not be
+    /// written at the start, and reserves task ids if few are left.
+    ///
+    /// # Errors
+    /// Why that is not possible.
+    pub(super) fn check(&mut self, now: Moment) -> Result<(), String> {
+        if !self.opened || self.ids.given() >= self.low && self.reserved < u32::MAX {
+            return self.write(now, None);
+        }
+        self.check_altered(now)
+    }
+
     /// Starts a new file if something else altered this one.
     ///
     /// # Errors
     /// Why no new file can be started.
-    pub(super) fn check_altered(&mut self, now: Moment) -> Result<(), String> {
+    fn check_altered(&mut self, now: Moment) -> Result<(), String> {
         let Some(how) = self.storage.altered() else {
             return Ok(());
         };
