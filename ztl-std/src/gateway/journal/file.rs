@@ -27,7 +27,7 @@ pub(in crate::gateway) struct JournalFile {
     path: PathBuf,
     /// Locked.
     file: File,
-    /// Earlier files that have other names, locked.
+    /// Earlier files that have names other than `….1`, locked.
     linked: Vec<File>,
     /// Bytes of complete lines.
     len: u64,
@@ -184,12 +184,13 @@ impl Storage for JournalFile {
 
     fn replace(&mut self, lines: &[u8]) -> io::Result<()> {
         let new = beside(&self.path, "new");
+        let is_kept = is_at(&self.file, &self.path);
         let file = self.start_new(&new, lines).inspect_err(|_| {
             let _ = fs::remove_file(&new);
         })?;
         let before = std::mem::replace(&mut self.file, file);
-        if names(&before) > 1 {
-            // A gateway that opens it by its other name would have these tasks as well.
+        if names(&before) > u64::from(is_kept) {
+            // A gateway that opens it by that name would have these tasks as well.
             self.linked.push(before);
         }
         self.len = lines.len() as u64;

@@ -106,6 +106,13 @@ fn a_journal_is_locked_under_each_of_its_names() {
     for name in [&path, &soft, &hard, &later] {
         is_in_use(name);
     }
+    // It was moved away.
+    let moved = scratch.0.join("moved");
+    fs::rename(&path, &moved).unwrap();
+    first.replace(&opened()).unwrap();
+    for name in [&path, &moved, &hard] {
+        is_in_use(name);
+    }
     drop(first);
     for name in [&path, &soft, &hard, &later] {
         assert!(JournalFile::open(name).is_ok(), "{name:?}");
