@@ -22,6 +22,10 @@ use crate::{Done, line};
 const CONNECTING: Duration = Duration::from_secs(5);
 /// How long robots may take to answer.
 const LIMIT: Duration = Duration::from_secs(2);
+/// How long a list asks for robots that do not answer.
+const LISTING: Duration = Duration::from_secs(5);
+/// Pause before they are asked again.
+const AGAIN: Duration = Duration::from_millis(200);
 /// Pause between two ABORTs.
 const PAUSE: Duration = Duration::from_millis(50);
 /// How long they may take to stop.
@@ -43,6 +47,29 @@ pub(crate) type Agents = Vec<(String, String)>;
 
 pub(crate) fn refusal(robot: &str, agent: &str) -> String {
     format!("{robot}  refused  agent {agent} does not have the key of this name")
+}
+
+/// What agents say, for a list. Who does not answer is asked again: a router may not know the way yet, or the machine is
+/// busy.
+fn infos(caller: &Caller, agents: &Agents) -> Vec<Option<RobotInfo>> {
+    let end = Instant::now() + LISTING;
+    let mut infos = caller.infos(agents, LIMIT);
+    loop {
+        let open = infos.iter().enumerate().filter(|(_, info)| info.is_none());
+        let open: Vec<usize> = open.map(|(index, _)| index).collect();
+        let left = end.saturating_duration_since(Instant::now());
+        if open.is_empty() || left <= AGAIN {
+            return infos;
+        }
+        std::thread::sleep(AGAIN);
+        let again = open.iter().filter_map(|index| agents.get(*index).cloned());
+        let again: Agents = again.collect();
+        for (index, info) in open.into_iter().zip(caller.infos(&again, LIMIT.min(left))) {
+            if let Some(slot) = infos.get_mut(index) {
+                *slot = info;
+            }
+        }
+    }
 }
 
 /// A robot that belongs to the fleet.
@@ -185,7 +212,7 @@ impl Select {
 
     /// Exit code 0 if all robots are there and ready.
     pub(crate) fn ls(self) -> Done {
-        let (caller, all) = self.find()?;
+        let (caller, all, _) = self.find_with(infos)?;
         let mut good = true;
         for found in &all {
             let name = &found.name;
@@ -222,7 +249,7 @@ impl Select {
 
     /// Exit code 0 if all robots have told all their tasks.
     pub(crate) fn ps(self) -> Done {
-        let (caller, all) = self.find()?;
+        let (caller, all, _) = self.find_with(infos)?;
         let mut good = true;
         for (found, tasks) in all.iter().zip(tasks(&caller, &all)) {
             let name = &found.name;

@@ -2,9 +2,12 @@
 
 use std::net::TcpListener;
 use std::process::Stdio;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+use serde_json::json;
 use zenoh::Wait as _;
+use zenoh::query::Query;
 use ztl_fleet::config::Links;
 use ztl_fleet::seal::agent_of;
 use ztl_fleet::session::{self, key};
@@ -124,6 +127,42 @@ fn a_router_tells_which_routers_it_waits_for_and_when_they_are_there() {
     until("it tells that the router is there again", PATIENCE, || {
         (near.stderr().matches(&told).count() == 2).then_some(())
     });
+}
+
+#[test]
+fn a_list_asks_a_robot_again_whose_question_is_lost() {
+    let scratch = Scratch::new();
+    let address = nowhere();
+    let _router = Fleet::start_router(&scratch, &address);
+    let links = Links {
+        routers: vec![address.clone()],
+        ..Links::default()
+    };
+    let agent = agent_of(&KeyPair::generate().public());
+    let asked = AtomicU32::new(0);
+    let info = json!({"ztl_fleet": 1, "name": "arm", "agent": agent, "boot": 1, "clock_ms": 1, "since": 1, "ready": true, "scopes": ["/test"]});
+    let answer = move |query: Query| {
+        if asked.fetch_add(1, Ordering::Relaxed) > 0 {
+            let answer = query.reply(query.key_expr(), info.to_string());
+            answer.wait().unwrap();
+        }
+    };
+    let robot = session::open(&links).unwrap();
+    let asked = robot.declare_queryable(key("arm", &agent, "info"));
+    let _asked = asked.callback(answer).wait().unwrap();
+    let alive = robot.liveliness();
+    let alive = alive.declare_token(key("arm", &agent, "alive"));
+    let _alive = alive.wait().unwrap();
+    let other = session::open(&links).unwrap();
+    until("the robot is there", PATIENCE, || {
+        let present = session::present(&other, "*", PATIENCE).unwrap();
+        (!present.is_empty()).then_some(())
+    });
+    let file = scratch.path("endpoint.yaml");
+    std::fs::write(&file, format!("routers: {address}\n")).unwrap();
+    let listed = Process::run(&mut fleet(&["ls"], &file));
+    assert_eq!(listed.code, Some(0), "{listed:?}");
+    assert!(listed.stdout.starts_with("arm  ready  /test"), "{listed:?}");
 }
 
 #[test]

@@ -21,7 +21,8 @@ pub struct ReservedIds {
 
 impl ReservedIds {
     /// None are reserved yet; ids up to this one were given before.
-    pub(crate) fn after(given: u32) -> Self {
+    #[must_use]
+    pub fn after(given: u32) -> Self {
         Self {
             last: given.into(),
             given: given.into(),
@@ -30,12 +31,12 @@ impl ReservedIds {
     }
 
     /// Wakes this thread when more are to be reserved.
-    pub(crate) fn set_thread(&self, thread: Thread) {
+    pub fn set_thread(&self, thread: Thread) {
         let _ = self.reserves.set(thread);
     }
 
     /// More are reserved.
-    pub(crate) fn reserve(&self, low: u32, last: u32) {
+    pub fn reserve(&self, low: u32, last: u32) {
         self.low.store(low, Ordering::Relaxed);
         self.last.store(last, Ordering::Release);
     }
@@ -46,7 +47,8 @@ impl ReservedIds {
     }
 
     /// The last one that was given.
-    pub(crate) fn given(&self) -> u32 {
+    #[must_use]
+    pub fn given(&self) -> u32 {
         self.given.load(Ordering::Relaxed)
     }
 
