@@ -1,7 +1,7 @@
 //! What a Stop reaches, and what it may confirm.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -399,4 +399,36 @@ fn a_task_of_the_original_whose_state_cannot_be_learnt_is_shown_and_stopped() {
         "{told:?}"
     );
     client.topic("/ztl/tasks", |list| list["tasks"] == json!([]));
+}
+
+#[test]
+fn a_task_whose_state_cannot_be_learnt_is_stopped_before_its_server_is_known_to_list_none() {
+    let lists = Arc::new(AtomicBool::new(false));
+    let answers = Arc::clone(&lists);
+    let aborts = Arc::new(AtomicUsize::new(0));
+    let seen = Arc::clone(&aborts);
+    let robot = Scripted::start(move |request| match request {
+        "$ztl;2;-1;tasks" if !answers.load(Ordering::SeqCst) => None,
+        "/test;3;5;abort command" => {
+            seen.fetch_add(1, Ordering::SeqCst);
+            Some("/test;4;5;True".to_owned())
+        }
+        _ if request.starts_with("/test;1;") => Some("/test;1;5;Initiated task '5'".to_owned()),
+        _ if request.starts_with("/test;2;") => {
+            Some("/test;2;-1;Controller threw exception: no sensor".to_owned())
+        }
+        _ => Some("$ztl;2;-1;No controller for scope: $ztl".to_owned()),
+    });
+    let (_console, mut client) = console(robot.port);
+    client.subscribe("/ztl/stop");
+    client.goal("g", "/test/nap/for", &json!({ "goal": "mute" }));
+    let result = client.result("g");
+    assert_eq!(result["values"]["state"], "UNKNOWN", "{result}");
+    client.ask("stop", "/ztl/stop", &json!({}));
+    client.topic("/ztl/stop", |stop| stop["robots"][0]["confirmed"].is_null());
+    lists.store(true, Ordering::SeqCst);
+    let told = told(&client.answer("stop")["values"]);
+    let asked = "1 of this console were asked to stop, 1 of them have ended";
+    assert!(!told[0].0 && told[0].1.contains(asked), "{told:?}");
+    assert_eq!(aborts.load(Ordering::SeqCst), 1);
 }

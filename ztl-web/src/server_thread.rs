@@ -179,20 +179,27 @@ impl<'b> ServerThread<'b> {
             });
             self.next_look = now;
         }
-        if self.stop.is_some() {
-            let mut goals = self.board.goals_at(self.index);
-            if self.is_original {
-                goals.extend(self.board.lost_at(self.index));
-            }
-            for goal in goals {
-                if let Some(id) = goal.id() {
-                    let request = AbortRequest::of_goal(&goal, id);
-                    self.stop_task((goal.target.scope.clone(), id.clone()), request);
-                }
-            }
-        }
+        self.stop_goals();
         if begins {
             self.stop_running();
+        }
+    }
+
+    /// During a Stop, sends an ABORT to the task of every goal of this console. A server of the original does not say whether
+    /// those run whose state could not be learnt.
+    fn stop_goals(&mut self) {
+        if self.stop.is_none() {
+            return;
+        }
+        let mut goals = self.board.goals_at(self.index);
+        if self.is_original {
+            goals.extend(self.board.lost_at(self.index));
+        }
+        for goal in goals {
+            if let Some(id) = goal.id() {
+                let request = AbortRequest::of_goal(&goal, id);
+                self.stop_task((goal.target.scope.clone(), id.clone()), request);
+            }
         }
     }
 
@@ -335,6 +342,8 @@ impl<'b> ServerThread<'b> {
             Ok(None) => {
                 self.is_original = true;
                 self.running.clear();
+                // Before the Stop is decided: until now, this server could have listed its tasks.
+                self.stop_goals();
                 let known = self.board.seen(self.index);
                 if known.described != Some(0) {
                     self.board
