@@ -9,6 +9,7 @@ mod examples;
 mod exit_codes;
 mod firmware;
 mod foxglove;
+mod lost_output;
 mod options;
 mod output;
 mod recording;

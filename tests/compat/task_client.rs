@@ -4,7 +4,8 @@
 use std::process::Command;
 
 use ztl_tests::lab::{
-    ClientOutput, PATIENCE, Scratch, Server, original_client, our_client, ours_named, until,
+    ClientOutput, PATIENCE, Process, SCOPE, Scratch, Server, installed, original_client,
+    our_client, ours_named, until,
 };
 
 use crate::same_output;
@@ -138,5 +139,27 @@ fn both_clients_report_a_gateway_identically() {
         });
         original.assert_ends_with(last);
         assert_eq!(ours, original, "{args:?}");
+    }
+}
+
+#[test]
+fn lost_output_has_the_originals_exit_code() {
+    let files = Scratch::new();
+    let server = Server::ours();
+    let port = server.port.to_string();
+    // As it is installed: with buffered output.
+    let original = installed("ZTL_PYTHON", "venv/bin/python").with_file_name("ztl_task_client");
+    ours_named(&files, "ztl_task_client");
+    for client in [original, files.path("ztl_task_client")] {
+        let mut command = Command::new("sh");
+        command.args(["-c", r#"exec "$0" "$@" > /dev/full"#]);
+        command.arg(&client).args(["-r", "localhost", "-p", &port]);
+        command.args(["-s", SCOPE, "test:echo:hi"]);
+        let ended = Process::run(command.env_remove("PYTHONUNBUFFERED"));
+        assert_eq!(ended.code, Some(120), "{client:?}: {ended:?}");
+        assert!(
+            ended.stderr.contains("No space left on device"),
+            "{client:?}: {ended:?}"
+        );
     }
 }

@@ -76,6 +76,7 @@ mod version;
 mod web;
 
 use std::ffi::OsString;
+use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::CommandFactory as _;
@@ -156,6 +157,11 @@ enum ZtlCommand {
 }
 
 fn main() -> ExitCode {
+    terminal::checked(run())
+}
+
+/// Runs the command of the command line.
+fn run() -> ExitCode {
     #[cfg(target_os = "linux")]
     if let Some(mistake) = kernel::is_too_old() {
         terminal::error_line(format_args!("ztl: {mistake}"));
@@ -179,7 +185,10 @@ fn main() -> ExitCode {
             return ExitCode::from(MISUSED);
         }
         // `--help` and `--version` are no mistakes.
-        Err(error) => error.exit(),
+        Err(text) => {
+            terminal::printed(text.print().and_then(|()| std::io::stdout().flush()));
+            return ExitCode::SUCCESS;
+        }
     };
     let done = match command {
         ZtlCommand::Demo(demo) => demo.run(),

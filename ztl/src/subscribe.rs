@@ -220,7 +220,8 @@ impl Output {
                     error_line(format_args!("ztl: {}: {what}", flat(&heard.topic)));
                     return Ok(false);
                 };
-                file.write_all(bytes).and_then(|()| file.flush())?;
+                let written = file.write_all(bytes).and_then(|()| file.flush());
+                written.map_err(|error| format!("cannot write the output: {error}"))?;
             }
             Self::Rate(rate) => rate.on_message(heard),
         }

@@ -109,10 +109,11 @@ impl Sign {
             .map_err(|error| format!("{path}: {error}"))?;
         let signature = SigningKey::from_bytes(&secret).sign(&digest(&image, &head));
         let mut stdout = io::stdout().lock();
-        for part in [head.as_slice(), &signature.to_bytes(), &image] {
-            stdout.write_all(part)?;
-        }
-        stdout.flush()?;
+        let signature = signature.to_bytes();
+        let mut parts = [head.as_slice(), &signature, &image].into_iter();
+        let written = parts.try_for_each(|part| stdout.write_all(part));
+        let written = written.and_then(|()| stdout.flush());
+        written.map_err(|error| format!("cannot write the output: {error}"))?;
         Ok(ExitCode::SUCCESS)
     }
 }

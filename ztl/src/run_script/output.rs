@@ -121,8 +121,8 @@ impl Queue {
             .spawn(move || {
                 loop {
                     writer.write(|stream, text| match stream {
-                        Stream::Out => terminal::put(io::stdout().lock(), text),
-                        Stream::Err => terminal::put(io::stderr().lock(), text),
+                        Stream::Out => terminal::out(text),
+                        Stream::Err => terminal::err(text),
                     });
                 }
             })?;
