@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
 
+use crate::terminal::flat;
+
 /// The meaning of a text, which determines its attributes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Style {
@@ -145,14 +147,11 @@ const fn ascii(char: char) -> char {
     }
 }
 
-/// Replaces control characters, and invisible ones that reorder or join text.
-pub(super) fn shown(text: &str) -> String {
-    let show = |char: char| match char {
-        '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}'..='\u{2069}' => '\u{fffd}',
-        char if char.is_control() => ' ',
-        char => char,
-    };
-    text.chars().map(show).collect()
+/// Escapes a text for a line of the screen, and replaces invisible characters that join others: how wide the result is
+/// differs between terminals.
+fn shown(text: &str) -> String {
+    let joins = |char| matches!(char, '\u{200b}'..='\u{200d}' | '\u{2060}'..='\u{2065}');
+    flat(text).replace(joins, "\u{fffd}")
 }
 
 /// Cuts text to at most `most` columns, with `…` at the cut.
@@ -264,9 +263,15 @@ mod tests {
 
     #[test]
     fn text_cannot_control_the_terminal() {
-        let evil = "\x1b[2J\u{9b}31m\u{202e}\r\n\x07";
+        let evil = "\x1b[2J\u{9b}31m\u{202e}\u{61c}\u{2028}\u{2029}\r\n\x07";
         let line = Line::new(80).and(Style::Plain, evil).encoded(FULL);
-        assert_eq!(line, " [2J 31m\u{fffd}   ");
+        let escaped = r"\u001b[2J\u009b31m\u202e\u061c\u2028\u2029\r\n\u0007";
+        assert_eq!(line, escaped);
+        assert_eq!(wrap(evil, 80, 9), [escaped]);
+        // Columns stay aligned.
+        let joined = Line::new(80).and(Style::Plain, "a\u{200d}\u{200b}b\u{2060}");
+        assert_eq!(joined.encoded(FULL), "a\u{fffd}\u{fffd}b\u{fffd}");
+        assert_eq!(joined.width(), 5);
     }
 
     #[test]
