@@ -135,6 +135,10 @@ impl Player {
             ServerAnswer::Nothing { .. } => ServerState::Silent,
             // The server was not asked.
             ServerAnswer::Withdrawn => return,
+            // A server lists its tasks also if it lacks the scope; a probe tells whether it is there again.
+            ServerAnswer::Tasks { .. } if matches!(known, Some(ServerState::Absent { .. })) => {
+                return;
+            }
             _ => match known {
                 Some(known @ ServerState::Answering { .. }) => known.clone(),
                 _ => ServerState::Answering { version: None },

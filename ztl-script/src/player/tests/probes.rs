@@ -53,6 +53,29 @@ fn probes_find_an_absent_server_before_the_first_scene_and_notice_its_return() {
 }
 
 #[test]
+fn a_server_without_the_scope_stays_missing_when_it_lists_its_tasks() {
+    let mut world = World::new(SHOW, watched());
+    world.machine("robot").scopeless = true;
+    world.begin();
+    world.pass(Duration::from_secs(1));
+    world.command(RunCommand::StopAll);
+    world.pass(Duration::from_secs(10));
+    let listed = world
+        .seen(|event| matches!(event, RunEvent::TasksListed { remote, .. } if remote == "robot"));
+    assert_eq!(listed.len(), 1);
+    assert!(matches!(
+        states(&world, "robot")[..],
+        [ServerState::Absent { .. }]
+    ));
+    world.machine("robot").scopeless = false;
+    world.pass(Duration::from_secs(6));
+    assert!(matches!(
+        states(&world, "robot")[..],
+        [ServerState::Absent { .. }, ServerState::Answering { .. }]
+    ));
+}
+
+#[test]
 fn probes_notice_a_server_that_falls_silent_between_scenes() {
     let mut world = World::new(SHOW, watched());
     world.begin();

@@ -40,6 +40,8 @@ pub(super) struct Machine {
     pub(super) rejections: BTreeMap<&'static str, u32>,
     /// No server listens at its address.
     pub(super) missing: bool,
+    /// It does not serve the scope.
+    pub(super) scopeless: bool,
     /// The times of its probes.
     pub(super) probed: Vec<Instant>,
 }
@@ -153,6 +155,7 @@ impl World {
                 restarts: Vec::new(),
                 rejections: BTreeMap::new(),
                 missing: false,
+                scopeless: false,
                 probed: Vec::new(),
             };
             (name.to_owned(), machine)
@@ -338,6 +341,10 @@ impl World {
         }
         match &request.body {
             ServerRequest::Probe | ServerRequest::Tasks if late => (now + TIMEOUT, nothing(true)),
+            ServerRequest::Probe if machine.scopeless => {
+                let text = "no such scope".to_owned();
+                (acts, ServerAnswer::NoScope { text })
+            }
             ServerRequest::Probe => {
                 let server = machine.who();
                 (acts, ServerAnswer::There { server })
