@@ -177,7 +177,7 @@ impl RunBoard {
                 let server = |remote: &RemoteOutline| {
                     let mut server = ServerView::default();
                     if remote.endpoint.is_none() {
-                        let text = "it has no valid entry in the configuration".to_owned();
+                        let text = "no valid entry in the configuration".to_owned();
                         server.state = Some(ServerState::Absent { text });
                     }
                     (remote.name.clone(), server)

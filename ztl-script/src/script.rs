@@ -103,10 +103,16 @@ impl Script {
         self.doubts
     }
 
-    /// Names of servers that `remotes` does not have, and entries that are wrong. Each is reported once.
+    /// Names of servers that `remotes` does not have, and entries that are wrong. Each is reported once; if the file could
+    /// not be read, only that.
     #[must_use]
     pub fn unknown_remotes(&self, remotes: &Remotes) -> Vec<Finding> {
         let names = self.remotes();
+        if let Some(why) = remotes.unread()
+            && names.iter().any(|name| remotes.task(name).is_err())
+        {
+            return why.iter().cloned().map(Finding::mistake).collect();
+        }
         if remotes.task_names().next().is_none() && !names.is_empty() {
             let message = "it names no server under 'remotes'";
             let needed = format!("the script uses: {}", names.join(", "));

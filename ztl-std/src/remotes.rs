@@ -68,6 +68,8 @@ pub struct Remotes {
     name: String,
     tasks: BTreeMap<String, Entry>,
     publishers: BTreeMap<String, Entry>,
+    /// Why the file could not be read.
+    unread: Option<Diagnostics>,
 }
 
 impl Remotes {
@@ -77,6 +79,15 @@ impl Remotes {
         Self {
             name: name.to_owned(),
             ..Self::default()
+        }
+    }
+
+    /// An empty list in place of a file that could not be read.
+    #[must_use]
+    pub fn not_read(name: &str, why: Diagnostics) -> Self {
+        Self {
+            unread: Some(why),
+            ..Self::named(name)
         }
     }
 
@@ -126,6 +137,12 @@ impl Remotes {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Why the file could not be read, if this stands in its place.
+    #[must_use]
+    pub const fn unread(&self) -> Option<&Diagnostics> {
+        self.unread.as_ref()
     }
 
     /// Adds or replaces a task server.

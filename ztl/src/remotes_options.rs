@@ -51,8 +51,8 @@ impl RemotesOptions {
         let remotes = Remotes::load(&path).unwrap_or_else(|mistakes| {
             let path = path.display();
             warn!(target: LOG, "WARNING: Configuration file '{path}' not found/accessible, remote services will not be accessible.");
-            error_part(mistakes);
-            Remotes::named(&path.to_string())
+            error_part(&mistakes);
+            Remotes::not_read(&path.to_string(), mistakes)
         });
         self.added_to(remotes)
     }

@@ -338,11 +338,15 @@ pub(crate) fn warnings(
     remotes: Option<&Remotes>,
 ) -> Vec<String> {
     let mut notes = Vec::new();
+    // Then that is printed already.
+    let is_unread = remotes.is_some_and(|remotes| remotes.unread().is_some());
     for unknown in remotes
         .into_iter()
         .flat_map(|remotes| script.unknown_remotes(remotes))
     {
-        error_part(format_args!("{called}: warning: {unknown}"));
+        if !is_unread {
+            error_part(format_args!("{called}: warning: {unknown}"));
+        }
         notes.extend(unknown.to_string().lines().next().map(str::to_owned));
     }
     if script.doubts() > 0 {

@@ -1,6 +1,6 @@
 //! Probes of servers before the first scene.
 
-use ztl_tests::lab::{Process, SCOPE, Server, reserve_port, ztl};
+use ztl_tests::lab::{Process, SCOPE, Server, Terminal, reserve_port, ztl};
 
 use super::stage::Stage;
 
@@ -58,6 +58,39 @@ fn a_server_without_the_scope_is_missing() {
     terminal.shows(&format!("tcp://127.0.0.1:{port} has no scope"));
     terminal.type_in("\x03");
     terminal.end();
+}
+
+#[test]
+fn an_unreadable_configuration_is_shown_once_however_many_servers_the_script_uses() {
+    let tasks: Vec<String> = (1..=25).map(|n| format!("server{n}: {{x: 1}}")).collect();
+    let script = format!("one: {{a: {{{}}}}}\n", tasks.join(", "));
+    let stage = Stage::with(&script, &[]);
+    std::fs::write(
+        stage.files.path("broken.yaml"),
+        "remotes:\n  a: {host: h\n  b: 1\n",
+    )
+    .unwrap();
+    for (config, why) in [
+        ("none.yaml", "none.yaml: cannot read it: No such file"),
+        ("broken.yaml", "broken.yaml:2:6: this '{' is not closed"),
+    ] {
+        let mut command = ztl();
+        command.args(["run-script", "-s", "show.yaml", "-c", config]);
+        command.current_dir(stage.files.path(""));
+        let mut terminal = Terminal::start(command.env("LANG", "C.UTF-8"), (80, 24));
+        let screen = terminal.shows(" Next: one");
+        assert_eq!(screen.matches(why).count(), 1, "{screen}");
+        assert_eq!(screen.matches("MISSING: ").count(), 1, "{screen}");
+        assert!(screen.contains("and 23 more: no valid entry"), "{screen}");
+        assert!(!screen.contains("names no server"), "{screen}");
+        terminal.type_in("\x03");
+        terminal.end();
+        // Without the view, it is printed once, too.
+        command.args(["--plain", "--yes"]);
+        let ended = Process::run(&mut command);
+        assert_eq!(ended.stderr.matches(why).count(), 1, "{ended:?}");
+        assert!(!ended.stderr.contains("names no server"), "{ended:?}");
+    }
 }
 
 #[test]

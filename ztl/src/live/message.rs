@@ -100,7 +100,7 @@ pub(super) fn message(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
 
 /// The page of failures in full.
 pub(super) fn details(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
-    let mut said: Vec<Paragraph> = missing(board, now).collect();
+    let mut said = missing(board, now);
     let wrong = |task: &&TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
     said.extend(board.tasks.values().filter(wrong).map(reason));
     if let Some(stopping) = &board.stopping {
@@ -128,26 +128,36 @@ fn failures(board: &RunBoard) -> impl Iterator<Item = &TaskRun> {
     board.tasks.values().filter(wrong)
 }
 
-/// Servers of the script that do not answer.
-fn missing(board: &RunBoard, now: Duration) -> impl Iterator<Item = Paragraph> {
-    let words = move |name: &str, since, state: &ServerState| match state {
-        ServerState::Absent { text } => {
-            let text = match text.as_str() {
-                "" => "not reachable",
-                text => text,
-            };
-            Some(format!("MISSING: server '{name}': {text}"))
+/// Servers of the script that do not answer. Those that are absent for the same reason come together.
+fn missing(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
+    let mut reasons: Vec<(String, Vec<&str>)> = Vec::new();
+    for (name, server) in &board.servers {
+        let reason = match &server.state {
+            Some(ServerState::Absent { text }) if text.is_empty() => ": not reachable".to_owned(),
+            Some(ServerState::Absent { text }) => format!(": {text}"),
+            Some(ServerState::Silent) => {
+                let since = clock(now.saturating_sub(server.since));
+                reasons.push((format!(" is silent for {since}"), vec![name]));
+                continue;
+            }
+            _ => continue,
+        };
+        match reasons.iter_mut().find(|(known, _)| *known == reason) {
+            Some((_, names)) => names.push(name),
+            None => reasons.push((reason, vec![name])),
         }
-        ServerState::Silent => {
-            let since = clock(now.saturating_sub(since));
-            Some(format!("MISSING: server '{name}' is silent for {since}"))
+    }
+    let words = |(reason, names): (String, Vec<&str>)| match names.as_slice() {
+        [name] => format!("MISSING: server '{name}'{reason}"),
+        [first, second] => format!("MISSING: servers '{first}' and '{second}'{reason}"),
+        [first, second, more @ ..] => {
+            let more = more.len();
+            format!("MISSING: servers '{first}', '{second}' and {more} more{reason}")
         }
-        _ => None,
+        [] => reason,
     };
-    board.servers.iter().filter_map(move |(name, server)| {
-        let words = words(name, server.since, server.state.as_ref()?)?;
-        Some((Style::Bad, words))
-    })
+    let words = reasons.into_iter().map(words);
+    words.map(|words| (Style::Bad, words)).collect()
 }
 
 /// The results of stopping, unconfirmed ones first.

@@ -83,7 +83,7 @@ fn a_scene_is_shown_with_all_its_tasks() {
  · 4 Goodbye
 ────────────────────────────────────────────────────────────────────────────────
  Next: Welcome
- MISSING: server 'speech': it has no valid entry in the configuration
+ MISSING: server 'speech': no valid entry in the configuration
   Enter  start   s  skip   j  jump to a scene   x  stop everything   d  details
   ?  keys"
     );
