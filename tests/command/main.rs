@@ -9,6 +9,7 @@ mod examples;
 mod exit_codes;
 mod firmware;
 mod foxglove;
+mod frozen_server;
 mod lost_output;
 mod options;
 mod output;

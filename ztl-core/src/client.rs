@@ -256,7 +256,16 @@ impl Client {
 
     /// Call this when [`poll_timeout`](Self::poll_timeout) has passed.
     pub fn handle_timeout(&mut self, now: Instant) -> Late {
-        let Some(pending) = self.pending.take_if(|pending| now >= pending.deadline) else {
+        match self.pending {
+            Some(pending) if now >= pending.deadline => self.give_up(),
+            _ => Late::NotYet,
+        }
+    }
+
+    /// Gives up the pending request: its reply is not waited for any more. Returns what [`handle_timeout`](Self::handle_timeout)
+    /// returns at its time.
+    pub fn give_up(&mut self) -> Late {
+        let Some(pending) = self.pending.take() else {
             return Late::NotYet;
         };
         match (pending.request, pending.outcome_of) {

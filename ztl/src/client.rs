@@ -99,13 +99,13 @@ impl ClientTask<'_> {
         if signals::stopped() {
             return self.abort(remote, id, report);
         }
-        let ended = self.wait(remote, id, self.wording.limit(), |answer| {
+        let wanted = || !signals::stopped();
+        let ended = self.wait(remote, id, self.wording.limit(), &wanted, |answer| {
             if let Ok(status) = answer
                 && !status.state.is_final()
             {
                 report(ClientEvent::Progress { id, status });
             }
-            !signals::stopped()
         });
         match ended {
             Ok(status) => last(
@@ -129,25 +129,23 @@ impl ClientTask<'_> {
         }
     }
 
-    /// Waits for the end of the task. The original waits on after answers that end the wait of our clients.
+    /// Waits for the end of the task while it is `wanted`. The original waits on after answers that end the wait of our
+    /// clients.
     fn wait(
         &self,
         remote: &mut RemoteTask,
         id: &RemoteId,
         limit: Option<Duration>,
-        mut seen: impl FnMut(&Result<Status, RequestError>) -> bool,
+        wanted: &dyn Fn() -> bool,
+        mut seen: impl FnMut(&Result<Status, RequestError>),
     ) -> Result<Status, WaitError> {
         let start = Instant::now();
         loop {
             let left = limit.map(|limit| limit.saturating_sub(start.elapsed()));
-            let mut goes_on = true;
-            let ended = remote.wait_with(id, left, |answer| {
-                goes_on = seen(answer);
-                goes_on
-            });
+            let ended = remote.wait_while(id, left, wanted, &mut seen);
             match &ended {
                 Err(WaitError { last: Err(cause) })
-                    if goes_on
+                    if wanted()
                         && left.is_none_or(|left| !left.is_zero())
                         && self.takes_for_running(cause) =>
                 {
@@ -246,7 +244,7 @@ impl ClientTask<'_> {
         let patient = || !signals::in_a_hurry();
         let waits = answered && patient();
         report(ClientEvent::NotAborted { id, reply, waits });
-        let wait = || self.wait(remote, id, Some(AFTER_ABORT), |_| patient());
+        let wait = || self.wait(remote, id, Some(AFTER_ABORT), &patient, |_| {});
         let Some(waited) = waits.then(wait) else {
             return last(report, LastEvent::Left { id, reply });
         };

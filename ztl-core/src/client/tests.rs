@@ -382,6 +382,20 @@ fn large_numbers_are_written_whole() {
     }
 }
 
+#[test]
+fn a_request_that_is_given_up_means_what_it_means_when_it_is_late() {
+    let mut client = TestClient::new();
+    assert_eq!(client.client.give_up(), Late::NotYet);
+    client.probe(4711);
+    let ask = |client: &mut Client, now, sink: &mut dyn Sink| Some(client.ask(now, "tasks", sink));
+    let (asked, _) = client.written(ask);
+    assert_eq!(client.client.give_up(), Late::NoAnswer);
+    assert_eq!(client.handle_reply(asked, b"$ztl;5;0;{}"), None);
+    client.init();
+    assert_eq!(client.client.give_up(), Late::AskOutcome);
+    assert_eq!(client.client.poll_timeout(), None);
+}
+
 /// Regression: a client that was suspended for more than a minute asked a server that had dropped the INIT,
 /// and believed its reply that the INIT never arrived.
 #[test]

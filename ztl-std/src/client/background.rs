@@ -49,7 +49,7 @@ impl RemoteTask {
         component: &str,
         goal: &str,
         limit: Option<Duration>,
-        mut seen: impl FnMut(&Result<Status, RequestError>) + Send + 'static,
+        seen: impl FnMut(&Result<Status, RequestError>) + Send + 'static,
     ) -> BackgroundTask {
         let shared = Arc::new(Shared::default());
         let (mut remote, task) = (self.clone(), Arc::clone(&shared));
@@ -60,10 +60,7 @@ impl RemoteTask {
                 let dropped = || task.dropped.load(Ordering::Acquire);
                 let ended = match remote.trigger_while(&payload, || !dropped()) {
                     Ok(triggered) => {
-                        let ended = remote.wait_with(&triggered.id, limit, |answer| {
-                            seen(answer);
-                            !dropped()
-                        });
+                        let ended = remote.wait_while(&triggered.id, limit, || !dropped(), seen);
                         if ended.is_err() && dropped() {
                             // The client has logged any error.
                             let _ = remote.send_abort(&triggered.id);

@@ -278,6 +278,16 @@ impl Connection {
         let said = self.converse(wanted, &mut socket, start, envelope, body);
         match &said {
             Ok(_) => self.socket = Some(socket),
+            // The next request leaves at once, for example an ABORT to a server that hangs. The late answer is recognised by
+            // its number.
+            Err(Unanswered {
+                unwanted: true,
+                can_ask_outcome: false,
+                error: RequestError::NoAnswer { .. },
+            }) => {
+                self.socket = Some(socket);
+                return said;
+            }
             // Nothing was sent, so no late answer can arrive. ZeroMQ keeps trying to connect.
             Err(Unanswered {
                 error: RequestError::NotConnected { .. },
@@ -318,7 +328,7 @@ impl Connection {
             let ready = self.ready(wanted, socket, Wait::ToSend)?;
             if ready != Ready::Yes {
                 return Err(Unanswered {
-                    not_wanted: ready == Ready::Unwanted,
+                    unwanted: ready == Ready::Unwanted,
                     ..self.not_connected(socket, start).into()
                 });
             }
@@ -332,7 +342,8 @@ impl Connection {
                 Ready::Late => break,
                 Ready::Unwanted => {
                     return Err(Unanswered {
-                        can_ask_outcome: true,
+                        can_ask_outcome: self.client.give_up() == Late::AskOutcome,
+                        unwanted: true,
                         ..self.no_answer(start).into()
                     });
                 }
@@ -425,14 +436,12 @@ impl Connection {
         }
     }
 
-    /// Waits until the socket is ready, the request times out, or the request is no longer wanted and its
-    /// outcome can be learnt in another way.
+    /// Waits until the socket is ready, the request times out, or it is no longer wanted.
     fn ready(&self, wanted: Wanted<'_>, socket: &mut Socket, wait: Wait) -> io::Result<Ready> {
         let sent = wait == Wait::ForAnswer;
         let unwanted = || match wanted {
             Some((may_be_sent, _)) if !sent => !may_be_sent(),
-            // Keep waiting: the original sends a task's id only in this reply, so leaving would lose the task.
-            Some((_, wanted)) => !wanted() && self.client.server() != Server::Original,
+            Some((_, wanted)) => !wanted(),
             None => false,
         };
         loop {
@@ -511,8 +520,8 @@ pub(super) struct Unanswered {
     pub(super) error: RequestError,
     /// Whether the server can be asked for the outcome.
     pub(super) can_ask_outcome: bool,
-    /// Whether nothing was sent because it was no longer wanted.
-    pub(super) not_wanted: bool,
+    /// Whether it was no longer wanted.
+    pub(super) unwanted: bool,
 }
 
 impl From<RequestError> for Unanswered {
@@ -520,7 +529,7 @@ impl From<RequestError> for Unanswered {
         Self {
             error,
             can_ask_outcome: false,
-            not_wanted: false,
+            unwanted: false,
         }
     }
 }

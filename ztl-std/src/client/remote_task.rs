@@ -9,7 +9,7 @@ use ztl_core::envelope::Envelope;
 use ztl_core::sink::Sink;
 
 use super::connection::{
-    ABORT, ClientReply, Connection, Open, Question, STATUS, Wanted, server_answer,
+    ABORT, ClientReply, Connection, Open, Question, STATUS, Unanswered, Wanted, server_answer,
 };
 use super::error::{RequestError, RunError, TriggerError, WaitError};
 use super::reply_status::{after_abort, status_of, unexpected};
@@ -242,6 +242,13 @@ impl RemoteTask {
             })
             .map_err(TriggerError::Request)?;
         let scope = &self.scope;
+        // The original sends a task's id only in this reply, so leaving would lose the task.
+        let only_here = connection.server() == Server::Original;
+        let wanted =
+            wanted.map(|(may_be_sent, wanted)| (may_be_sent, move || only_here || wanted()));
+        let wanted = wanted
+            .as_ref()
+            .map(|(may_be_sent, wanted)| (*may_be_sent, wanted as &dyn Fn() -> bool));
         connection.discard_unsent(true);
         let mut answer = connection.ask_while(wanted, |client, body| request(client, scope, body));
         connection.discard_unsent(false);
@@ -255,7 +262,11 @@ impl RemoteTask {
         }
         match answer {
             Ok(reply) => started(reply),
-            Err(unanswered) if unanswered.not_wanted => Err(TriggerError::GivenUp),
+            Err(Unanswered {
+                unwanted: true,
+                error: RequestError::NotConnected { .. },
+                ..
+            }) => Err(TriggerError::GivenUp),
             Err(unanswered) => Err(TriggerError::Request(unanswered.error)),
         }
     }
@@ -379,7 +390,7 @@ impl RemoteTask {
         id: impl Into<RemoteId>,
         limit: Option<Duration>,
     ) -> Result<Status, WaitError> {
-        self.wait_held(&id.into(), limit, HELD, |_| true)
+        self.wait_held(&id.into(), limit, (HELD, None), |_| true)
     }
 
     /// As [`wait`](Self::wait); calls `seen` with each answer, or with the error if there is none. If it returns
@@ -393,14 +404,34 @@ impl RemoteTask {
         limit: Option<Duration>,
         seen: impl FnMut(&Result<Status, RequestError>) -> bool,
     ) -> Result<Status, WaitError> {
-        self.wait_held(&id.into(), limit, HELD_FOR_PROGRESS, seen)
+        self.wait_held(&id.into(), limit, (HELD_FOR_PROGRESS, None), seen)
+    }
+
+    /// As [`wait_with`](Self::wait_with) while the end is `wanted`, which is called several times a second. The wait then
+    /// ends at once, also if the server does not answer, and over the same connection the next request leaves at once, such as an
+    /// ABORT.
+    ///
+    /// # Errors
+    /// Those of [`wait`](Self::wait), also if the end is no longer wanted.
+    pub fn wait_while(
+        &mut self,
+        id: impl Into<RemoteId>,
+        limit: Option<Duration>,
+        wanted: impl Fn() -> bool,
+        mut seen: impl FnMut(&Result<Status, RequestError>),
+    ) -> Result<Status, WaitError> {
+        let held = (HELD_FOR_PROGRESS, Some((&wanted as _, &wanted as _)));
+        self.wait_held(&id.into(), limit, held, |answer| {
+            seen(answer);
+            wanted()
+        })
     }
 
     fn wait_held(
         &mut self,
         id: &RemoteId,
         limit: Option<Duration>,
-        held: Duration,
+        (held, wanted): (Duration, Wanted<'_>),
         mut seen: impl FnMut(&Result<Status, RequestError>) -> bool,
     ) -> Result<Status, WaitError> {
         let start = Instant::now();
@@ -409,10 +440,10 @@ impl RemoteTask {
         let mut hold = Duration::ZERO;
         loop {
             let last = if hold.is_zero() {
-                self.about(Request::Status, id, "waiting poll")
+                self.about_while(wanted, Request::Status, id, "waiting poll")
             } else {
                 let payload = format!("wait {}", hold.as_millis());
-                self.about(Request::Status, id, &payload)
+                self.about_while(wanted, Request::Status, id, &payload)
             };
             let go_on = seen(&last);
             let ends = match &last {
@@ -444,9 +475,20 @@ impl RemoteTask {
         id: &RemoteId,
         payload: &str,
     ) -> Result<Status, RequestError> {
+        self.about_while(None, request, id, payload)
+    }
+
+    fn about_while(
+        &mut self,
+        wanted: Wanted<'_>,
+        request: Request,
+        id: &RemoteId,
+        payload: &str,
+    ) -> Result<Status, RequestError> {
         let (connection, scope) = (&mut self.connection, &self.scope);
-        let answer = connection
-            .ask(|client, body| client.request(now(), request, scope, id.integer(), payload, body));
+        let answer = connection.ask_while(wanted, |client, body| {
+            client.request(now(), request, scope, id.integer(), payload, body)
+        });
         status_of(answer.map_err(|unanswered| unanswered.error)?, id)
     }
 }

@@ -125,10 +125,8 @@ impl Update {
                 shown.show(&device, &status.text);
             }
         };
-        let waited = remote.wait_with(task.id.clone(), None, |status| {
-            show(status);
-            !signals::stopped()
-        });
+        let wanted = || !signals::stopped();
+        let waited = remote.wait_while(task.id.clone(), None, wanted, &mut show);
         let ended = match waited {
             Err(_) if signals::stopped() => {
                 // The outcome says whether it was in time.

@@ -344,7 +344,7 @@ fn is_completed(mut remote: RemoteTask, name: &str, payload: &str) -> bool {
             return false;
         }
     };
-    let ended = remote.wait_with(&triggered.id, None, |_| !signals::stopped());
+    let ended = remote.wait_while(&triggered.id, None, || !signals::stopped(), |_| {});
     let ended = match ended {
         Ok(status) => Ok(status),
         Err(_) if signals::stopped() => remote
