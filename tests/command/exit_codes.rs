@@ -277,6 +277,7 @@ fn a_client_that_sends_nothing_because_of_a_mistake_exits_with_2() {
         "remote-task --exit-status -c remotes.yaml robot a:b:c",
         "remote-task --exit-status -c remotes.yaml other a:b:c",
         "remote-task --exit-status --task robot localhost http /lab robot a:b:c",
+        "remote-task --exit-status --task robot localhost -1 /lab robot a:b:c",
         "run-script -s show.yaml --yes --task robot localhost http /lab",
         "run-script -s show.yaml --yes --task robot localhost 1 /lab --scene other",
         "run-script -s show.yaml --yes --task robot localhost 1 /lab --defaults bad.yaml",

@@ -247,6 +247,18 @@ fn an_unknown_server_name_is_rejected_with_the_known_names() {
 }
 
 #[test]
+fn a_negative_port_has_the_originals_exit_code() {
+    let scratch = Scratch::new();
+    let words = "--task robot 127.0.0.1 -1 /test robot a:b:c";
+    let ours = ours_named(&scratch, "ztl_remote_task");
+    for mut tool in [original_tool("ztl_remote_task"), ours] {
+        tool.env("XDG_CONFIG_HOME", scratch.path(""));
+        let ended = Process::run(tool.args(words.split(' ')));
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+    }
+}
+
+#[test]
 fn the_exit_status_option_reports_the_outcome() {
     let (simple, tests) = (Server::simple_ours(), Server::ours());
     let port = simple.port.to_string();

@@ -21,11 +21,11 @@ pub(crate) struct RemotesOptions {
     config: Option<PathBuf>,
 
     /// Add or replace a server (repeatable)
-    #[arg(long, num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
+    #[arg(long, num_args = 4, allow_negative_numbers = true, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
     task: Vec<String>,
 
     /// Add or replace a publisher (repeatable)
-    #[arg(long, num_args = 4, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
+    #[arg(long, num_args = 4, allow_negative_numbers = true, value_names = ["NAME", "HOST", "PORT", "SCOPE"])]
     publisher: Vec<String>,
 }
 
