@@ -161,6 +161,8 @@ fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
         .trigger("gripper", "finger", "3")
         .expect_err("not served");
     assert!(refused.to_string().contains("there are: head"), "{refused}");
+    rig.gateway
+        .wait_for("'gripper:finger:3' was refused: no such device");
 }
 
 #[test]
@@ -184,6 +186,8 @@ fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
         refused.to_string().contains("too many tasks are running"),
         "{refused}"
     );
+    rig.gateway
+        .wait_for("was refused: too many tasks are running");
     assert_eq!(
         remote.abort(&head).expect("an answer").state,
         State::Aborted
@@ -195,6 +199,31 @@ fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
     remote.status(&head).expect_err("no answer");
     rig.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
     assert_eq!(remote.status(&head).expect("known").state, State::Aborted);
+}
+
+#[test]
+fn a_flood_of_refused_tasks_does_not_fill_the_log() {
+    let rig = ReloadRig::new("limits: {running: 1}\ndevices: {head: sim:head}\n");
+    let mut remote = rig.remote();
+    for _ in 0..200 {
+        remote.trigger("nobody", "x", "y").expect_err("not served");
+    }
+    started(&mut remote, "head", "pan", "left");
+    for _ in 0..200 {
+        remote
+            .trigger("head", "pan", "right")
+            .expect_err("one runs");
+    }
+    rig.gateway.signal("TERM");
+    rig.gateway.wait_for("'head:pan:left' has ended as ABORTED");
+    let log = rig.gateway.stderr();
+    for line in [
+        "was refused: no such device",
+        "was refused: too many tasks are running",
+    ] {
+        let count = log.matches(line).count();
+        assert!((100..150).contains(&count), "{line}: {count}");
+    }
 }
 
 #[test]

@@ -28,6 +28,8 @@ pub enum RefusalOf {
     Protocol,
     /// Its scope is unknown.
     Scope,
+    /// A limit of the server is reached; what its client is told.
+    Limit(&'static str),
 }
 
 /// Names the reply texts and stores them in one string: an array of slices takes 8 bytes more for each.
@@ -155,6 +157,9 @@ impl<'a> Reply<'a> {
         match self.text {
             ReplyText::UnknownProtocol => Some(RefusalOf::Protocol),
             ReplyText::UnknownScope => Some(RefusalOf::Scope),
+            limit @ (ReplyText::ManyTasks | ReplyText::ManyWaiting | ReplyText::ManyClients) => {
+                Some(RefusalOf::Limit(limit.template()))
+            }
             _ => None,
         }
     }

@@ -24,6 +24,11 @@ impl RateLimit {
         }
     }
 
+    /// For lines about refused requests: 100 at once, and then one each second.
+    pub(crate) const fn of_refusals(now: Instant) -> Self {
+        Self::new(100, Duration::from_secs(1), now)
+    }
+
     /// Uses a token; returns `false` if there is none.
     pub(crate) fn take(&mut self, now: Instant) -> bool {
         while self.left < self.burst && now >= self.next() {

@@ -20,11 +20,13 @@ use super::updates::UPDATES;
 use crate::describe::Descriptions;
 use crate::log_targets::GATEWAY;
 use crate::random;
+use crate::rate_limit::RateLimit;
 use crate::server::{
     Answers, BindError, OwnTasks, ReservedIds, Restored, RestoredTask, TaskHandler, TaskReporter,
     TaskServer, offered, would_take,
 };
 use crate::task_request::{TaskRequest, encoded};
+use crate::time::now;
 
 /// Most readings that wait to be published.
 const PUBLISHED: usize = 10_000;
@@ -35,6 +37,8 @@ const PUBLISHED: usize = 10_000;
 pub struct Gateway {
     devices: Devices,
     leave_running: bool,
+    /// Limits the lines about tasks for devices that it does not have.
+    refusals: RateLimit,
 }
 
 impl Default for Gateway {
@@ -76,6 +80,7 @@ impl Gateway {
         Self {
             devices: Devices(Arc::new(shared)),
             leave_running: false,
+            refusals: RateLimit::of_refusals(now()),
         }
     }
 
@@ -214,6 +219,10 @@ impl TaskHandler for Gateway {
         match map.served.get(&request.handler) {
             Some(device) => device.start(task, &request),
             None => {
+                if self.refusals.take(now()) {
+                    let (id, spec) = (task.id().get(), shown(&request.spec()));
+                    info!(target: GATEWAY, task = id, "Task {id} {spec} was refused: no such device");
+                }
                 task.rejected(no_device(&request.handler, map.served.keys()));
             }
         }

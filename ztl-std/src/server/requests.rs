@@ -105,12 +105,12 @@ impl Engine {
     }
 }
 
-/// Logs a request that cannot be used, in the words of the original's server.
+/// Logs a request that is refused; one that cannot be used in the words of the original's server.
 fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
+    let scope = reply.scope();
+    let shown = scope.get(..scope.floor_char_boundary(200)).unwrap_or(scope);
     match reply.refusal_of() {
         Some(RefusalOf::Scope) => {
-            let scope = reply.scope();
-            let shown = scope.get(..scope.floor_char_boundary(200)).unwrap_or(scope);
             warn!(target: TASKS, "No controller for scope '{shown}', ignoring.");
         }
         Some(RefusalOf::Protocol) => {
@@ -120,6 +120,9 @@ fn log_refusal(reply: &Reply<'_>, body: Body<'_>) {
             };
             let bytes = bytes.escape_ascii();
             warn!(target: TASKS, "Unknown command received 'b'{bytes}'', ignoring.");
+        }
+        Some(RefusalOf::Limit(reason)) => {
+            warn!(target: TASKS, "A request for scope '{shown}' was refused: {reason}");
         }
         None => {}
     }

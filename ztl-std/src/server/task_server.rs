@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
 
 use tracing::{info, warn};
 use ztl_core::dispatcher::{Config, Dispatcher};
@@ -38,9 +37,6 @@ use crate::publish::Publisher;
 use crate::random;
 use crate::rate_limit::RateLimit;
 use crate::transport::Transport;
-
-/// At most so many lines about refused requests at once, and then one in this time.
-const REFUSALS: (u32, Duration) = (100, Duration::from_secs(1));
 
 /// A task server that is bound and does not serve yet.
 ///
@@ -116,7 +112,7 @@ impl ServerBuilder {
                 #[cfg(feature = "publish")]
                 events: None,
                 dropped: DroppedLog::new(now()),
-                refusals: RateLimit::new(REFUSALS.0, REFUSALS.1, now()),
+                refusals: RateLimit::of_refusals(now()),
                 logged_used_up: false,
                 reported: false,
                 started: false,
