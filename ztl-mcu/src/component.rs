@@ -106,8 +106,9 @@ pub trait Component {
     fn make_safe(&mut self, now: Instant);
 
     /// When to call `poll` next; the node asks after each `poll` of a task. Also when to call `poll_reading`,
-    /// if the offer names topics and there was no reading. With [`Instant::NEVER`] only an abort, the loss of
-    /// the link, an emergency stop or a tick causes the next `poll`. Defaults to 10 ms from now.
+    /// if the offer names topics and there was no reading: the node calls it earlier after any `poll`, in a new
+    /// session, and after [`Node::components_mut`](crate::Node::components_mut). With [`Instant::NEVER`] only an
+    /// abort, the loss of the link, an emergency stop or a tick causes the next `poll`. Defaults to 10 ms from now.
     fn poll_timeout(&self, now: Instant) -> Instant {
         now + Duration::from_millis(10)
     }

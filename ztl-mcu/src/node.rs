@@ -191,6 +191,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                     stopped: false,
                     all_to_safety: false,
                     safety_wake: Instant::NEVER,
+                    readings_wake: Instant::ZERO,
                     components,
                     reason: Reason::new(),
                     tasks: Table::new(),
@@ -387,7 +388,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     }
 
     /// The components, mutable, so that firmware can pass them settings and readings. Only the node may start
-    /// and stop their motions.
+    /// and stop their motions. The node then asks them for readings again, so call it only when there is something to pass.
     pub const fn components_mut(&mut self) -> &mut C {
         self.state.runner.components_mut()
     }

@@ -66,6 +66,7 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             self.seq = NO_SEQ;
             // A new session does not prove that the gateway hears the node, so the link timer keeps running.
             self.heard = now;
+            self.runner.readings_wake = Instant::ZERO;
             for task in self.runner.tasks.held_mut() {
                 task.due = now;
                 task.changed = true;

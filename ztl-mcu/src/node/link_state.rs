@@ -103,7 +103,7 @@ pub(super) struct LinkState<'a, C, const TASKS: usize, const FRAME: usize> {
     pub(super) lost_at: Instant,
     /// Until when the bytes in the decoder count as the start of a command.
     pub(super) receiving: Instant,
-    /// When the next round of readings begins.
+    /// When the reading interval allows the next round of readings; [`Instant::NEVER`] if no component publishes.
     pub(super) readings_at: Instant,
     /// In µs.
     pub(super) reading_interval: u64,

@@ -81,7 +81,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             return Err("a task runs that it would change");
         }
         let set = self
-            .components
+            .components_mut()
             .tuning_mut()
             .map(|tuning| tuning.set(index, value));
         match set {

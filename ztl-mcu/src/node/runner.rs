@@ -23,6 +23,9 @@ pub(crate) struct TaskRunner<C, const TASKS: usize> {
     /// When to poll the idle components that have not reached the safe state yet; [`Instant::NEVER`] if all
     /// have.
     pub(super) safety_wake: Instant,
+    /// When an idle component wants to be asked for a reading; [`Instant::ZERO`] if a component may have changed since it was
+    /// asked.
+    pub(super) readings_wake: Instant,
     pub(super) components: C,
     /// Why a component refused the last goal, if one did.
     pub(super) reason: Reason,
@@ -37,6 +40,7 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
             stopped: false,
             all_to_safety: false,
             safety_wake: Instant::NEVER,
+            readings_wake: Instant::ZERO,
             components,
             reason: Reason::new(),
             tasks: Table::new(),
@@ -56,6 +60,7 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
     }
 
     pub(crate) const fn components_mut(&mut self) -> &mut C {
+        self.readings_wake = Instant::ZERO;
         &mut self.components
     }
 }
@@ -83,6 +88,8 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             if !due && !tick {
                 continue;
             }
+            // A start, an abort, the way to the safe state and a tick all lead here.
+            self.readings_wake = Instant::ZERO;
             let mut text = TaskText::new();
             let run = component.poll(now, &mut Report::new(&mut text));
             let wake = component.poll_timeout(now);

@@ -71,7 +71,8 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
         let tasks = self.runner.tasks.held().filter(|task| task.is_due());
         let mut wake = tasks.fold(Instant::NEVER, |wake, task| wake.min(task.due));
         if self.is_heard() {
-            wake = wake.min(self.readings_at.max(self.receiving));
+            let asked = self.readings_at.max(self.runner.readings_wake);
+            wake = wake.min(asked.max(self.receiving));
         }
         if C::ACTING {
             wake = wake.min(self.next_own());
@@ -171,15 +172,17 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
     }
 
     /// Sends the next reading; returns whether there was one. Each round asks every component for a reading. The next
-    /// round begins after the reading interval.
+    /// round begins after the reading interval, and without readings not before a component wants to be asked or has changed.
     fn encode_reading(&mut self, now: Instant) -> bool {
-        if now < self.readings_at {
+        if now < self.readings_at || now < self.runner.readings_wake {
             return false;
         }
         let address = self.address();
         let (begin, room) = self.frame_out.room(const { longest::reading(FRAME) });
         // The earliest time at which a component without a reading wants to be asked again.
         let mut wake = Instant::NEVER;
+        // Number of topics of those that have no reading.
+        let mut all = 0;
         loop {
             let index = usize::from(self.publisher);
             let component = self.runner.components.component_mut(index);
@@ -187,7 +190,10 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
                 self.publisher = 0;
                 self.readings_at = now.after(self.reading_interval);
                 if !core::mem::take(&mut self.published) {
-                    self.readings_at = self.readings_at.max(wake);
+                    self.runner.readings_wake = wake;
+                    if all == 0 {
+                        self.readings_at = Instant::NEVER;
+                    }
                 } else if self.reading_interval == 0 {
                     continue;
                 }
@@ -198,12 +204,14 @@ impl<C: Components, const TASKS: usize, const FRAME: usize> LinkState<'_, C, TAS
             if own == 0 {
                 continue;
             }
+            all += own;
             let Some(reading) = component.poll_reading(now, room) else {
                 wake = wake.min(component.poll_timeout(now));
                 continue;
             };
             let topic = usize::from(reading.topic);
             if reading.len > room.len() || topic >= own {
+                wake = now;
                 continue;
             }
             let before = (0..index).filter_map(|index| self.runner.components.component(index));

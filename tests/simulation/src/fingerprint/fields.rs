@@ -8,7 +8,7 @@ pub(super) const PAST: Duration = Duration::from_millis(2600);
 pub(super) const FUTURE: Duration = Duration::from_secs(60);
 
 /// Fields without influence on the behaviour: derived from others, statistics, or for readings, which the model has not.
-pub(super) const SKIPPED: [u64; 9] = [
+pub(super) const SKIPPED: [u64; 10] = [
     name("ending"),
     name("decoder"),
     name("bytes"),
@@ -16,6 +16,7 @@ pub(super) const SKIPPED: [u64; 9] = [
     name("random"),
     name("frame_out"),
     name("readings_at"),
+    name("readings_wake"),
     name("turnaround"),
     name("round_trips"),
 ];

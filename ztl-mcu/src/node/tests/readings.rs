@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::component::Reading;
-use crate::reading::Queued;
+use crate::reading::{Latest, Queued};
 use core::cell::{Cell, RefCell};
 
 /// Has readings, and carries out nothing.
@@ -341,4 +341,166 @@ fn readings_of_100_bytes_use_at_least_85_percent_of_the_line() {
         let share = share(baud);
         assert!(share > 0.85, "{share} at {baud}");
     }
+}
+
+/// Has a reading after each poll and each start. An idle one wants to be asked at `idle`.
+struct Scale {
+    idle: Instant,
+    until: Instant,
+    tick: Instant,
+    topics: &'static str,
+    weight: Latest<4>,
+    /// How often it was asked for a reading.
+    asked: usize,
+}
+
+impl Component for Scale {
+    fn offer(&self) -> Offer<'_> {
+        Offer::new("scale").with_topics(self.topics)
+    }
+
+    fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Ok(())
+    }
+
+    fn start(&mut self, now: Instant, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        self.until = now + Duration::from_millis(100);
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, _: &mut Report<'_>) -> Run {
+        self.weight.set(b"1").unwrap();
+        self.tick = Instant::NEVER;
+        if now < self.until {
+            return Run::Running;
+        }
+        Run::Completed
+    }
+
+    fn abort(&mut self, now: Instant) {
+        self.until = now;
+    }
+
+    fn make_safe(&mut self, now: Instant) {
+        self.until = now;
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        if now < self.until {
+            return now + Duration::from_millis(20);
+        }
+        self.idle
+    }
+
+    fn next_tick(&self) -> Instant {
+        self.tick
+    }
+
+    fn poll_reading(&mut self, _: Instant, buffer: &mut [u8]) -> Option<Reading> {
+        self.asked += 1;
+        self.weight.take(0, buffer)
+    }
+}
+
+const SCALE: Scale = Scale {
+    idle: Instant::NEVER,
+    until: Instant::ZERO,
+    tick: Instant::NEVER,
+    topics: "weight",
+    weight: Latest::new(),
+    asked: 0,
+};
+
+/// The readings during turns of a main loop that sleeps as long as the node allows, and the number of its turns.
+fn readings_in(gateway: &mut TestGateway<'_, [Scale; 1], 2>, millis: u64) -> (usize, usize) {
+    let end = gateway.now + Duration::from_millis(millis);
+    let (mut readings, mut turns) = (0, 0);
+    while gateway.now < end {
+        gateway.node.handle_timeout(gateway.now);
+        let heard = said(gateway.node, gateway.now, gateway.session);
+        readings += heard
+            .iter()
+            .filter(|line| line.starts_with("Publish"))
+            .count();
+        turns += 1;
+        let next = gateway.node.poll_timeout(gateway.now);
+        assert!(next > gateway.now, "sleeps");
+        gateway.now = next.min(end);
+    }
+    (readings, turns)
+}
+
+#[test]
+fn a_component_that_waits_for_ever_while_idle_publishes_again_after_each_poll() {
+    for idle in [Instant::NEVER, Instant::from_millis(60_000)] {
+        let mut node =
+            Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [Scale { idle, ..SCALE }]);
+        let mut gateway = gateway(&mut node);
+        gateway.hello(5, 1);
+        gateway.command(1, Body::Ping);
+        assert_eq!(readings_in(&mut gateway, 500), (0, 1), "it sleeps");
+        // Polls at 0, 20, ... 100 ms.
+        gateway.start(2, 9, 0, "");
+        assert_eq!(readings_in(&mut gateway, 200).0, 6);
+        gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
+        gateway.start(3, 10, 0, "");
+        readings_in(&mut gateway, 50);
+        gateway.command(4, Body::Abort { task: LinkId(10) });
+        assert_eq!(readings_in(&mut gateway, 90).0, 1, "aborted");
+        gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(10) });
+        assert_eq!(readings_in(&mut gateway, 500), (0, 1), "it sleeps");
+        gateway.node.stop_everything(gateway.now);
+        assert_eq!(readings_in(&mut gateway, 90).0, 1, "made safe");
+        gateway.command(5, Body::Ping);
+        let tick = gateway.now + Duration::from_millis(100);
+        gateway.node.components_mut()[0].tick = tick;
+        assert_eq!(readings_in(&mut gateway, 300).0, 1, "a tick");
+        // What firmware hands over, and what came before a new session.
+        gateway.node.components_mut()[0].weight.set(b"2").unwrap();
+        assert_eq!(readings_in(&mut gateway, 90).0, 1, "handed over");
+        assert_eq!(readings_in(&mut gateway, 300), (0, 1), "it sleeps");
+    }
+}
+
+#[test]
+fn a_new_session_asks_each_component_again() {
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [SCALE]);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.command(1, Body::Ping);
+    gateway.pass(500);
+    assert_eq!(gateway.node.components()[0].asked, 1);
+    gateway.hello(6, 1);
+    assert_eq!(gateway.node.components()[0].asked, 2);
+    gateway.pass(100);
+    assert_eq!(gateway.node.components()[0].asked, 2);
+}
+
+#[test]
+fn a_component_whose_reading_is_too_long_is_asked_again_after_the_interval() {
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [sensor("a")]);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.node.components_mut()[0].topic = 1;
+    gateway.node.components_mut()[0].always = Some(5);
+    gateway.command(1, Body::Ping);
+    let next = gateway.node.poll_timeout(gateway.now);
+    assert_eq!(next, gateway.now + Duration::from_millis(10));
+}
+
+#[test]
+fn a_node_without_topics_is_not_woken_for_readings() {
+    let quiet = Scale {
+        topics: "",
+        ..SCALE
+    };
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), [quiet]);
+    let mut gateway = gateway(&mut node);
+    gateway.hello(5, 1);
+    gateway.pass(3);
+    gateway.start(1, 9, 0, "");
+    gateway.pass(0);
+    let next = gateway.node.poll_timeout(gateway.now);
+    assert_eq!(next, gateway.now + Duration::from_millis(20));
+    assert_eq!(gateway.node.components()[0].asked, 0);
 }
