@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use ztl_core::link::{
-    ADDR_ONLY_NODE, Body, Decoder, LINK_TIMEOUT, LinkId, Loss, NO_SEQ, NO_SESSION,
+    ADDR_ONLY_NODE, Body, Decoder, LINK_TIMEOUT, LONGEST_FRAME, LinkId, Loss, NO_SEQ, NO_SESSION,
 };
 use ztl_core::time::earliest;
 use ztl_core::{Instant, State, TaskId};
@@ -35,8 +35,7 @@ use updates::Updates;
 
 /// A node refuses a `Start` that arrives later than this after the client's INIT.
 pub(crate) const START_LIMIT: Duration = Duration::from_millis(1000);
-/// Longest decoded frame. The bodies of a node have at most 1 KiB.
-pub(crate) const FRAME: usize = 1100;
+pub(crate) const FRAME: usize = LONGEST_FRAME;
 
 /// How far the connection to the device is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

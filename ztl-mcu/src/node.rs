@@ -20,7 +20,8 @@ use core::time::Duration;
 
 use ztl_core::Instant;
 use ztl_core::link::{
-    Body, Decoder, FrameError, LINK_TIMEOUT, LinkId, NO_SEQ, NO_SESSION, Offer, Pushed,
+    Body, Decoder, FrameError, LINK_TIMEOUT, LONGEST_FRAME, LinkId, NO_SEQ, NO_SESSION, Offer,
+    Pushed,
 };
 use ztl_core::time::micros;
 
@@ -88,7 +89,7 @@ const fn cut(text: &str, mut most: usize) -> &str {
 }
 
 /// The device end of the link, without I/O. It drives the components `C`, holds at most `TASKS` tasks, and
-/// handles frames of at most `FRAME` bytes. `FRAME` is at least 128, see [`new`](Self::new); a goal can have
+/// handles frames of at most `FRAME` bytes. `FRAME` is 128 to 1100, see [`new`](Self::new); a goal can have
 /// about 24 bytes less.
 ///
 /// *Inputs*: [`handle_bytes`](Self::handle_bytes) when bytes arrive, [`handle_timeout`](Self::handle_timeout)
@@ -141,19 +142,38 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// to a gateway always fits a frame together with the ids of all tasks.
     pub const LONGEST_NAME: usize = longest::name(FRAME, TASKS);
 
+    const CHECKED: () = {
+        assert!(FRAME >= 128, "FRAME must be at least 128");
+        assert!(
+            FRAME <= LONGEST_FRAME,
+            "FRAME must be at most 1100: a gateway decodes no longer frame"
+        );
+        assert!(TASKS >= 1 && TASKS <= 255, "TASKS must be 1 to 255");
+        assert!(
+            Self::LONGEST_NAME >= SHORTEST_NAME,
+            "FRAME has no room for the ids of all tasks: raise FRAME, or lower TASKS"
+        );
+    };
+
     /// A node after its reset, with at most 255 components.
     ///
-    /// The compiler checks that `TASKS` is 1 to 255 and that `FRAME` is at least 128 and has room for the ids of
-    /// that many tasks: 128 suffices for 9 tasks, 256 for 34.
+    /// The compiler checks that `TASKS` is 1 to 255 and that `FRAME` is at least 128, at most
+    /// [`LONGEST_FRAME`], which a gateway decodes, and has room for the ids of that many tasks: 128 suffices for
+    /// 9 tasks, 256 for 34, 1100 for 202.
+    ///
+    /// ```
+    /// # use ztl_mcu::{Component, Identity, Node};
+    /// # let arms: [&mut dyn Component; 0] = [];
+    /// Node::<_, 2, 1100>::new(Identity::new("arm", "1.0.0", 7), arms);
+    /// ```
+    ///
+    /// ```compile_fail,E0080
+    /// # use ztl_mcu::{Component, Identity, Node};
+    /// # let arms: [&mut dyn Component; 0] = [];
+    /// Node::<_, 2, 1101>::new(Identity::new("arm", "1.0.0", 7), arms);
+    /// ```
     pub const fn new(identity: Identity<'a>, components: C) -> Self {
-        const {
-            assert!(FRAME >= 128, "FRAME must be at least 128");
-            assert!(TASKS >= 1 && TASKS <= 255, "TASKS must be 1 to 255");
-            assert!(
-                Self::LONGEST_NAME >= SHORTEST_NAME,
-                "FRAME has no room for the ids of all tasks: raise FRAME, or lower TASKS"
-            );
-        };
+        const { Self::CHECKED };
         Self {
             counters: Counters {
                 frames: 0,
@@ -201,10 +221,11 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
         }
     }
 
-    /// Whether a component's description fits a frame. A node refuses to send a longer one; the gateway then
-    /// does not serve the device, and reports why.
+    /// Whether a component's description fits a frame; the compiler checks `FRAME` as for [`new`](Self::new). A
+    /// node refuses to send a longer one; the gateway then does not serve the device, and reports why.
     #[must_use]
     pub fn fits(offer: &Offer<'_>) -> bool {
+        const { Self::CHECKED };
         let body = Body::Component {
             index: u8::MAX,
             offer: *offer,

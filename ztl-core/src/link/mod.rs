@@ -37,6 +37,9 @@ pub const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 pub const LINK_TIMEOUTS: RangeInclusive<Duration> =
     Duration::from_millis(50)..=Duration::from_secs(60);
 
+/// Longest decoded frame that a gateway accepts, in bytes: its body has at most 1094 (`docs/link.md` [2.3]).
+pub const LONGEST_FRAME: usize = 1100;
+
 /// Most bytes of a description in one message (`docs/link.md` [4.6]), so that no answer waits long for it.
 pub const DESCRIPTION_PART: usize = 48;
 

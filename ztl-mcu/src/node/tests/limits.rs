@@ -11,7 +11,7 @@ fn answered<C: Components, const TASKS: usize, const FRAME: usize>(
     seq: u8,
     body: Body<'_>,
 ) -> Grown<u8> {
-    let mut buffer = [0xA5; 512];
+    let mut buffer = [0xA5; 1200];
     let frame = Frame {
         addr: ADDR_ONLY_NODE,
         seq,
@@ -56,7 +56,7 @@ fn a_welcome_fits_for_any_name_and_number_of_tasks() {
             answered(&mut node, key, task as u8 + 1, start);
         }
         let bytes = answered(&mut node, NO_SESSION, NO_SEQ, hello(number - 1));
-        let mut decoder = Decoder::<600>::new();
+        let mut decoder = Decoder::<LONGEST_FRAME>::new();
         let end = bytes
             .iter()
             .position(|byte| decoder.push(*byte) == Ok(true));
@@ -68,6 +68,7 @@ fn a_welcome_fits_for_any_name_and_number_of_tasks() {
         assert_eq!(welcome.held.len(), TASKS);
         let longest = Node::<'_, [Motor<'_>; 1], TASKS, FRAME>::LONGEST_NAME;
         assert!((16..=100).contains(&longest), "{longest}");
+        assert!(usize::from(welcome.max_body) <= 1094);
         assert_eq!(welcome.name, &name[..longest / 2 * 2]);
         assert_eq!(welcome.firmware, welcome.name);
     }
@@ -75,6 +76,7 @@ fn a_welcome_fits_for_any_name_and_number_of_tasks() {
     check::<9, 128>();
     check::<34, 256>();
     check::<48, 350>();
+    check::<202, LONGEST_FRAME>();
 }
 
 #[test]
@@ -95,6 +97,23 @@ fn a_description_that_does_not_fit_is_rejected_with_the_reason() {
         };
         assert_eq!(heard, [expected]);
         assert_said(gateway.command(2, Body::Ping), &["2 Pong 0"]);
+    }
+}
+
+#[test]
+fn a_description_that_fits_the_longest_frame_fits_a_gateway() {
+    let words: &'static str = std::boxed::Box::leak("w ".repeat(540).into_boxed_str());
+    for (words, fits) in [(&words[..1077], true), (&words[..1078], false)] {
+        let offer = Offer::new("x").with_words(words);
+        assert_eq!(Node::<[Motor<'_>; 1], 2, LONGEST_FRAME>::fits(&offer), fits);
+        let frame = Frame {
+            addr: ADDR_ONLY_NODE,
+            seq: 1,
+            body: Body::Component { index: 0, offer },
+        };
+        let mut buffer = [0xA5; 1200];
+        let len = encode(7, &frame, &mut buffer).unwrap();
+        assert_eq!(len <= LONGEST_FRAME, fits, "{len}");
     }
 }
 
