@@ -147,7 +147,7 @@ impl Component for Counter {
     }
 
     fn poll(&mut self, _now: Instant, _report: &mut Report<'_>) -> Run {
-        Run::Failed
+        Run::Aborted
     }
 
     fn abort(&mut self, _now: Instant) {}

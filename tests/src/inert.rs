@@ -31,7 +31,7 @@ macro_rules! inert {
                 _: ::ztl_mcu::Instant,
                 _: &mut ::ztl_mcu::Report<'_>,
             ) -> ::ztl_mcu::Run {
-                ::ztl_mcu::Run::Failed
+                ::ztl_mcu::Run::Aborted
             }
 
             fn abort(&mut self, _: ::ztl_mcu::Instant) {}

@@ -63,12 +63,14 @@ pub struct Reading {
 ///
 /// **When the link is lost** ([`Loss`](ztl_core::link::Loss)), a component with *abort* or *hold* goes to its
 /// safe state, with or without a task: a relay that an earlier task switched on goes off. The node calls
-/// `make_safe`, then `poll` until it returns something other than [`Run::Running`], which means that the safe
-/// state is reached. All tasks of the component end as FAILED with `link was lost`: a waiting one at once, the
+/// `make_safe`, then `poll` until it returns [`Run::Aborted`] or [`Run::Completed`], which means that the safe
+/// state is reached. [`Run::Failed`] means that it is not, for example because a pin failed: the node calls
+/// `make_safe` again at once, then both every 50 ms until the component is safe. All tasks of the component end as FAILED with `link was lost`: a waiting one at once, the
 /// running one when the component is safe. With *carry on* nothing changes, and waiting tasks still begin.
 ///
 /// **In an emergency stop** every component goes to its safe state in the same way, and all tasks end as
-/// ABORTED with `emergency stop`. A component takes no task until it has reached its safe state.
+/// ABORTED with `emergency stop`. A component takes no task until it has reached its safe state; if it never
+/// does, its running task never ends.
 pub trait Component {
     /// Describes the component and its goals. The gateway asks once a session. Must not change.
     fn offer(&self) -> Offer<'_>;
@@ -90,8 +92,9 @@ pub trait Component {
     /// Advances the task and reports its progress. Any result but [`Run::Running`] ends the task.
     ///
     /// After `make_safe` the node also calls it without a task: [`Run::Running`] means that the safe state is
-    /// not reached yet. It may be called again after that, and must leave the component safe. A component with
-    /// a [tick](Self::next_tick) is called without a task too; the return value then says the same.
+    /// not reached yet, [`Run::Failed`] that it cannot be reached without another `make_safe`. It may be called
+    /// again after that, and must leave the component safe. A component with a [tick](Self::next_tick) is called
+    /// without a task too; the return value then says the same.
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run;
 
     /// Stops the task as soon as it is safe. A later `poll` returns [`Run::Aborted`], or how else it ended.
@@ -100,9 +103,11 @@ pub trait Component {
     /// Goes to the safe state, with or without a task: the link was lost, or there is an emergency stop. For
     /// [`Loss::Hold`](ztl_core::link::Loss::Hold) that means to keep the position under power.
     ///
-    /// What takes time, such as slowing down, continues in `poll` until it returns something other than
-    /// [`Run::Running`]. Until then `poll_timeout` or `next_tick` must ask for the next one: a component that asks
-    /// for none counts as safe. Do not continue the task: it ends with any return value of `poll`.
+    /// What takes time, such as slowing down, continues in `poll` while it returns [`Run::Running`]. Until then
+    /// `poll_timeout` or `next_tick` must ask for the next one: a component that asks for none counts as safe.
+    /// If `poll` returns [`Run::Failed`], the node calls `make_safe` again, every 50 ms. So an error from before
+    /// `make_safe` must not make `poll` fail if the component is safe. Do not continue the task: it ends when the
+    /// component is safe, with [`Run::Aborted`] or [`Run::Completed`].
     fn make_safe(&mut self, now: Instant);
 
     /// When to call `poll` next; the node asks after each `poll` of a task. Also when to call `poll_reading`,

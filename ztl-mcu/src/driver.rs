@@ -203,10 +203,13 @@ impl<const GOAL: usize> State<GOAL> {
 
     /// Sends the driver to its safe state, or only lets it stop its task, if it has one, which ends like this.
     fn stop(&mut self, next: Stage, end: Run) {
-        if self.has_task() {
-            self.end = end;
-        } else if next == Stage::Abort {
+        let has_task = self.has_task();
+        if !has_task && next == Stage::Abort {
             return;
+        }
+        // Made safe without a task: the failure of an earlier one would mean that the driver is not safe.
+        if has_task || end == Run::Aborted {
+            self.end = end;
         }
         self.stage = next;
     }

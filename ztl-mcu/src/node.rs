@@ -35,6 +35,7 @@ use tasks::Table;
 
 pub use link_state::{Counters, LinkUp};
 pub use refusal::Reason;
+use runner::IndexSet;
 pub(crate) use runner::TaskRunner;
 
 /// Default for [`Identity::reading_interval`].
@@ -102,7 +103,8 @@ const fn cut(text: &str, mut most: usize) -> &str {
 /// - `handle_bytes` takes some ten instructions a byte. At the end of a frame it verifies the checksum, at most
 ///   twice, and makes one call of `check`, `start` or `abort`.
 /// - `handle_timeout` calls `poll` once for each running task and tick that is due, and `start` for one that
-///   waited. When the link is lost, it calls `make_safe` once and `poll` twice for each component.
+///   waited. When the link is lost, it calls `make_safe` and `poll` at most twice for each component. It calls both
+///   again, every 50 ms, for each one that fails to become safe.
 /// - The outputs produce one frame of at most `FRAME` bytes at a time, and call `offer` and `poll_reading` once
 ///   for each component.
 ///
@@ -209,9 +211,9 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 // Not by a call: its result would be copied, and take its stack space twice.
                 runner: TaskRunner {
                     stopped: false,
-                    all_to_safety: false,
                     safety_wake: Instant::NEVER,
                     readings_wake: Instant::ZERO,
+                    unsafe_components: IndexSet::new(),
                     components,
                     reason: Reason::new(),
                     tasks: Table::new(),

@@ -232,8 +232,8 @@ typedef struct {
     int (*start)(void *context, unsigned int now_ms, const char *goal, ztl_report *why);
     /**
      * Advances the task and reports: ZTL_NODE_RUNNING, or its final state. After `make_safe` it is also called without a
-     * task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, any other value that it is. Further calls may
-     * follow and must leave the component safe. Not NULL.
+     * task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, ZTL_NODE_FAILED that it needs another
+     * `make_safe`, any other value that it is reached. Further calls may follow and must leave the component safe. Not NULL.
      */
     int (*poll)(void *context, unsigned int now_ms, ztl_report *report);
     /**
@@ -242,8 +242,8 @@ typedef struct {
     void (*abort)(void *context, unsigned int now_ms);
     /**
      * Goes to the safe state, with or without a task, after a lost link or an emergency stop. If that takes time, `poll`
-     * continues it: the node calls `poll` until it returns anything but ZTL_NODE_RUNNING, which ends a task. Not
-     * NULL.
+     * continues it: the node calls `poll` until it returns ZTL_NODE_ABORTED or ZTL_NODE_COMPLETED, which ends a task. If it
+     * returns ZTL_NODE_FAILED, because a pin failed, the node calls `make_safe` again, every 50 ms. Not NULL.
      */
     void (*make_safe)(void *context, unsigned int now_ms);
     /**

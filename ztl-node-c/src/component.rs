@@ -60,16 +60,16 @@ pub struct Component {
         ) -> c_int,
     >,
     /// Advances the task and reports: ZTL_NODE_RUNNING, or its final state. After `make_safe` it is also called without a
-    /// task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, any other value that it is. Further calls may
-    /// follow and must leave the component safe. Not NULL.
+    /// task: ZTL_NODE_RUNNING then means that the safe state is not reached yet, ZTL_NODE_FAILED that it needs another
+    /// `make_safe`, any other value that it is reached. Further calls may follow and must leave the component safe. Not NULL.
     pub poll: Option<
         unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint, report: *mut Report) -> c_int,
     >,
     /// Stops the task as soon as it is safe; a later `poll` returns ZTL_NODE_ABORTED. Not NULL.
     pub abort: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
     /// Goes to the safe state, with or without a task, after a lost link or an emergency stop. If that takes time, `poll`
-    /// continues it: the node calls `poll` until it returns anything but ZTL_NODE_RUNNING, which ends a task. Not
-    /// NULL.
+    /// continues it: the node calls `poll` until it returns ZTL_NODE_ABORTED or ZTL_NODE_COMPLETED, which ends a task. If it
+    /// returns ZTL_NODE_FAILED, because a pin failed, the node calls `make_safe` again, every 50 ms. Not NULL.
     pub make_safe: Option<unsafe extern "C" fn(context: *mut c_void, now_ms: c_uint)>,
     /// Writes the next reading and the index of its topic, if one is due and fits. Returns the number of bytes, 0 for no
     /// reading. The node calls it at most every 10 ms. `size` is the longest reading that a frame holds: drop a longer one,

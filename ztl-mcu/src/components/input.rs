@@ -136,7 +136,11 @@ impl<P: InputPin> Component for DigitalInput<P> {
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         if self.sample(now).is_err() {
             report.text("the input pin failed");
-            return Run::Failed;
+            // An input is always safe.
+            return match self.aborted {
+                true => Run::Aborted,
+                false => Run::Failed,
+            };
         }
         let pressed = self.pressed == Some(true);
         report.text(if pressed { "pressed" } else { "released" });

@@ -64,7 +64,8 @@ impl Default for DigitalOutputConfig {
 ///
 /// `on` and `off` are COMPLETED at once, and the output keeps its level. A pulse is COMPLETED at its end; its progress is
 /// `on, 120 ms left`, and an abort switches the output off. `True` and `False` mean `on` and `off`, because Python
-/// clients convert them, and `{'pulse': 200}` means `pulse 200`. An error of the pin ends the task as FAILED.
+/// clients convert them, and `{'pulse': 200}` means `pulse 200`. An error of the pin ends the task as FAILED; on the way to
+/// the safe state, the node tries again until the pin works.
 ///
 /// When the link is lost, the output goes to its [safe state](DigitalOutputConfig::safe), even long after `on` was
 /// COMPLETED.
@@ -137,8 +138,9 @@ impl<P: OutputPin> DigitalOutput<P> {
         match self.config.safe {
             SafeOutput::Off => self.set(false),
             SafeOutput::On => self.set(true),
-            SafeOutput::Keep if self.until.is_some() => self.set(false),
-            SafeOutput::Keep => {}
+            // A pulse, or an attempt to switch off that failed.
+            SafeOutput::Keep if self.until.is_some() || !self.on => self.set(false),
+            SafeOutput::Keep => self.failed = false,
         }
     }
 }

@@ -80,7 +80,8 @@ impl Default for ServoConfig {
 /// servo gives no feedback, so tasks complete even if it is blocked or unplugged. The first pulse makes it jump to
 /// [`start`](ServoConfig::start), if it was elsewhere.
 ///
-/// An abort decelerates and ends as ABORTED where the servo stops. An error of the PWM output ends the task as FAILED.
+/// An abort decelerates and ends as ABORTED where the servo stops. An error of the PWM output ends the task as FAILED;
+/// on the way to the safe state, the node tries again until the output works.
 ///
 /// ```
 /// use ztl_mcu::components::{Servo, ServoConfig};
@@ -113,7 +114,7 @@ pub struct Servo<P> {
     goal: i64,
     /// Whether there is a pulse: from the first task until it is released.
     driven: bool,
-    /// The last duty set; `None` if unknown.
+    /// The last duty set; `None` if unknown, because it was never set or that failed.
     duty: Option<u16>,
 }
 
@@ -175,7 +176,7 @@ impl<P: SetDutyCycle> Servo<P> {
     }
 
     /// Sets the output to the commanded angle, if it changed.
-    fn drive(&mut self) -> Result<(), P::Error> {
+    fn drive(&mut self) {
         let (least, _) = self.config.range;
         let above = i64::from(self.commanded_millidegrees() - i32::from(least) * 1000);
         let part = self.pulse.at_least + above * self.pulse.slope;
@@ -183,11 +184,8 @@ impl<P: SetDutyCycle> Servo<P> {
         // Fits, because the part is at most 1.
         let duty = duty as u16;
         if self.duty != Some(duty) {
-            self.duty = None;
-            self.pwm.set_duty_cycle(duty)?;
-            self.duty = Some(duty);
+            self.duty = self.pwm.set_duty_cycle(duty).ok().map(|()| duty);
         }
-        Ok(())
     }
 }
 
@@ -239,7 +237,10 @@ impl<P: SetDutyCycle> Component for Servo<P> {
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         self.advance(now);
-        if self.driven && self.drive().is_err() {
+        if self.driven {
+            self.drive();
+        }
+        if self.duty.is_none() && (self.driven || self.config.safe == Power::Release) {
             self.profile.put(self.profile.position());
             report.text("the PWM output failed");
             return Run::Failed;
@@ -266,9 +267,7 @@ impl<P: SetDutyCycle> Component for Servo<P> {
         // When holding, `poll` keeps the pulse.
         if self.config.safe == Power::Release {
             self.driven = false;
-            self.duty = None;
-            // The next task reports a failing output.
-            let _ = self.pwm.set_duty_cycle_fully_off();
+            self.duty = self.pwm.set_duty_cycle_fully_off().ok().map(|()| 0);
         }
     }
 }

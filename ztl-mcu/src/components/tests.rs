@@ -268,6 +268,27 @@ fn a_lost_link_makes_outputs_of_earlier_tasks_safe() {
 }
 
 #[test]
+fn one_failed_write_at_a_lost_link_leaves_no_output_on() {
+    let world = World::default();
+    let mut gateway = gateway(&world);
+    gateway.start(1, 0, "0");
+    gateway.start(2, 2, "on");
+    gateway.pass(60_000);
+    gateway.heard();
+    assert!(world.pan.value.get() > 0 && world.lamp.value.get() == 1);
+    gateway.pings = false;
+    gateway.pass(700);
+    world.pan.broken.set(true);
+    world.lamp.broken.set(true);
+    gateway.pass(400);
+    assert!(world.pan.value.get() > 0 && world.lamp.value.get() == 1);
+    world.pan.broken.set(false);
+    world.lamp.broken.set(false);
+    gateway.pass(50);
+    assert_eq!((world.pan.value.get(), world.lamp.value.get()), (0, 0));
+}
+
+#[test]
 fn an_abort_reports_where_each_component_stopped() {
     let world = World::default();
     let mut gateway = gateway(&world);

@@ -182,6 +182,22 @@ fn a_task_runs_and_tells_progress_result_and_failure() {
 }
 
 #[test]
+fn a_driver_made_safe_after_a_failed_task_is_safe() {
+    with_arm(|slot, world, running| {
+        start(slot, "fail").unwrap();
+        world.moved.set(true);
+        world.stopped.set(true);
+        turn(running);
+        assert_eq!(poll(slot).0, Run::Failed);
+        SlotComponent(slot).make_safe(Instant::ZERO);
+        assert_eq!(poll(slot).0, Run::Running);
+        world.stopped.set(true);
+        turn(running);
+        assert_eq!(poll(slot).0, Run::Aborted);
+    });
+}
+
+#[test]
 fn a_slot_whose_future_was_dropped_takes_no_task() {
     let world = Rc::new(World::default());
     world.stopped.set(true);

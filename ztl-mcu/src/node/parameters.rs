@@ -8,7 +8,7 @@ use ztl_core::link::{FrameWriter, NO_SEQ};
 
 use super::link_state::{Answer, Counters, LinkState, Other, count};
 use super::refusal::Refusal;
-use super::runner::{TaskRunner, goes_to_safety};
+use super::runner::TaskRunner;
 use crate::component::{Components, Report};
 use crate::parameters::SaveError;
 
@@ -65,14 +65,9 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         if open.any(|task| concerned(usize::from(task.component))) {
             return true;
         }
-        let to_safety = |index: &usize| {
-            let component = self.components.component(*index);
-            component.is_some_and(|component| goes_to_safety(component, self.all_to_safety))
-        };
-        self.safety_wake != Instant::NEVER
-            && (0..self.components.count())
-                .filter(to_safety)
-                .any(concerned)
+        let mut to_safety =
+            (0..self.components.count()).filter(|index| self.unsafe_components.has(*index));
+        to_safety.any(concerned)
     }
 
     fn set_parameter(&mut self, index: u8, value: Value<'_>) -> Result<(), &'static str> {

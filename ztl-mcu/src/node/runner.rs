@@ -1,5 +1,7 @@
 //! Starts, queues, replaces and ends tasks.
 
+use core::time::Duration;
+
 use ztl_core::Instant;
 use ztl_core::link::update::UpdatePhase;
 use ztl_core::link::{Busy, LinkId, Loss};
@@ -8,6 +10,8 @@ use super::refusal::{EMERGENCY_STOP, RESTARTING, Reason, Refusal, UPDATING};
 use super::tasks::{Stage, TEXT, Table, Task, TaskText};
 use crate::component::{Component, Components, Refused, Report, Run};
 
+/// How often a component that fails to reach its safe state is made safe again.
+const SAFETY_INTERVAL: Duration = Duration::from_millis(50);
 const LINK_LOST: &str = "link was lost";
 const REPLACED: &str = "replaced by a later task";
 
@@ -18,8 +22,6 @@ const REPLACED: &str = "replaced by a later task";
 #[repr(C)]
 pub(crate) struct TaskRunner<C, const TASKS: usize> {
     pub(super) stopped: bool,
-    /// Whether components that carry on without a link go to the safe state too.
-    pub(super) all_to_safety: bool,
     /// When to poll the idle components that have not reached the safe state yet; [`Instant::NEVER`] if all
     /// have.
     pub(super) safety_wake: Instant,
@@ -30,6 +32,30 @@ pub(crate) struct TaskRunner<C, const TASKS: usize> {
     /// Why a component refused the last goal, if one did.
     pub(super) reason: Reason,
     pub(super) tasks: Table<TASKS>,
+    /// The components that were made safe and have not reached the safe state yet.
+    pub(super) unsafe_components: IndexSet,
+}
+
+/// Indices of components.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub(super) struct IndexSet([u32; 8]);
+
+impl IndexSet {
+    pub(super) const fn new() -> Self {
+        Self([0; 8])
+    }
+
+    pub(super) fn has(&self, index: usize) -> bool {
+        let bits = self.0.get(index / 32);
+        bits.is_some_and(|bits| bits >> (index % 32) & 1 != 0)
+    }
+
+    fn set(&mut self, index: usize, has: bool) {
+        if let Some(bits) = self.0.get_mut(index / 32) {
+            *bits &= !(1 << (index % 32));
+            *bits |= u32::from(has) << (index % 32);
+        }
+    }
 }
 
 impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
@@ -38,9 +64,9 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
     pub(crate) const fn new(components: C) -> Self {
         Self {
             stopped: false,
-            all_to_safety: false,
             safety_wake: Instant::NEVER,
             readings_wake: Instant::ZERO,
+            unsafe_components: IndexSet::new(),
             components,
             reason: Reason::new(),
             tasks: Table::new(),
@@ -81,9 +107,10 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 continue;
             };
             let task = self.tasks.running_on(index);
+            let to_safety = self.unsafe_components.has(index);
             let due = match &task {
                 Some(task) => now >= task.wake,
-                None => safety && goes_to_safety(component, self.all_to_safety),
+                None => safety && to_safety,
             };
             if !due && !tick {
                 continue;
@@ -91,11 +118,22 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             // A start, an abort, the way to the safe state and a tick all lead here.
             self.readings_wake = Instant::ZERO;
             let mut text = TaskText::new();
-            let run = component.poll(now, &mut Report::new(&mut text));
-            let wake = component.poll_timeout(now);
-            let wake = wake.min(self.components.next_tick(index));
+            let mut run = component.poll(now, &mut Report::new(&mut text));
+            let mut wake = component.poll_timeout(now);
+            if to_safety && run == Run::Failed {
+                if !due {
+                    continue;
+                }
+                component.make_safe(now);
+                run = Run::Running;
+                wake = now + SAFETY_INTERVAL;
+            } else {
+                wake = wake.min(self.components.next_tick(index));
+            }
             let Some(task) = task else {
-                if due && run == Run::Running {
+                if run != Run::Running || wake == Instant::NEVER {
+                    self.unsafe_components.set(index, false);
+                } else if due {
                     self.safety_wake = self.safety_wake.min(wake);
                 }
                 continue;
@@ -109,6 +147,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 Run::Aborted => Stage::Aborted,
                 Run::Completed => Stage::Completed,
             };
+            self.unsafe_components.set(index, false);
             let (end, why) = match task.stage {
                 Stage::Lost => (Stage::Failed, LINK_LOST),
                 Stage::Stopped => (Stage::Aborted, stop_reason(&self.components)),
@@ -165,6 +204,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 continue;
             }
             component.make_safe(now);
+            self.unsafe_components.set(index, true);
             for task in self.tasks.open_mut() {
                 if usize::from(task.component) != index {
                     continue;
@@ -177,7 +217,6 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 task.wake = now;
             }
         }
-        self.all_to_safety = all || self.all_to_safety && self.safety_wake != Instant::NEVER;
         self.safety_wake = now;
         self.handle_timeout(now);
     }
@@ -231,12 +270,12 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         if busy && policy == Busy::Refuse {
             return Err(Refusal::Busy);
         }
-        if !busy
-            && self.safety_wake != Instant::NEVER
-            && goes_to_safety(part, self.all_to_safety)
-            && part.poll(now, &mut Report::new(&mut self.reason)) == Run::Running
-        {
-            return Err(Refusal::GoingToSafeState);
+        if !busy && self.unsafe_components.has(component.into()) {
+            let run = part.poll(now, &mut Report::new(&mut self.reason));
+            if matches!(run, Run::Running | Run::Failed) {
+                return Err(Refusal::GoingToSafeState);
+            }
+            self.unsafe_components.set(component.into(), false);
         }
         if part
             .check(goal, &mut Report::new(&mut self.reason))

@@ -153,7 +153,7 @@ impl Component for Motor {
                 .rest(self.place, Some(State::Failed));
         }
         let Some((at, state)) = self.ends else {
-            return Run::Failed;
+            return Run::Aborted;
         };
         // Occasional progress.
         report.number((now.as_micros() / 400_000) as f32, 0);

@@ -75,3 +75,15 @@ fn a_task_waits_for_its_input_state() {
     let refused = Err("button takes pressed or released".into());
     assert_eq!(start(&mut button, "5"), refused);
 }
+
+#[test]
+fn an_input_has_no_unsafe_state() {
+    let wire = released();
+    let mut button = button(&wire);
+    testing::start(&mut button, Instant::ZERO, "pressed").unwrap();
+    wire.broken.set(true);
+    let text = "the input pin failed";
+    assert_eq!(poll(&mut button, 0), (Run::Failed, text.into()));
+    button.make_safe(Instant::ZERO);
+    assert_eq!(poll(&mut button, 0), (Run::Aborted, text.into()));
+}

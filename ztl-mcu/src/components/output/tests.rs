@@ -164,3 +164,49 @@ fn any_other_goal_is_rejected_with_the_valid_ones() {
     }
     assert!(!wire.is_high());
 }
+
+#[test]
+fn an_output_that_cannot_be_made_safe_fails_until_it_is() {
+    use SafeOutput::{Keep, Off, On};
+    for (safe, goal, after) in [
+        (Off, "on", false),
+        (On, "off", true),
+        (Keep, "pulse 200", false),
+        (Off, "pulse 200", false),
+    ] {
+        let wire = Wire::default();
+        let config = DigitalOutputConfig {
+            safe,
+            ..DigitalOutputConfig::DEFAULT
+        };
+        let mut lamp = DigitalOutput::new("lamp", Pin(&wire), config);
+        start(&mut lamp, 0, goal).unwrap();
+        wire.broken.set(true);
+        for ms in 1..4 {
+            lamp.make_safe(Instant::from_millis(ms));
+            assert_eq!(poll(&mut lamp, ms).0, Run::Failed, "{safe:?} {goal}");
+            assert_ne!(wire.is_high(), after);
+        }
+        wire.broken.set(false);
+        lamp.make_safe(Instant::from_millis(5));
+        assert_ne!(poll(&mut lamp, 5).0, Run::Failed);
+        assert_eq!(wire.is_high(), after, "{safe:?} {goal}");
+    }
+}
+
+#[test]
+fn an_output_that_keeps_its_level_is_safe_after_a_failed_task() {
+    let wire = Wire::default();
+    let config = DigitalOutputConfig {
+        safe: SafeOutput::Keep,
+        ..DigitalOutputConfig::DEFAULT
+    };
+    let mut lamp = DigitalOutput::new("lamp", Pin(&wire), config);
+    wire.broken.set(true);
+    start(&mut lamp, 0, "on").unwrap();
+    assert_eq!(poll(&mut lamp, 0).0, Run::Failed);
+    wire.broken.set(false);
+    lamp.make_safe(Instant::from_millis(1));
+    assert_ne!(poll(&mut lamp, 1).0, Run::Failed);
+    assert!(!wire.is_high(), "it is not switched on later");
+}

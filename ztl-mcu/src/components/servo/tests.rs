@@ -208,6 +208,29 @@ fn a_failing_output_fails_the_task() {
 }
 
 #[test]
+fn a_servo_that_cannot_be_released_fails_until_it_is() {
+    let mut bench = Bench::new(ServoConfig {
+        safe: Power::Release,
+        ..ServoConfig::DEFAULT
+    });
+    bench.start("0").unwrap();
+    bench.poll();
+    bench.wire.broken.set(true);
+    for _ in 0..3 {
+        bench.servo.make_safe(bench.now);
+        assert_eq!(bench.poll().0, Run::Failed);
+    }
+    bench.wire.broken.set(false);
+    // `poll` alone does not drive it again.
+    assert_eq!(bench.poll().0, Run::Failed);
+    bench.servo.make_safe(bench.now);
+    assert_eq!(bench.poll().0, Run::Aborted);
+    assert_eq!(bench.wire.value.get(), 0);
+    bench.start("0").unwrap();
+    assert_eq!(bench.run(10_000), completed("0.0"));
+}
+
+#[test]
 fn a_goal_out_of_range_is_rejected_with_the_valid_range() {
     let tilt = ServoConfig {
         range: (-30, 60),

@@ -34,7 +34,8 @@ use crate::parameters::Tunable;
 ///   is not reached within the length of the range and an eighth: FAILED.
 /// - Any other limit stops the motor at once: FAILED, `limit switch at 1200 steps`. The motor can move away from it.
 /// - An abort decelerates: ABORTED, where the motor stops.
-/// - An error of a pin: FAILED, with the name of the pin.
+/// - An error of a pin: FAILED, with the name of the pin. On the way to the safe state, the node tries again until the pin
+///   works.
 ///
 /// # How fast it can go
 ///
@@ -138,7 +139,8 @@ impl<M: StepDrive> Stepper<M> {
 
     /// Ends a task.
     fn finish(&mut self, now: Instant, run: Run) -> Run {
-        if self.config.at_rest == Power::Release {
+        // `make_safe` has set the power.
+        if self.config.at_rest == Power::Release && !self.halted {
             self.motor.command(now, MotorCommand::Release);
         }
         run
@@ -232,10 +234,9 @@ impl<M: StepDrive> Component for Stepper<M> {
                 report.text(fault.text());
                 Run::Failed
             }
-            // `make_safe` has set the power.
             _ if self.halted => {
                 self.report_position(report, steps);
-                return Run::Aborted;
+                Run::Aborted
             }
             Motion::Limit if self.homing => {
                 self.motor.command(now, MotorCommand::Set { steps: 0 });

@@ -60,7 +60,7 @@ pub enum MotorCommand {
     },
     /// Decelerate and stop.
     Stop,
-    /// Stop at once.
+    /// Stop at once, also after a fault.
     Halt,
     /// Declare the current position to be this step.
     Set {
@@ -254,7 +254,8 @@ where
                     .move_to(now.after(lead.into()), steps, limits);
             }
             MotorCommand::Stop => self.generator.stop(),
-            MotorCommand::Halt => self.generator.halt(),
+            // A fault is over: its pin may work again.
+            MotorCommand::Halt => self.end(Motion::Rest),
             MotorCommand::Set { steps } => self.generator.put(steps),
             MotorCommand::Release => {
                 if let Err(fault) = self.power(false) {

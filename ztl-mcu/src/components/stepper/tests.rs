@@ -376,6 +376,49 @@ fn a_failing_pin_fails_the_task_and_is_named() {
 }
 
 #[test]
+fn a_motor_that_cannot_be_made_safe_fails_until_it_is() {
+    for (safe, pin) in [
+        (Power::Release, "enable"),
+        (Power::Release, "step"),
+        (Power::Hold, "step"),
+    ] {
+        let mut bench = Bench::new(StepperConfig { safe, ..CONFIG }, Axis::free());
+        bench.start("5000").unwrap();
+        while bench.position() < 500 {
+            bench.poll();
+            bench.wait(&Calls::OnTime, 0);
+        }
+        assert!(bench.is_pulsing());
+        bench.fail(pin);
+        for _ in 0..3 {
+            bench.make_safe();
+            while bench.poll().0 == Run::Running {
+                bench.wait(&Calls::OnTime, 0);
+            }
+            assert_eq!(bench.poll().0, Run::Failed, "{safe:?} {pin}");
+            bench.pass(50_000);
+        }
+        bench.fail("none");
+        bench.make_safe();
+        assert_eq!(bench.run(&Calls::OnTime), (Run::Aborted, "500".into()));
+        assert!(!bench.is_pulsing());
+        assert_eq!(bench.is_powered(), safe == Power::Hold);
+        assert_eq!(bench.go("505", &Calls::OnTime), completed("505"));
+    }
+}
+
+#[test]
+fn a_motor_is_safe_after_a_failed_task() {
+    for at_rest in [Power::Hold, Power::Release] {
+        let mut bench = Bench::new(StepperConfig { at_rest, ..CONFIG }, Axis::free());
+        bench.fail("direction");
+        assert_eq!(bench.go("100", &Calls::OnTime).0, Run::Failed);
+        bench.make_safe();
+        assert_eq!(bench.run(&Calls::OnTime).0, Run::Aborted);
+    }
+}
+
+#[test]
 fn an_invalid_goal_is_rejected_with_the_valid_range() {
     let mut bench = Bench::new(CONFIG, Axis::between(-700, 700));
     let refused = Err("slide takes -5000 to 5000 steps, or home".into());

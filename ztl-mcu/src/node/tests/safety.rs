@@ -80,3 +80,172 @@ fn a_cleared_emergency_stop_lasts_until_each_component_is_safe() {
         assert!(trace.borrow().contains(&"c rests".into()), "{trace:?}");
     });
 }
+
+/// A relay whose pin fails a number of times.
+struct Relay {
+    loss: Loss,
+    /// Writes that fail.
+    failing: u32,
+    on: bool,
+    failed: bool,
+    every: u64,
+    tick: Instant,
+    calls: Grown<String>,
+}
+
+impl Relay {
+    fn set(&mut self, on: bool) {
+        self.failed = self.failing > 0;
+        self.failing = self.failing.saturating_sub(1);
+        if !self.failed {
+            self.on = on;
+        }
+    }
+}
+
+impl Component for Relay {
+    fn offer(&self) -> Offer<'_> {
+        Offer::new("relay").with_loss(self.loss)
+    }
+
+    fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        Ok(())
+    }
+
+    fn start(&mut self, _: Instant, goal: &str, _: &mut Report<'_>) -> Result<(), Refused> {
+        self.set(goal == "on");
+        Ok(())
+    }
+
+    fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
+        if self.every > 0 {
+            self.tick = now + Duration::from_millis(self.every);
+        }
+        if self.failed {
+            report.text("pin failed");
+            return Run::Failed;
+        }
+        Run::Completed
+    }
+
+    fn abort(&mut self, _: Instant) {}
+
+    fn make_safe(&mut self, now: Instant) {
+        self.calls.push(now.as_millis().to_string());
+        self.set(false);
+    }
+
+    fn next_tick(&self) -> Instant {
+        self.tick
+    }
+}
+
+const RELAY: Relay = Relay {
+    loss: Loss::Abort,
+    failing: 0,
+    on: false,
+    failed: false,
+    every: 0,
+    tick: Instant::NEVER,
+    calls: Grown::new(),
+};
+
+/// Turns of a main loop that sleeps as long as the node allows. Returns what the node says.
+fn sleep_for(gateway: &mut TestGateway<'_, [Relay; 2], 2>, millis: u64) -> String {
+    let end = gateway.now + Duration::from_millis(millis);
+    let mut heard = Grown::new();
+    while gateway.now < end {
+        gateway.node.handle_timeout(gateway.now);
+        heard.extend(said(gateway.node, gateway.now, gateway.session));
+        let next = gateway.node.poll_timeout(gateway.now);
+        assert!(next > gateway.now, "sleeps");
+        gateway.now = next.min(end);
+    }
+    heard.join(", ")
+}
+
+fn with_relays(relays: [Relay; 2], play: impl FnOnce(&mut TestGateway<'_, [Relay; 2], 2>)) {
+    let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), relays);
+    play(&mut gateway(&mut node));
+}
+
+#[test]
+fn a_component_that_fails_to_become_safe_is_made_safe_until_it_is() {
+    for failing in [1, 2, 3, 50] {
+        with_relays([RELAY, RELAY], |gateway| {
+            gateway.hello(5, 1);
+            gateway.start(1, 9, 0, "on");
+            sleep_for(gateway, 999);
+            assert!(gateway.node.components()[0].on);
+            gateway.node.components_mut()[0].failing = failing;
+            sleep_for(gateway, 1);
+            sleep_for(gateway, 10_000);
+            let [relay, other] = gateway.node.components();
+            assert!(!relay.on, "after {failing} failures");
+            // At once and then every 50 ms, and no longer than it fails.
+            let calls = relay.calls.len() as u32;
+            assert_eq!(calls, failing + 1);
+            assert_eq!(relay.calls[1], relay.calls[0]);
+            let time = |call: &String| call.parse::<u64>().unwrap();
+            let times = relay.calls[1..].iter().map(time).collect::<Grown<_>>();
+            assert!(
+                times.windows(2).all(|two| two[1] - two[0] == 50),
+                "{times:?}"
+            );
+            assert_eq!(other.calls.len(), 1);
+            assert_eq!(gateway.start(2, 10, 0, "on")[0], "2 Started 10");
+        });
+    }
+}
+
+#[test]
+fn a_component_that_stays_unsafe_takes_no_task_and_disturbs_no_other() {
+    let hold = Relay {
+        loss: Loss::Hold,
+        ..RELAY
+    };
+    with_relays([RELAY, hold], |gateway| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "on");
+        gateway.node.components_mut()[0].failing = u32::MAX;
+        gateway.node.stop_everything(gateway.now);
+        assert_eq!(gateway.start(2, 10, 0, "on")[0], "2 Refused emergency stop");
+        gateway.node.clear_stop();
+        assert_eq!(
+            gateway.start(3, 10, 0, "on")[0],
+            "3 Refused busy with another task"
+        );
+        assert!(!sleep_for(gateway, 500).contains("Ended"));
+        // The other one is safe. Its task fails, which is no reason to make it safe again.
+        gateway.node.components_mut()[1].failing = 1;
+        assert_eq!(gateway.start(4, 11, 1, "on")[0], "4 Started 11");
+        assert!(sleep_for(gateway, 450).contains("Ended 11 FAILED pin failed"));
+        gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(11) });
+        assert_eq!(gateway.start(5, 12, 1, "on")[0], "5 Started 12");
+        assert_eq!(gateway.node.components()[1].calls.len(), 1);
+        gateway.node.components_mut()[0].failing = 0;
+        let heard = sleep_for(gateway, 100);
+        assert!(heard.contains("Ended 9 ABORTED emergency stop"), "{heard}");
+        assert!(!gateway.node.components()[0].on);
+        assert!(gateway.node.components()[1].on);
+    });
+}
+
+#[test]
+fn a_component_with_ticks_is_made_safe_again_at_the_same_rate() {
+    let ticking = Relay {
+        failing: u32::MAX,
+        every: 7,
+        tick: Instant::ZERO,
+        ..RELAY
+    };
+    with_relays([ticking, RELAY], |gateway| {
+        gateway.node.stop_everything(gateway.now);
+        sleep_for(gateway, 1000);
+        let calls = gateway.node.components()[0].calls.len();
+        assert!((18..=22).contains(&calls), "{calls}");
+        gateway.node.components_mut()[0].failing = 0;
+        sleep_for(gateway, 1000);
+        assert!(gateway.node.components()[0].calls.len() <= calls + 1);
+    });
+}
