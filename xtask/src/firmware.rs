@@ -225,10 +225,12 @@ pub(crate) fn build_measured(project: &Project) -> Result<()> {
 pub(crate) fn bench(project: &Project) -> Result<()> {
     install::qemu(&project.sh)?;
     let board = board(&project.sh, MEASURED)?;
-    let image = format!("{MEASURED}-bench");
-    let features = ["--no-default-features", "--features", BOOT];
-    let image = build_image(project, &board, &image, &features)?;
-    cycles::check(project, &image)
+    let build = |image: &str, feature| {
+        let image = format!("{MEASURED}-{image}");
+        let features = ["--no-default-features", "--features", feature];
+        build_image(project, &board, &image, &features)
+    };
+    cycles::check(project, &build("bench", BOOT)?, &build("masked", ASYNC)?)
 }
 
 fn board(sh: &Shell, name: &str) -> Result<Board> {

@@ -71,6 +71,7 @@ use core::fmt;
 use core::future::{Future, poll_fn};
 use core::marker::PhantomData;
 use core::pin::pin;
+use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 use core::task::{Context, Poll, Waker};
 use core::time::Duration;
 
@@ -83,6 +84,7 @@ use ztl_core::time::micros;
 use crate::component::{Component, Reading, Refused, Report, Run};
 use crate::describe::Describe;
 use crate::node::tasks::{TEXT, TaskText};
+use crate::node::utf8::push_utf8;
 use crate::parameters::Tunable;
 
 const INTERRUPTED: &str = "its driver was interrupted";
@@ -184,11 +186,10 @@ enum Stage {
     Rests,
 }
 
-struct State<const GOAL: usize> {
+struct State {
     stage: Stage,
     /// How the last task ends, as soon as the driver rests.
     end: Run,
-    goal: String<GOAL>,
     /// When the goal is too old to begin.
     late_at: Instant,
     /// Whether a future runs the driver.
@@ -196,9 +197,13 @@ struct State<const GOAL: usize> {
     waker: Option<Waker>,
 }
 
-impl<const GOAL: usize> State<GOAL> {
+impl State {
     fn has_task(&self) -> bool {
         matches!(self.stage, Stage::Wanted | Stage::Runs)
+    }
+
+    fn rests(&self) -> bool {
+        self.stage == Stage::Rests
     }
 
     /// Sends the driver to its safe state, or only lets it stop its task, if it has one, which ends like this.
@@ -215,12 +220,6 @@ impl<const GOAL: usize> State<GOAL> {
     }
 }
 
-/// Copies a goal, which fits: `check` was called.
-fn copy<const GOAL: usize>(from: &str, to: &mut String<GOAL>) {
-    to.clear();
-    let _ = to.push_str(from);
-}
-
 /// Does something in a critical section, without another access.
 fn with<S, T>(state: &Mutex<RefCell<S>>, act: impl FnOnce(&mut S) -> T) -> Option<T> {
     critical_section::with(|cs| {
@@ -231,12 +230,16 @@ fn with<S, T>(state: &Mutex<RefCell<S>>, act: impl FnOnce(&mut S) -> T) -> Optio
 
 /// Connects a [`Driver`] with a node, which gets the slot's [`component`](Self::component). Goals have at most `GOAL` bytes.
 ///
-/// The node and the executor's task may run at different priorities. A critical section copies a goal or a text of 48
-/// bytes. The node learns of progress and of the end at its next `poll`, at most 10 ms later.
+/// The node and the executor's task may run at different priorities. A critical section copies a text of 48 bytes, but not
+/// the goal. The node learns of progress and of the end at its next `poll`, at most 10 ms later.
 pub struct Slot<'o, D, const GOAL: usize = TEXT> {
     offer: Offer<'o>,
-    state: Mutex<RefCell<State<GOAL>>>,
+    state: Mutex<RefCell<State>>,
     text: Mutex<RefCell<TaskText>>,
+    /// Not in a critical section, because it may be long: the component writes it only while the driver rests, and the driver
+    /// reads it only after the start of a task.
+    goal: [AtomicU8; GOAL],
+    goal_len: AtomicUsize,
     /// In µs.
     patience: u64,
     driver: PhantomData<fn(D)>,
@@ -252,12 +255,13 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
             state: Mutex::new(RefCell::new(State {
                 stage: Stage::Stop,
                 end: Run::Completed,
-                goal: String::new(),
                 late_at: Instant::ZERO,
                 driven: false,
                 waker: None,
             })),
             text: Mutex::new(RefCell::new(TaskText::new())),
+            goal: [const { AtomicU8::new(0) }; GOAL],
+            goal_len: AtomicUsize::new(0),
             patience: micros(PATIENCE),
             driver: PhantomData,
         }
@@ -288,7 +292,7 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
     }
 
     /// Changes the state and wakes the driver.
-    fn ask<T>(&self, act: impl FnOnce(&mut State<GOAL>) -> T) -> Option<T> {
+    fn ask<T>(&self, act: impl FnOnce(&mut State) -> T) -> Option<T> {
         let (value, waker) = with(&self.state, |state| (act(state), state.waker.take()))?;
         if let Some(waker) = waker {
             waker.wake();
@@ -300,7 +304,7 @@ impl<'o, D, const GOAL: usize> Slot<'o, D, GOAL> {
     fn poll_state<T>(
         &self,
         context: &Context<'_>,
-        act: impl FnOnce(&mut State<GOAL>) -> Option<T>,
+        act: impl FnOnce(&mut State) -> Option<T>,
     ) -> Poll<T> {
         let waker = context.waker().clone();
         // The old waker is dropped outside of the critical section.
@@ -343,7 +347,10 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
         let _leaving = Leaving(self);
         let mut goal = String::new();
         loop {
-            let stage = poll_fn(|context| self.poll_next(context, clock(), &mut goal)).await;
+            let stage = poll_fn(|context| self.poll_next(context, clock())).await;
+            if stage == Stage::Runs {
+                self.read_goal(&mut goal);
+            }
             match self.act(driver, stage, &goal).await {
                 // Its driver does not know where it is, and it may still move.
                 Some(Err(Failed)) => self.end(stage, Run::Failed, Stage::Stop),
@@ -353,13 +360,8 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
         }
     }
 
-    /// The next thing to do, with the goal of a task.
-    fn poll_next(
-        &self,
-        context: &Context<'_>,
-        now: Instant,
-        goal: &mut String<GOAL>,
-    ) -> Poll<Stage> {
+    /// The next thing to do.
+    fn poll_next(&self, context: &Context<'_>, now: Instant) -> Poll<Stage> {
         self.poll_state(context, |state| {
             match state.stage {
                 Stage::Stop | Stage::Abort => {}
@@ -369,14 +371,22 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
                     state.end = Run::Failed;
                     return None;
                 }
-                Stage::Wanted => {
-                    state.stage = Stage::Runs;
-                    copy(&state.goal, goal);
-                }
+                Stage::Wanted => state.stage = Stage::Runs,
                 Stage::Runs | Stage::Rests => return None,
             }
             Some(state.stage)
         })
+    }
+
+    /// Copies the goal of the task that runs.
+    fn read_goal(&self, goal: &mut String<GOAL>) {
+        let mut bytes = [0; GOAL];
+        for (to, from) in bytes.iter_mut().zip(&self.goal) {
+            *to = from.load(Ordering::Relaxed);
+        }
+        let len = self.goal_len.load(Ordering::Relaxed);
+        goal.clear();
+        push_utf8(goal, bytes.get(..len).unwrap_or_default());
     }
 
     /// Does what this stage asks for. Drops it and returns `None` if something else is to be done.
@@ -390,7 +400,7 @@ impl<D: Driver, const GOAL: usize> Slot<'_, D, GOAL> {
             Ok(())
         });
         poll_fn(|context| {
-            let changed = |state: &mut State<GOAL>| (state.stage != stage).then_some(());
+            let changed = |state: &mut State| (state.stage != stage).then_some(());
             if self.poll_state(context, changed).is_ready() {
                 return Poll::Ready(None);
             }
@@ -445,18 +455,24 @@ impl<D: Driver, const GOAL: usize> Component for SlotComponent<'_, '_, D, GOAL> 
     }
 
     fn start(&mut self, now: Instant, goal: &str, why: &mut Report<'_>) -> Result<(), Refused> {
-        let started = self.0.ask(|state| {
-            if state.stage != Stage::Rests {
-                return false;
+        let ready = with(&self.0.state, |state| state.rests());
+        if ready == Some(true) {
+            self.0.goal_len.store(goal.len(), Ordering::Relaxed);
+            for (to, from) in self.0.goal.iter().zip(goal.as_bytes()) {
+                to.store(*from, Ordering::Relaxed);
             }
-            with(&self.0.text, |text| text.clear());
-            copy(goal, &mut state.goal);
-            state.late_at = now.after(self.0.patience);
-            state.stage = Stage::Wanted;
-            true
-        });
-        if started == Some(true) {
-            return Ok(());
+            let started = self.0.ask(|state| {
+                if !state.rests() {
+                    return false;
+                }
+                with(&self.0.text, |text| text.clear());
+                state.late_at = now.after(self.0.patience);
+                state.stage = Stage::Wanted;
+                true
+            });
+            if started == Some(true) {
+                return Ok(());
+            }
         }
         why.text("its driver is not ready");
         Err(Refused)
@@ -464,9 +480,7 @@ impl<D: Driver, const GOAL: usize> Component for SlotComponent<'_, '_, D, GOAL> 
 
     fn poll(&mut self, _now: Instant, report: &mut Report<'_>) -> Run {
         // First the state: the end is written after the last text.
-        let end = with(&self.0.state, |state| {
-            (state.stage == Stage::Rests).then_some(state.end)
-        });
+        let end = with(&self.0.state, |state| state.rests().then_some(state.end));
         if let Some(text) = with(&self.0.text, |text| text.clone()) {
             report.text(&text);
         }
