@@ -13,6 +13,8 @@ impl Parser {
         }
         let (sign, close) = (bracket.open(), bracket.close());
         let (last, quoted) = self.last;
+        // A text without quotes may have swallowed the next line.
+        let ends = if quoted { last.end } else { last.start };
         let next = self.span()?;
         Err(match self.peek()? {
             TokenKind::StreamEnd | TokenKind::DocumentStart | TokenKind::DocumentEnd => {
@@ -26,7 +28,7 @@ impl Parser {
                 );
                 at(next, message)
             }
-            _ if last.start.line < next.start.line => at(
+            _ if ends.line < next.start.line => at(
                 open,
                 format!(
                     "this '{sign}' is not closed, or a ',' is missing before line {}",
@@ -86,6 +88,29 @@ impl Parser {
             ),
         })
     }
+}
+
+/// If a text in quotes has more than one line, and something is wrong with it or behind it in its last line, its
+/// first quote probably lacks the second one.
+pub(crate) fn cause_of((span, message): Mistake, quote: Option<Span>) -> Mistake {
+    let Some(quote) = quote.filter(|quote| {
+        let Mark { line, column } = span.start;
+        span == *quote || (line == quote.end.line && column >= quote.end.column)
+    }) else {
+        return (span, message);
+    };
+    let Mark { line, column } = quote.start;
+    let end = Mark {
+        line,
+        column: column + 1,
+    };
+    let start = quote.start;
+    let place = match span == quote {
+        true => String::new(),
+        false => format!("{}:{}: ", span.start.line, span.start.column),
+    };
+    let message = format!("perhaps this quote is not closed ({place}{message})");
+    at(Span { start, end }, message)
 }
 
 pub(crate) fn never_closed(open: Span, bracket: Bracket) -> Mistake {

@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::merge;
 use crate::node::{CORE, Mark, Mistake, Node, NodeValue, Rules, Span};
+use crate::parse_errors::cause_of;
 use crate::scanner::Scanner;
 use crate::token::{Bracket, Directive, Token, TokenKind};
 
@@ -62,6 +63,7 @@ pub(crate) fn parse(text: &str, rules: Rules) -> (Option<Node>, Vec<Mistake>) {
         }
         Ok(root) => (Some(root), parser.mistakes),
         Err(mistake) => {
+            let mistake = cause_of(mistake, parser.scanner.long_quote);
             parser.mistakes.push(mistake);
             (None, parser.mistakes)
         }

@@ -36,6 +36,8 @@ pub(crate) struct Scanner {
     keys: BTreeMap<usize, SimpleKey>,
     /// Place of the last token.
     last: Span,
+    /// The last text in quotes that has more than one line.
+    pub(crate) long_quote: Option<Span>,
 }
 
 impl Scanner {
@@ -52,6 +54,7 @@ impl Scanner {
             allow_key: true,
             keys: BTreeMap::new(),
             last: Span::default(),
+            long_quote: None,
         }
     }
 
@@ -169,6 +172,9 @@ impl Scanner {
                 let start = self.cursor.mark;
                 let text = self.cursor.scan_quoted(c == '"')?;
                 self.push(TokenKind::Scalar { text, plain: false }, start);
+                if self.last.start.line < self.last.end.line {
+                    self.long_quote = Some(self.last);
+                }
                 Ok(())
             }
             _ if self.at_plain(c, alone) => {

@@ -122,6 +122,36 @@ fn invalid_yaml_is_reported_at_its_cause() {
             "a: \"C:\\win\"\n",
             "f:1:7: unknown escape in \"…\"; write a backslash as \\\\",
         ),
+        // A quote that is not closed swallows what follows, up to the next quote.
+        (
+            "a:\n  say: \"hello\n  tell: \"x\"\n",
+            "f:2:8: perhaps this quote is not closed (3:10: a text behind the closing quote; within",
+        ),
+        (
+            "a: {say: \"hello}\nb: {say: \"bye\"}\n",
+            "f:1:10: perhaps this quote is not closed (2:11: a text behind the closing quote; within",
+        ),
+        (
+            "a: {say: 'tis fine}\nb: {say: 'x'}\n",
+            "f:1:10: perhaps this quote is not closed (2:",
+        ),
+        (
+            "a:\n  say: \"hello\n  tell: \"\"\n",
+            "f:2:8: perhaps this quote is not closed (3:10: this quote is never closed)",
+        ),
+        (
+            "\"a: 1\n\"b\": 2\n",
+            "f:1:1: perhaps this quote is not closed (",
+        ),
+        // Not the fault of a text on two lines.
+        (
+            "a: {say: \"hello\n  you\"\nb: 3\n",
+            "f:1:4: this '{' is not closed, or a ',' is missing before line 3",
+        ),
+        (
+            "a: \"hello\n  you\"\nb: c: 3\n",
+            "f:3:5: a second ':' in one line; put a text with ': ' in it in quotes",
+        ),
         // Indentation and colons.
         (
             "a: 1\n\tb: 2\n",
