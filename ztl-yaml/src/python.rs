@@ -194,6 +194,7 @@ fn is_int(text: &str) -> bool {
 
 fn int(text: &str) -> Result<PythonValue, String> {
     let wrong = || format!("invalid whole number '{text}'");
+    let too_long = || format!("a whole number has at most {MAX_DIGITS} digits");
     let plain = text.replace('_', "");
     let (mut negative, digits) = match plain.strip_prefix('-') {
         Some(digits) => (true, digits),
@@ -235,10 +236,13 @@ fn int(text: &str) -> Result<PythonValue, String> {
             number.times_plus(radix, c.to_digit(radix).ok_or_else(wrong)?);
         }
         if number.too_long() {
-            return Err(format!("a whole number has at most {MAX_DIGITS} digits"));
+            return Err(too_long());
         }
     }
     let digits = number.text();
+    if digits.len() > MAX_DIGITS {
+        return Err(too_long());
+    }
     let minus = if negative && digits != "0" { "-" } else { "" };
     Ok(PythonValue::Int(format!("{minus}{digits}")))
 }
@@ -265,6 +269,7 @@ impl Decimal {
         }
     }
 
+    /// Whether it is certainly too long, so that the work has a limit.
     fn too_long(&self) -> bool {
         self.0.len() * 9 > MAX_DIGITS + 9
     }
@@ -427,6 +432,22 @@ fn binary(text: &str) -> Result<PythonValue, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_whole_number_is_as_long_as_python_writes_it() {
+        let longest = "9".repeat(MAX_DIGITS);
+        assert_eq!(int(&longest), Ok(PythonValue::Int(longest.clone())));
+        assert!(int(&format!("-{longest}")).is_ok());
+        let hex = "f".repeat(MAX_DIGITS * 5 / 6 + 5);
+        for longer in [
+            format!("{longest}9"),
+            format!("1_{longest}"),
+            format!("0x{hex}"),
+        ] {
+            let wrong = int(&longer).expect_err("too long");
+            assert_eq!(wrong, "a whole number has at most 4300 digits");
+        }
+    }
 
     #[test]
     fn a_tagged_whole_number_may_have_spaces_and_signs_like_pythons_int() {
