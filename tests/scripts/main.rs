@@ -1,6 +1,7 @@
 //! Scripts: how they are checked, rehearsed, played, recorded and reported.
 
 mod check;
+mod check_causes;
 mod directory;
 mod interrupted;
 mod live_view;

@@ -1,6 +1,7 @@
 //! Whether the servers of a script are there and would accept its tasks: `ztl check --live`; or what they said
 //! of themselves before: `ztl check --descriptions`.
 
+use std::collections::BTreeMap;
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 
@@ -118,23 +119,25 @@ impl Script {
         check: &mut ServerCheck,
     ) {
         let mut silent = offers.is_none_or(Offers::is_empty);
+        let whose = |message| format!("server '{name}': {message}");
+        // The places of each missing name.
+        let mut names: BTreeMap<(String, Option<String>), Vec<Span>> = BTreeMap::new();
         for (handler, task) in self.tasks_of(name) {
             let missing = offers.and_then(|offers| missing(offers, handler, task));
-            let wrong = match missing {
-                Some(wrong) => Some(wrong),
-                None => {
-                    let told = accepts(&handler.name, task);
-                    silent &= told == Acceptance::Unknown;
-                    match told {
-                        Acceptance::No(why) => Some((task.goal_span, why, None)),
-                        Acceptance::Yes | Acceptance::Unknown => None,
-                    }
-                }
-            };
-            if let Some((span, message, help)) = wrong {
-                let message = format!("server '{name}': {message}");
-                check.findings.push(self.mistake(span, message, help));
+            if let Some((span, message, help)) = missing {
+                names.entry((message, help)).or_default().push(span);
+                continue;
             }
+            let told = accepts(&handler.name, task);
+            silent &= told == Acceptance::Unknown;
+            if let Acceptance::No(why) = told {
+                let found = self.mistake(task.goal_span, whose(why), None);
+                check.findings.push(found);
+            }
+        }
+        for ((message, help), places) in names {
+            let found = self.mistake_at(&places, whose(message), help);
+            check.findings.push(found);
         }
         if silent && let Some(line) = check.servers.last_mut() {
             line.push_str("; its handlers do not tell what they take");

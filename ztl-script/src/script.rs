@@ -139,22 +139,14 @@ impl Script {
 
     /// A name that the configuration does not have, at its first place.
     fn unknown_remote(&self, name: &str, unknown: &NoRemote) -> Option<Finding> {
-        let mut handlers = self.handlers().filter(|handler| handler.remote == name);
-        let first = handlers.next()?;
+        let handlers = self.handlers().filter(|handler| handler.remote == name);
+        let places: Vec<Span> = handlers.map(|handler| handler.span).collect();
+        let first = self.first_handler(name)?;
         let mut message = unknown.to_string();
         if first.key != first.name && first.remote == first.key {
             message += "; in parentheses, write (remote=NAME)";
         }
-        let lines: BTreeSet<usize> = handlers.map(|handler| handler.span.start.line).collect();
-        if !lines.is_empty() {
-            let shown: Vec<String> = lines.iter().take(LINES).map(usize::to_string).collect();
-            let more = match lines.len().saturating_sub(LINES) {
-                0 => String::new(),
-                more => format!(" and {more} more"),
-            };
-            message += &format!(" (also in line {}{more})", shown.join(", "));
-        }
-        Some(self.mistake(first.span, message, None))
+        Some(self.mistake_at(&places, message, None))
     }
 
     /// The names of its servers, each once, in the order of the file.
@@ -205,6 +197,27 @@ impl Script {
         let mut found = self.document.mistake(span, message);
         found.help = help;
         Finding::mistake(found)
+    }
+
+    /// One mistake with several places: at the first one. The message names the lines of the others.
+    pub(crate) fn mistake_at(
+        &self,
+        places: &[Span],
+        mut message: String,
+        help: Option<String>,
+    ) -> Finding {
+        let first = places.first().copied().unwrap_or_default();
+        let mut lines: BTreeSet<usize> = places.iter().map(|span| span.start.line).collect();
+        lines.remove(&first.start.line);
+        if !lines.is_empty() {
+            let shown: Vec<String> = lines.iter().take(LINES).map(usize::to_string).collect();
+            let more = match lines.len().saturating_sub(LINES) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            message += &format!(" (also in line {}{more})", shown.join(", "));
+        }
+        self.mistake(first, message, help)
     }
 
     /// SHA-256 of the bytes of its file in lower-case hex, as `sha256sum` prints it.

@@ -1,0 +1,50 @@
+//! `ztl check`: one cause is one finding, and no mistake hides another.
+
+use crate::directory::ScriptDirectory;
+use std::fs;
+use ztl_tests::lab::{Ended, Process, SCOPE, Server, ztl};
+
+/// The first line of each finding.
+fn found(ended: &Ended) -> Vec<&str> {
+    let lines = ended.stdout.lines();
+    lines
+        .filter(|line| line.starts_with("mistake") || line.starts_with("doubtful"))
+        .collect()
+}
+
+#[test]
+fn a_name_that_a_server_does_not_have_is_one_finding() {
+    let gateway = Server::simulated();
+    let mut script = String::new();
+    for scene in 0..13 {
+        script += &format!("s{scene}:\n  b: {{arm: {{x: 1, y: 2}}}}\n");
+        script += &format!("t{scene}:\n  b: {{gripper: {{fingre: 1, finger: 400}}}}\n");
+    }
+    let servers = [
+        ("arm", gateway.port, SCOPE),
+        ("gripper", gateway.port, SCOPE),
+    ];
+    let directory = ScriptDirectory::with(&script, &servers);
+    let port = gateway.port.to_string();
+    let described = Process::run(ztl().args(["describe", "--json", "-p", &port]));
+    fs::write(directory.files.path("robot.json"), described.stdout).unwrap();
+    for how in ["--live", "--descriptions robot.json"] {
+        let ended = directory.run(&format!("check show.yaml -c remotes.yaml {how}"));
+        let found = found(&ended).into_iter();
+        let (goals, names): (Vec<&str>, Vec<&str>) =
+            found.partition(|line| line.contains("'400' is not"));
+        // Each wrong value is a mistake of its own.
+        assert_eq!(goals.len(), 13, "{how}: {}", ended.stdout);
+        let others = "(also in line 6, 10, 14, 18, 22, 26, 30, 34, 38, 42 and 2 more)";
+        let expected = format!(
+            "mistake: show.yaml:2:7: server 'arm': it has no handler 'arm' {others}; there are: "
+        );
+        assert_eq!(names.len(), 2, "{how}: {}", ended.stdout);
+        assert!(names[0].starts_with(&expected), "{how}: {}", names[0]);
+        let others = "(also in line 8, 12, 16, 20, 24, 28, 32, 36, 40, 44 and 2 more)";
+        let expected = format!(
+            "mistake: show.yaml:4:17: server 'gripper': 'gripper' has no component 'fingre' {others}; did you mean 'finger'?"
+        );
+        assert_eq!(names[1], expected, "{how}");
+    }
+}
