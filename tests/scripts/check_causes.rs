@@ -48,3 +48,40 @@ fn a_name_that_a_server_does_not_have_is_one_finding() {
         assert_eq!(names[1], expected, "{how}");
     }
 }
+
+#[test]
+fn a_duplicate_key_hides_no_other_mistake() {
+    let script = "s: {a: {robto: {say: hi}, robot: {say: no}}, <<: 5}\n";
+    let directory = ScriptDirectory::with(script, &[]);
+    let remotes = "remotes:
+  robot: {host: 127.0.0.1, prt: 7002, scope: test, scope: /test}
+  robot: {hots: a, port: 70000}
+  arm: {host: lamp, port: 1, scope: /a}
+";
+    fs::write(directory.files.path("remotes.yaml"), remotes).unwrap();
+    fs::write(
+        directory.files.path("defaults.yaml"),
+        "timeout: 5\ntimeout: 0\nparalel: yes\n",
+    )
+    .unwrap();
+    let ended = directory.run("check show.yaml -c remotes.yaml --defaults defaults.yaml");
+    let places = [
+        "defaults.yaml:2:1: duplicate key 'timeout'",
+        "defaults.yaml:3:1: unknown key 'paralel'; did you mean 'parallel'?",
+        "remotes.yaml:2:28: unknown key 'prt'; did you mean 'port'?",
+        "remotes.yaml:2:52: duplicate key 'scope'",
+        "remotes.yaml:3:3: duplicate key 'robot'",
+        "remotes.yaml:3:10: 'scope' is missing; write scope: /lab",
+        "remotes.yaml:3:11: unknown key 'hots'; did you mean 'host'?",
+        "show.yaml:1:9: no remote 'robto' in remotes.yaml; did you mean 'robot'?",
+        "show.yaml:1:50: '<<' takes a mapping or a list of mappings",
+    ];
+    let mistakes = found(&ended).into_iter();
+    let mistakes: Vec<&str> = mistakes
+        .filter_map(|line| line.strip_prefix("mistake: "))
+        .collect();
+    assert_eq!(mistakes, places, "{}", ended.stdout);
+    // Nothing is played.
+    let played = directory.run("run-script --yes -s show.yaml -c remotes.yaml");
+    assert_eq!(played.code, Some(1), "{played:?}");
+}

@@ -35,7 +35,7 @@ use crate::host;
 use crate::keys::{KEYS, KeyFiles};
 use crate::scope;
 use ztl_yaml::python;
-use ztl_yaml::{Diagnostics, Document, Fields, Node, NodeValue, Reading, closest};
+use ztl_yaml::{Diagnostic, Diagnostics, Document, Fields, Node, NodeValue, Reading, closest};
 
 /// A server's or publisher's address and scope.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -70,6 +70,8 @@ pub struct Remotes {
     publishers: BTreeMap<String, Entry>,
     /// Why the file could not be read.
     unread: Option<Diagnostics>,
+    /// What is wrong in entries that a later one of the same name has replaced.
+    replaced: Vec<Diagnostics>,
 }
 
 impl Remotes {
@@ -100,11 +102,28 @@ impl Remotes {
         Self::read(&crate::files::load_yaml(path)?)
     }
 
+    /// Reads a file for a check: as far as possible, and why [`load`](Self::load) rejects it. `None` if it cannot be
+    /// read or is invalid YAML.
+    #[must_use]
+    pub fn check(path: &Path) -> (Option<Self>, Vec<Diagnostic>) {
+        match crate::files::load_yaml(path) {
+            Ok(document) => Self::reading(&document),
+            Err(mistakes) => (None, mistakes.into_iter().collect()),
+        }
+    }
+
     /// Reads a document.
     ///
     /// # Errors
     /// Those of [`load`](Self::load).
     pub fn read(document: &Document) -> Result<Self, Diagnostics> {
+        match Self::reading(document) {
+            (Some(remotes), mistakes) if mistakes.is_empty() => Ok(remotes),
+            (_, mistakes) => Err(Diagnostics::new(mistakes)),
+        }
+    }
+
+    fn reading(document: &Document) -> (Option<Self>, Vec<Diagnostic>) {
         let mut reading = document.reading();
         let pairs = reading.pairs(document.root(), "remotes and publishers");
         let mut remotes = Self::named(document.name());
@@ -123,14 +142,15 @@ impl Remotes {
             for (name, entry) in entries.into_iter().flatten() {
                 match python::text(name) {
                     Some(Ok(name)) => {
-                        place.insert(name, endpoint(document, entry));
+                        let before = place.insert(name, endpoint(document, entry));
+                        remotes.replaced.extend(before.and_then(Result::err));
                     }
                     Some(Err(wrong)) => reading.wrong(name, wrong),
                     None => reading.wrong(name, "a name is a single word"),
                 }
             }
         }
-        reading.finish(Some(remotes))
+        reading.into_parts(Some(remotes))
     }
 
     /// The name of the file.
@@ -184,7 +204,8 @@ impl Remotes {
     /// The mistakes in all entries.
     pub fn mistakes(&self) -> impl Iterator<Item = &Diagnostics> {
         let entries = self.tasks.values().chain(self.publishers.values());
-        entries.filter_map(|entry| entry.as_ref().err())
+        let wrong = entries.filter_map(|entry| entry.as_ref().err());
+        wrong.chain(&self.replaced)
     }
 
     fn find<'r>(
@@ -268,7 +289,7 @@ fn usual_path_by(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
 
 /// Reads one entry. Other keys are ignored, unless one of the three is missing or a key seems to be meant for encryption.
 fn endpoint(document: &Document, node: &Node) -> Entry {
-    let mut reading = document.reading();
+    let mut reading = document.part_reading();
     let what = "{host: lamp, port: 12345, scope: /lab}";
     let remote = (|| {
         let mut fields = reading.fields(node, what)?;

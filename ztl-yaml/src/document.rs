@@ -12,14 +12,15 @@ pub struct Document {
     marked: bool,
     text: String,
     root: Node,
+    mistakes: Vec<Diagnostic>,
 }
 
 impl Document {
-    /// Parses a configuration file; `name` is its name in messages.
+    /// Parses a configuration file; `name` is its name in messages. Mistakes that do not keep it from being read,
+    /// such as a duplicate key, are in [`mistakes`](Self::mistakes), and in what a [`Reading`](crate::Reading) of it returns.
     ///
     /// # Errors
-    /// Where and why it is invalid YAML, has more than one document, repeats a key, or is nested too
-    /// deeply.
+    /// Where and why it is invalid YAML, has more than one document, or is nested too deeply.
     pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Diagnostics> {
         Self::parse_by(name, bytes, Rules::Strict)
     }
@@ -42,13 +43,14 @@ impl Document {
         let shown = |(span, message)| Diagnostic::at(name, text, span, message);
         let mistakes: Vec<Diagnostic> = mistakes.into_iter().map(shown).collect();
         match root {
-            Some(root) if mistakes.is_empty() => Ok(Self {
+            Some(root) => Ok(Self {
                 name: name.to_owned(),
                 marked,
                 text: text.to_owned(),
                 root,
+                mistakes,
             }),
-            _ => Err(Diagnostics::new(mistakes)),
+            None => Err(Diagnostics::new(mistakes)),
         }
     }
 
@@ -62,6 +64,12 @@ impl Document {
     #[must_use]
     pub const fn root(&self) -> &Node {
         &self.root
+    }
+
+    /// What is wrong in the file, but does not keep its values from being read: duplicate keys and invalid merges.
+    #[must_use]
+    pub fn mistakes(&self) -> &[Diagnostic] {
+        &self.mistakes
     }
 
     /// The bytes of the file.

@@ -16,9 +16,19 @@ pub struct Reading<'d> {
 }
 
 impl Document {
-    /// Takes values out of the document, and collects what is wrong with them.
+    /// Takes values out of the document, and collects what is wrong with them. Begins with the document's own
+    /// [`mistakes`](Self::mistakes).
     #[must_use]
-    pub const fn reading(&self) -> Reading<'_> {
+    pub fn reading(&self) -> Reading<'_> {
+        Reading {
+            document: self,
+            mistakes: self.mistakes().to_vec(),
+        }
+    }
+
+    /// As [`reading`](Self::reading), for a part of the document, without the document's own mistakes.
+    #[must_use]
+    pub const fn part_reading(&self) -> Reading<'_> {
         Reading {
             document: self,
             mistakes: Vec::new(),
@@ -32,13 +42,22 @@ impl<'d> Reading<'d> {
     /// # Errors
     /// All that was wrong.
     pub fn finish<T>(self, read: Option<T>) -> Result<T, Diagnostics> {
-        match read {
-            Some(read) if self.mistakes.is_empty() => Ok(read),
-            _ if self.mistakes.is_empty() => {
-                Err(Diagnostic::of_file(self.document.name(), "there is nothing in it").into())
-            }
-            _ => Err(Diagnostics::new(self.mistakes)),
+        match self.into_parts(read) {
+            (Some(read), mistakes) if mistakes.is_empty() => Ok(read),
+            (_, mistakes) => Err(Diagnostics::new(mistakes)),
         }
+    }
+
+    /// Returns what was read as far as it could be, and all that was wrong: for a check that goes on.
+    pub fn into_parts<T>(self, read: Option<T>) -> (Option<T>, Vec<Diagnostic>) {
+        let mut mistakes = self.mistakes;
+        if read.is_none() && mistakes.is_empty() {
+            mistakes.push(Diagnostic::of_file(
+                self.document.name(),
+                "there is nothing in it",
+            ));
+        }
+        (read, mistakes)
     }
 
     /// A mistake in `node`, which is not reported yet.

@@ -9,11 +9,12 @@ fn document(text: &str) -> Document {
     Document::parse("f", text.as_bytes()).expect("YAML")
 }
 
-/// The output for the mistakes of a file that cannot be parsed.
+/// The output for the mistakes of a file that is refused before its values are read.
 #[track_caller]
 fn refused(text: &str) -> String {
-    let mistakes = Document::parse("f", text.as_bytes()).expect_err(text);
-    mistakes.to_string()
+    let parsed = Document::parse("f", text.as_bytes());
+    let mistakes = parsed.and_then(|document| document.reading().finish(Some(())));
+    mistakes.expect_err(text).to_string()
 }
 
 fn scalar(node: &Node) -> &str {

@@ -111,11 +111,13 @@ impl Check {
         Ok(ExitCode::from(u8::from(mistakes + doubts > 0)))
     }
 
-    /// The configuration, to check names of servers. An unreadable one counts as one mistake.
+    /// The configuration, to check names of servers, as far as it can be read.
     fn remotes(&self, findings: &mut Vec<Finding>) -> Option<Remotes> {
         let path = self.endpoints.path();
         if self.endpoints.has_file() {
-            return taken(Remotes::load(&path), findings);
+            let (remotes, mistakes) = Remotes::check(&path);
+            findings.extend(mistakes.into_iter().map(Finding::mistake));
+            return remotes;
         }
         if self.endpoints.is_given() {
             return Some(Remotes::named("the options"));

@@ -26,11 +26,12 @@ pub(super) struct Entry<'d> {
 }
 
 impl Reader<'_> {
-    pub(super) const fn new(document: &Document, defaults: Defaults) -> Reader<'_> {
+    pub(super) fn new(document: &Document, defaults: Defaults) -> Reader<'_> {
+        let mistakes = document.mistakes().iter().cloned();
         Reader {
             document,
             defaults,
-            findings: Vec::new(),
+            findings: mistakes.map(Finding::mistake).collect(),
         }
     }
 
