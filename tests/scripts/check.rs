@@ -393,7 +393,7 @@ s(delay=-3):
         "doubtful: show.yaml:3:5: this waits 27 h 46 min; a delay is in seconds, as delay=1.5",
         "doubtful: show.yaml:3:18: a limit must be above 0 seconds; write timeout=30, or timeout=none for no limit",
         "doubtful: show.yaml:4:18: YAML takes these quotes for a part of the text; write straight quotes: 'hello'",
-        "doubtful: show.yaml:4:26: 'world”' has no ':' behind it; a text with ',' in it needs quotes within { }",
+        "doubtful: show.yaml:4:24: this ',' ends '“hello', and 'world”' has no ':' behind it; put a text with ',' in it in quotes",
         "doubtful: show.yaml:4:34: this is sent as a task of a component 'delay'; if it is a parameter, write it in parentheses, as name (delay=-3)",
         "mistake: show.yaml:7:25: '-5' is below 0; write seconds, as 30, or none",
         "doubtful: show.yaml:7:30: YAML takes these quotes for a part of the text; write straight quotes: 'hi'",

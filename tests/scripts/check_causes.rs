@@ -50,6 +50,43 @@ fn a_name_that_a_server_does_not_have_is_one_finding() {
 }
 
 #[test]
+fn a_sentence_without_quotes_is_one_finding() {
+    let cut = "and 'dear' has no ':' behind it; put a text with ',' in it in quotes";
+    for (text, places) in [
+        (
+            "s: {a: {robot: {say: Hello, dear, good, kind, dear, visitors, at: 5}}}\n",
+            &[format!("doubtful: show.yaml:1:27: this ',' ends 'Hello', {cut}")][..],
+        ),
+        (
+            "s: {a: {robot: {say: {text: Hello, dear, good}}}}\n",
+            &[format!("doubtful: show.yaml:1:34: this ',' ends 'Hello', {cut}")],
+        ),
+        // Without a component it is no task.
+        (
+            "s: {a: {robot: Hello, dear, good}}\n",
+            &[
+                "mistake: show.yaml:1:16: handler 'robot' is a mapping of components with their goals; found a single value; write scene: {step: {handler: {component: goal}}}, each on a line of its own".to_owned(),
+                format!("mistake: show.yaml:1:21: this ',' ends 'Hello', {cut}"),
+            ],
+        ),
+        // Each of these is to be mended.
+        (
+            "s: {a: {robot: {x: {hello, world}, echo:1, more:2}}}\n",
+            &[
+                "doubtful: show.yaml:1:21: 'hello' has no ':' behind it; a text with ',' in it needs quotes within { }".to_owned(),
+                "doubtful: show.yaml:1:28: 'world' has no ':' behind it; a text with ',' in it needs quotes within { }".to_owned(),
+                "doubtful: show.yaml:1:36: 'echo:1' has no ':' behind it; write a space after the colon: echo: 1".to_owned(),
+                "doubtful: show.yaml:1:44: 'more:2' has no ':' behind it; write a space after the colon: more: 2".to_owned(),
+            ],
+        ),
+    ] {
+        let directory = ScriptDirectory::with(text, &[("robot", 1, "/r")]);
+        let ended = directory.run("check show.yaml -c remotes.yaml");
+        assert_eq!(found(&ended), places, "{text}: {}", ended.stdout);
+    }
+}
+
+#[test]
 fn a_duplicate_key_hides_no_other_mistake() {
     let script = "s: {a: {robto: {say: hi}, robot: {say: no}}, <<: 5}\n";
     let directory = ScriptDirectory::with(script, &[]);

@@ -7,7 +7,7 @@ use ztl_yaml::python::{PythonValue, quoted};
 use ztl_yaml::{Mark, Node, NodeValue, Span, closest};
 
 use super::params::{self, Piece};
-use super::reader::{Entry, Reader, short};
+use super::reader::{Cut, Entry, Reader, short};
 use crate::durations::spoken;
 
 /// A longer delay was probably written in milliseconds.
@@ -190,6 +190,56 @@ impl Reader<'_> {
 /// Whether nothing follows a key, not even a ':'. The parser then puts its value in the place of the key.
 pub(super) fn lacks_colon(name: &Node, value: &Node) -> bool {
     value.is_null() && value.span == name.span
+}
+
+/// What is wrong with a key that has no ':'. `None` if it was reported for an earlier part of the same text.
+pub(super) fn colon_missing(entry: &Entry<'_>) -> Option<(Span, String, Option<String>)> {
+    let key = entry.key.to_string();
+    match entry.cut {
+        Some(Cut::Again) => None,
+        Some(Cut::Behind(value)) => {
+            let start = value.span.end;
+            let end = Mark {
+                column: start.column + 1,
+                ..start
+            };
+            let text = match &value.value {
+                NodeValue::Scalar { text, .. } => text.as_str(),
+                _ => "",
+            };
+            let message = format!(
+                "this ',' ends '{}', and '{}' has no ':' behind it",
+                short(text),
+                short(&key)
+            );
+            let help = "put a text with ',' in it in quotes".to_owned();
+            Some((Span { start, end }, message, Some(help)))
+        }
+        None => {
+            let (message, help) = without_colon(&key);
+            Some((entry.name.span, message, help))
+        }
+    }
+}
+
+/// Whether a ',' has probably cut a key without a ':' off the text before it. `before`: the value before it, and
+/// whether that one was cut off.
+pub(super) fn cut<'d>(
+    before: Option<(&'d Node, Option<Cut<'d>>)>,
+    name: &Node,
+    value: &Node,
+) -> Option<Cut<'d>> {
+    let (before, cut) = before.filter(|_| lacks_colon(name, value))?;
+    if cut.is_some() {
+        return Some(Cut::Again);
+    }
+    let (NodeValue::Scalar { text, .. }, NodeValue::Scalar { plain: true, .. }) =
+        (&name.value, &before.value)
+    else {
+        return None;
+    };
+    let is_text = !before.is_null() && spaced(text).is_none();
+    is_text.then_some(Cut::Behind(before))
 }
 
 /// The message about a key without a ':', and the remedy.

@@ -23,6 +23,17 @@ pub(super) struct Entry<'d> {
     pub(super) value: &'d Node,
     /// Earlier entries with the same key, which are not played.
     pub(super) lost: Vec<(&'d Node, &'d Node)>,
+    /// If a ',' has probably cut the key off a text.
+    pub(super) cut: Option<Cut<'d>>,
+}
+
+/// A key without a ':' that a ',' has probably cut off the text before it.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Cut<'d> {
+    /// The first one, behind this value.
+    Behind(&'d Node),
+    /// Behind another such key.
+    Again,
 }
 
 impl Reader<'_> {

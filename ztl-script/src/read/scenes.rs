@@ -90,7 +90,7 @@ impl<'d> Reader<'d> {
             self.mistake(span, message, help);
             return Vec::new();
         };
-        let entries = self.entries(node, true);
+        let mut entries = self.entries(node, true);
         if entries.is_empty() {
             // The original plays it and does nothing.
             self.doubt(
@@ -98,6 +98,17 @@ impl<'d> Reader<'d> {
                 format!("{whose} has no {of}: nothing is done"),
                 None,
             );
+        }
+        if what != "handler" {
+            // Parts of a text are no scenes, steps or handlers; components without a goal are played.
+            entries.retain(|entry| {
+                if let Some((span, message, help)) =
+                    entry.cut.and_then(|_| keys::colon_missing(entry))
+                {
+                    self.mistake(span, message, help);
+                }
+                entry.cut.is_none()
+            });
         }
         entries
     }
@@ -107,7 +118,7 @@ impl<'d> Reader<'d> {
     fn look_through(&mut self, entry: &mut Entry<'d>, look: impl Fn(&mut Self, Entry<'d>)) {
         for (name, value) in std::mem::take(&mut entry.lost) {
             let before = self.findings.len();
-            let (key, lost) = (entry.key.clone(), Vec::new());
+            let (key, lost, cut) = (entry.key.clone(), Vec::new(), None);
             look(
                 self,
                 Entry {
@@ -115,6 +126,7 @@ impl<'d> Reader<'d> {
                     name,
                     value,
                     lost,
+                    cut,
                 },
             );
             let found = self.findings.split_off(before).into_iter();
@@ -406,8 +418,9 @@ impl<'d> Reader<'d> {
         }
         let tell = match keys::lacks_colon(entry.name, entry.value) {
             true => {
-                let (message, help) = keys::without_colon(&key);
-                self.doubt(entry.name.span, message, help);
+                if let Some((span, message, help)) = keys::colon_missing(entry) {
+                    self.doubt(span, message, help);
+                }
                 None
             }
             false => {

@@ -6,8 +6,8 @@ use std::collections::HashMap;
 use ztl_yaml::python::{self, PythonValue};
 use ztl_yaml::{CORE, Diagnostics, Document, Node, NodeValue, Rules};
 
-use super::keys::{lacks_colon, without_colon};
-use super::reader::{Entry, Reader, short, short_quoted};
+use super::keys::{colon_missing, cut, lacks_colon};
+use super::reader::{Cut, Entry, Reader, short, short_quoted};
 use crate::finding::Finding;
 use crate::model::Defaults;
 
@@ -38,7 +38,10 @@ impl<'d> Reader<'d> {
         };
         let mut entries: Vec<Entry<'d>> = Vec::new();
         let mut seen: HashMap<String, usize> = HashMap::new();
+        let mut before = None;
         for (name, value) in pairs {
+            let cut = cut(before, name, value);
+            before = Some((value, cut));
             let key = match name.is_plainly("=") {
                 // As a value, '=' has a meaning of its own.
                 true => PythonValue::Text("=".to_owned()),
@@ -58,9 +61,14 @@ impl<'d> Reader<'d> {
                     name,
                     value,
                     lost: Vec::new(),
+                    cut,
                 });
                 continue;
             };
+            if matches!(cut, Some(Cut::Again)) && lacks_colon(entry.name, entry.value) {
+                // It changes nothing, and was reported.
+                continue;
+            }
             let line = entry.name.span.start.line;
             entry.lost.push((entry.name, entry.value));
             (entry.name, entry.value) = (name, value);
@@ -109,9 +117,11 @@ impl<'d> Reader<'d> {
                         self.value(lost, None);
                     }
                     let mut within = tell.map(|_| true);
-                    if lacks_colon(entry.name, entry.value) && within.take().is_some() {
-                        let (message, help) = without_colon(&entry.key.to_string());
-                        self.doubt(entry.name.span, message, help);
+                    if lacks_colon(entry.name, entry.value)
+                        && within.take().is_some()
+                        && let Some((span, message, help)) = colon_missing(&entry)
+                    {
+                        self.doubt(span, message, help);
                     }
                     let value = self.value(entry.value, within);
                     (entry.key, value)
