@@ -383,6 +383,37 @@ fn what_is_replayed_is_heard_as_it_was_published() {
 }
 
 /// The body of a task's event.
+#[test]
+fn a_file_without_messages_is_refused_before_anything_is_published() {
+    let scratch = Scratch::new();
+    let file = scratch.path("x");
+    let recording = scratch.path("run.mcap");
+    written(&recording, &[("/a", "", b"text".to_vec())]);
+    let cut = std::fs::read(&recording).expect("it is there");
+    let random: Vec<u8> = (0..4096_u32).map(|n| (n * 167 % 251) as u8).collect();
+    for (bytes, why) in [
+        (
+            &b"hello"[..],
+            "x has no messages to replay: it is not an MCAP file",
+        ),
+        (
+            &random,
+            "x has no messages to replay: it is not an MCAP file",
+        ),
+        (b"", "x has no messages to replay: it is not an MCAP file"),
+        // Cut off before the first message.
+        (&cut[..20], "x has no messages to replay: it has no end"),
+    ] {
+        std::fs::write(&file, bytes).expect("to write");
+        let mut command = ztl();
+        command.arg("replay").arg(&file).args(["-p", "0"]);
+        let ended = Process::run(&mut command);
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        assert!(!ended.stderr.contains("Publishing"), "{ended:?}");
+        assert!(ended.stderr.contains(why), "{ended:?}");
+    }
+}
+
 fn event(id: i64, state: &str, goal: &str) -> Vec<u8> {
     let mut fields = vec![("id", Pickle::from(id)), ("time", 1_700_000_000.5.into())];
     let texts = [

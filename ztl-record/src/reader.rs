@@ -7,9 +7,9 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use mcap::McapError;
 use mcap::records::{ChunkHeader, MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError};
 use serde::Deserialize;
 use ztl_pickle::Pickle;
 
@@ -127,6 +127,8 @@ pub struct Reader {
     waiting: VecDeque<Waiting>,
     damage: Damage,
     done: bool,
+    /// How many bytes were read.
+    length: usize,
 }
 
 /// A whole message that is not decoded yet, which saves memory.
@@ -166,6 +168,7 @@ impl Reader {
             waiting: VecDeque::new(),
             damage: Damage::default(),
             done: false,
+            length: 0,
         }
     }
 
@@ -185,13 +188,19 @@ impl Reader {
         let (opcode, data) = match self.reader.next_event() {
             None => return self.end(None),
             Some(Err(error)) => {
-                let why = told(&error);
+                let why = match self.length < MAGIC.len() {
+                    true => told(&McapError::BadMagic),
+                    false => told(&error),
+                };
                 return self.end(Some(why));
             }
             Some(Ok(LinearReadEvent::ReadRequest(needed))) => {
                 let block = self.reader.insert(needed.clamp(1, BLOCK));
                 match self.input.read(block) {
-                    Ok(read) => self.reader.notify_read(read),
+                    Ok(read) => {
+                        self.length = self.length.saturating_add(read);
+                        self.reader.notify_read(read);
+                    }
                     Err(error) => self.end(Some(format!("cannot be read further: {error}"))),
                 }
                 return;

@@ -91,6 +91,7 @@ impl Replay {
                 "--tasks does not play faster than recorded: robots move as fast as they do";
             return Err(Misuse(mistake.to_owned()).into());
         }
+        self.check_messages()?;
         let mut messages = self.open()?;
         let access = self.access.of_publisher()?;
         let agreed = match self.tasks.tasks {
@@ -141,6 +142,24 @@ impl Replay {
         Reader::open(&self.file).map_err(|error| format!("cannot read {path}: {error}"))
     }
 
+    /// Whether there is something to replay, before anything is published or asked.
+    fn check_messages(&self) -> Result<(), String> {
+        let mut reader = self.open()?;
+        if reader.any(|read| self.is_played(&read)) {
+            return Ok(());
+        }
+        let nothing = format!("{} has no messages to replay", self.file.display());
+        Err(match &reader.damage().end {
+            Some(why) => format!("{nothing}: it {why}"),
+            None => nothing,
+        })
+    }
+
+    /// The events of a run were not published.
+    fn is_played(&self, read: &Read) -> bool {
+        !matches!(read.content, Content::Run(_)) && self.is_chosen(&read.topic)
+    }
+
     fn is_chosen(&self, topic: &str) -> bool {
         let is_below =
             |scope: &String| ztl_core::topic::is_below(topic.as_bytes(), scope.as_bytes());
@@ -173,8 +192,7 @@ impl Replay {
         let mut first = None;
         let mut published: u64 = 0;
         for read in messages {
-            // The events of a run were not published.
-            if matches!(read.content, Content::Run(_)) || !self.is_chosen(&read.topic) {
+            if !self.is_played(&read) {
                 continue;
             }
             let first = *first.get_or_insert(read.log_time);
@@ -199,11 +217,8 @@ impl Replay {
                 published += 1;
             }
         }
-        let path = self.file.display();
-        if first.is_none() && !signals::stopped() {
-            return Err(format!("{path} has no messages to replay").into());
-        }
         if publisher.is_some() {
+            let path = self.file.display();
             line(format_args!("Published: {published} messages of {path}"));
         }
         Ok(signals::exit_code_or(ExitCode::SUCCESS))
