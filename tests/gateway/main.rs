@@ -1,5 +1,6 @@
 //! `ztl gateway`: its configuration, its journal, the devices behind it, and how it stops and restarts.
 
+mod all_mistakes;
 mod bus;
 mod descriptions;
 mod device;

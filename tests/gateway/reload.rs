@@ -149,10 +149,11 @@ fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
     let mut rig = ReloadRig::new("devices: {head: sim:head}\n");
     let mut remote = rig.remote();
     let head = started(&mut remote, "head", "pan", "left");
-    rig.reload("devices: {gripper: sim:gripper}\nprot: 1\nlog: loud\n");
+    rig.reload("devices: {gripper: sim:gripper}\nprot: 1\nlog: loud\nkey: no.key_secret\n");
     for mistake in [
         "lab.yaml:4:1: unknown key 'prot'",
         "lab.yaml:5:6: 'loud' is not known here",
+        "lab.yaml:6:6: ",
     ] {
         rig.gateway.wait_for(mistake);
     }

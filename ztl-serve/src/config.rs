@@ -87,11 +87,19 @@ impl Config {
     /// # Errors
     /// All mistakes in it, each with its place.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        let document = ztl_std::files::load_yaml(path)?;
+        Self::of(&ztl_std::files::load_yaml(path)?)
+    }
+
+    /// Reads a file that is parsed already.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn of(document: &Document) -> Result<Self, Diagnostics> {
+        let path = Path::new(document.name());
         let base = path.parent().unwrap_or(Path::new(""));
         // Absolute, since programs run in other directories.
         let base = std::path::absolute(base.join(".")).unwrap_or_else(|_| base.to_owned());
-        Self::read(&document, &base)
+        Self::read(document, &base)
     }
 
     /// Reads a document; paths are relative to `base`.

@@ -16,11 +16,14 @@ use reload::Reload;
 
 impl Gateway {
     pub(crate) fn run(self) -> Done {
-        let (check, options) = (self.check, self.clone());
-        let plan = match self.plan() {
-            Ok(plan) => plan,
-            Err(unfit) => {
-                error_line(unfit);
+        let options = self.clone();
+        let (check, (plan, mut file)) = (self.check, self.draft());
+        let plan = match (plan, file.is_wrong()) {
+            // All that a check finds is reported together.
+            (Some(plan), true) if check => return plan.check().tell(file, ""),
+            (Some(plan), false) => plan,
+            _ => {
+                file.finish().unwrap_or_else(error_line);
                 return Ok(ExitCode::from(MISCONFIGURED));
             }
         };
@@ -30,7 +33,7 @@ impl Gateway {
         }
         if check {
             let verdict = verdict(warnings.len());
-            return plan.check().tell(format_args!("{verdict}: {plan}."));
+            return plan.check().tell(file, format_args!("{verdict}: {plan}."));
         }
         log::init_as(plan.place.log, plan.place.log_format);
         signals::catch()?;
@@ -42,8 +45,8 @@ impl Plan {
     /// Checks all that [`serve`](Self::serve) needs, except the devices.
     fn check(&self) -> CheckFindings {
         let mut findings = self.place.check();
-        self.journal
-            .check(self.place.port, &self.scope, &mut findings);
+        let (port, place) = (self.place.port, self.journal_place);
+        self.journal.check(port, &self.scope, place, &mut findings);
         findings
     }
 

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use ztl_std::gateway::config::JournalPlace;
 use ztl_std::gateway::{Gateway, Journal, JournalError};
+use ztl_yaml::Span;
 
 use crate::listen_options::CheckFindings;
 use crate::terminal::line;
@@ -49,7 +50,7 @@ enum JournalChoice {
 impl JournalOptions {
     /// Uses the configuration file where no option is given.
     pub(crate) fn or(mut self, place: Option<JournalPlace>) -> Self {
-        if self.journal.is_none() && !self.no_journal {
+        if !self.is_given() {
             match place {
                 Some(JournalPlace::At(path)) => self.journal = Some(path),
                 Some(JournalPlace::Off) => self.no_journal = true,
@@ -97,16 +98,28 @@ impl JournalOptions {
         Ok(Gateway::with_journal(journal))
     }
 
-    /// Checks the path of the journal. A journal in use by another gateway is only a note.
-    pub(crate) fn check(&self, port: u16, scope: &str, findings: &mut CheckFindings) {
+    /// Whether an option, and not the configuration file, says where the journal is.
+    pub(crate) const fn is_given(&self) -> bool {
+        self.journal.is_some() || self.no_journal
+    }
+
+    /// Checks the path of the journal, which may have a place in the configuration file. A journal in use by another
+    /// gateway is only a note.
+    pub(crate) fn check(
+        &self,
+        port: u16,
+        scope: &str,
+        place: Option<Span>,
+        findings: &mut CheckFindings,
+    ) {
         match self.choice(port, scope) {
             Ok(JournalChoice::At(path)) => match Journal::check(&path) {
                 Ok(()) => {}
                 Err(error @ JournalError::InUse { .. }) => findings.notes.push(error.to_string()),
-                Err(error) => findings.wrong.push(elsewhere(error)),
+                Err(error) => findings.wrong.push((place, elsewhere(error))),
             },
             Ok(JournalChoice::NotWanted | JournalChoice::AnyPort) => {}
-            Err(error) => findings.wrong.push(error),
+            Err(error) => findings.wrong.push((place, error)),
         }
     }
 }

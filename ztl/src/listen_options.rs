@@ -8,14 +8,15 @@ use std::time::Duration;
 
 use ipnet::IpNet;
 use tracing::Level;
-use ztl_std::keys::{KeyError, PublicKey};
-use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake};
+use ztl_std::keys::PublicKey;
+use ztl_std::listen::{LEVELS, LOG_FORMATS, Listen, LogFormat, bind_mistake, one_or_more};
 use ztl_std::{
     Access, BindError, Limits, Obstacle, RemoteTask, RequestError, ServerBuilder, TaskServer,
     Transport,
 };
-use ztl_yaml::{Diagnostics, closest};
+use ztl_yaml::{Span, closest};
 
+use crate::config_file::ConfigFile;
 use crate::connect_options::{TransportOption, own_keys};
 use crate::exit::{Done, Misuse};
 use crate::option_values::{one_of, port};
@@ -26,34 +27,6 @@ pub(crate) const MISCONFIGURED: u8 = 2;
 
 /// How long a check waits for who uses the port.
 const PROBE: Duration = Duration::from_secs(1);
-
-/// A mistake in the configuration.
-#[derive(Debug)]
-pub(crate) enum ConfigError {
-    File(Diagnostics),
-    Whole(String),
-}
-
-impl ConfigError {
-    /// A value is missing in the options and the file.
-    pub(crate) fn missing(file: Option<&str>, what: &str, option: &str, key: &str) -> Self {
-        let key = match file {
-            Some(file) => format!("`{key}` in {file}"),
-            None => format!("a configuration file (docs/gateway.md) with `{key}`"),
-        };
-        Self::Whole(format!("no {what}: give {option}, or {key}"))
-    }
-}
-
-impl fmt::Display for ConfigError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            // Editors expect the place first in the line.
-            Self::File(mistakes) => f.write_str(mistakes.to_string().trim_end()),
-            Self::Whole(mistake) => write!(f, "ztl: {mistake}"),
-        }
-    }
-}
 
 /// Where a server listens, who may use it, and what it logs.
 #[derive(Debug, Clone, clap::Args)]
@@ -113,38 +86,50 @@ impl ListenOptions {
     }
 
     /// Combines the options with the file. Options override the file, except that networks and clients are added.
-    /// `None` if neither has a port.
-    pub(crate) fn with(self, file: Listen) -> Result<Option<ListenPlace>, ConfigError> {
-        let mut access = self.access;
-        access.allow.extend(file.allow);
-        access.client_key.extend(file.client_keys);
-        access.key = access.key.or(file.key);
-        if access.key.is_none()
-            && let Some(mistake) = file.keyless
-        {
-            return Err(ConfigError::File(mistake.into()));
-        }
-        let Some(port) = self.port.or(file.port) else {
-            return Ok(None);
+    /// What is wrong is added to `file`; what is returned is only for a check then.
+    pub(crate) fn with(self, listen: Listen, file: &mut ConfigFile) -> ListenPlace {
+        // The place of a value, if it is the file's.
+        let at = |given: bool, key| file.place(&[key]).filter(|_| !given);
+        let places = Places {
+            port: at(self.port.is_some(), "port"),
+            publish: at(self.publish.is_some(), "publish"),
+            bind: at(self.bind.is_some(), "bind"),
         };
-        let publish = self.publish.or(file.publish);
+        let port = self.port.or(listen.port);
+        if port.is_none() {
+            file.missing("port", "--port <PORT>", "port: 12345");
+        }
+        let port = port.unwrap_or_default();
+        let publish = self.publish.or(listen.publish);
         if publish == Some(port) && port != 0 {
             let mistake = format!("port {port} is for tasks; publish at another port");
-            return Err(ConfigError::Whole(mistake));
+            file.wrong(places.publish, mistake);
         }
-        let (access, warnings) = access.access().map_err(ConfigError::Whole)?;
-        Ok(Some(ListenPlace {
-            limits: self.limits.over(file.limits),
-            transport: self.transport.get().map_err(ConfigError::Whole)?,
+        let (access, warnings) = self.access.with(&listen, file);
+        let transport = self.transport.get().unwrap_or_else(|mistake| {
+            file.wrong(None, mistake);
+            Transport::default()
+        });
+        ListenPlace {
+            limits: self.limits.over(listen.limits),
+            transport,
             port,
             publish,
-            bind: self.bind.or(file.bind).unwrap_or("127.0.0.1".to_owned()),
+            bind: self.bind.or(listen.bind).unwrap_or("127.0.0.1".to_owned()),
+            places,
             access,
             warnings,
-            log: self.log.or(file.log).unwrap_or(Level::INFO),
-            log_format: self.log_format.or(file.log_format).unwrap_or_default(),
-        }))
+            log: self.log.or(listen.log).unwrap_or(Level::INFO),
+            log_format: self.log_format.or(listen.log_format).unwrap_or_default(),
+        }
     }
+}
+
+/// The places of values in the configuration file, if they are from there.
+struct Places {
+    port: Option<Span>,
+    publish: Option<Span>,
+    bind: Option<Span>,
 }
 
 /// Where a server listens, for whom, and what it logs.
@@ -153,6 +138,7 @@ pub(crate) struct ListenPlace {
     /// Where events of tasks and readings are published, if they are.
     pub(crate) publish: Option<u16>,
     pub(crate) bind: String,
+    places: Places,
     pub(crate) access: Access,
     /// What may not be intended in the options for `access`.
     warnings: Vec<String>,
@@ -195,9 +181,13 @@ impl ListenPlace {
     /// one of this configuration.
     pub(crate) fn check(&self) -> CheckFindings {
         let mut findings = CheckFindings::default();
-        let ports = [Some(self.port), self.publish].into_iter().flatten();
+        let ports = [
+            (Some(self.port), self.places.port),
+            (self.publish, self.places.publish),
+        ];
         let mut is_served = None;
-        for port in ports {
+        for (port, place) in ports {
+            let Some(port) = port else { continue };
             let tried = self.builder().check(&self.bind, port);
             match tried {
                 Ok(()) => {}
@@ -206,8 +196,11 @@ impl ListenPlace {
                 {
                     findings.notes.push(error.to_string());
                 }
+                Err(error @ BindError::InUse { .. }) => {
+                    findings.wrong.push((place, error.to_string()));
+                }
                 Err(error) => {
-                    findings.wrong.push(error.to_string());
+                    findings.wrong.push((self.places.bind, error.to_string()));
                     break;
                 }
             }
@@ -267,23 +260,31 @@ pub(crate) fn verdict(warnings: usize) -> String {
 /// What a check has found.
 #[derive(Default)]
 pub(crate) struct CheckFindings {
-    /// Errors at the start.
-    pub(crate) wrong: Vec<String>,
+    /// Errors at the start, and their places in the file.
+    pub(crate) wrong: Vec<(Option<Span>, String)>,
     /// Errors that are expected while the same server runs.
     pub(crate) notes: Vec<String>,
 }
 
 impl CheckFindings {
-    /// Prints the findings; `right` if there are no errors.
-    pub(crate) fn tell(self, right: impl fmt::Display) -> Done {
-        for wrong in &self.wrong {
-            error_line(format_args!("ztl: {wrong}"));
+    /// Prints the findings together with what is wrong in the configuration; `right` if there are no errors.
+    pub(crate) fn tell(self, mut file: ConfigFile, right: impl fmt::Display) -> Done {
+        let code = match file.is_wrong() {
+            true => ExitCode::from(MISCONFIGURED),
+            false => ExitCode::FAILURE,
+        };
+        for (place, wrong) in self.wrong {
+            file.wrong(place, wrong);
+        }
+        let wrong = file.finish();
+        if let Err(wrong) = &wrong {
+            error_line(wrong);
         }
         for note in &self.notes {
             error_line(format_args!("ztl: note: {note}"));
         }
-        if !self.wrong.is_empty() {
-            return Ok(ExitCode::FAILURE);
+        if wrong.is_err() {
+            return Ok(code);
         }
         line(right);
         Ok(ExitCode::SUCCESS)
@@ -341,47 +342,100 @@ fn network(text: &str) -> Result<IpNet, &'static str> {
 impl AccessOptions {
     /// Who may subscribe to a publisher. Warns of what may not be intended.
     pub(crate) fn of_publisher(&self) -> Result<Access, Misuse> {
-        let (access, warnings) = self.access().map_err(Misuse)?;
+        let mut mistakes = Vec::new();
+        let own = self.key.as_deref().map(|path| (path, None));
+        let clients = self.client_key.iter().map(|client| (client.as_str(), None));
+        let wrong = &mut |_, mistake| mistakes.push(mistake);
+        let (access, warnings) = access(&self.allow, own, clients, wrong);
+        mistakes.extend(self.keyless(own.is_some()));
+        if let Some(mistake) = mistakes.into_iter().next() {
+            return Err(Misuse(mistake));
+        }
         for warning in warnings {
             error_line(format_args!("ztl: warning: {warning}"));
         }
         Ok(access)
     }
 
-    /// Reads the keys. Also returns what may not be intended.
-    fn access(&self) -> Result<(Access, Vec<String>), String> {
-        if self.key.is_none()
-            && let Some(client) = self.client_key.first()
-        {
-            return Err(format!(
-                "--client-key {client}: clients can have keys only if the server has one; give --key, or `key` in a configuration file"
-            ));
+    /// Combines the options with the file. Adds to `file` what is wrong. Also returns what may not be intended.
+    fn with(&self, listen: &Listen, file: &mut ConfigFile) -> (Access, Vec<String>) {
+        let allow: Vec<IpNet> = self.allow.iter().chain(&listen.allow).copied().collect();
+        let key = self.key.as_deref().map(|path| (path, None));
+        let of_file = listen.key.as_deref();
+        let own = key.or(of_file.map(|path| (path, file.place(&["key"]))));
+        if own.is_none() {
+            file.add(listen.keyless.clone());
         }
-        let wrong = |mistake: KeyError| mistake.to_string();
-        let mut access = Access::everybody();
-        let mut warnings = Vec::new();
-        for network in &self.allow {
-            access = access.from_network(*network);
+        if let Some(mistake) = self.keyless(own.is_some()) {
+            file.wrong(None, mistake);
         }
-        if let Some(path) = &self.key {
-            access = access.with_keys(own_keys(path).map_err(wrong)?);
-        }
-        for client in &self.client_key {
-            let (scope, path) = match client.split_once('=') {
-                Some((scope, path)) => (Some(scope), path),
-                None => (None, client.as_str()),
-            };
-            let keys = PublicKey::read_all(Path::new(path)).map_err(wrong)?;
-            if keys.is_empty() {
-                warnings.push(format!("{path}: there is no *.key in this directory"));
-            }
-            for key in keys {
-                access = match scope {
-                    Some(scope) => access.allow_scope(scope, key),
-                    None => access.allow(key),
-                };
-            }
-        }
-        Ok((access, warnings))
+        let list = file.value(&["client-keys"]);
+        let nodes = list.map(one_or_more).unwrap_or_default();
+        let places: Vec<Option<Span>> = match nodes.len() == listen.client_keys.len() {
+            true => nodes.iter().map(|node| Some(node.span)).collect(),
+            // One of them was not read.
+            false => vec![list.map(|node| node.span); listen.client_keys.len()],
+        };
+        let options = self.client_key.iter().map(|client| (client.as_str(), None));
+        let of_file = listen.client_keys.iter().map(String::as_str).zip(places);
+        access(
+            &allow,
+            own,
+            options.chain(of_file),
+            &mut |place, mistake| {
+                file.wrong(place, mistake);
+            },
+        )
     }
+
+    /// The mistake that there are keys of clients, and the server has none.
+    fn keyless(&self, has_key: bool) -> Option<String> {
+        let client = self.client_key.first().filter(|_| !has_key)?;
+        Some(format!(
+            "--client-key {client}: clients can have keys only if the server has one; give --key, or `key` in a configuration file"
+        ))
+    }
+}
+
+/// Reads the keys, each of which may have a place in the configuration file. Also returns what may not be intended.
+fn access<'k>(
+    allow: &[IpNet],
+    own: Option<(&Path, Option<Span>)>,
+    clients: impl Iterator<Item = (&'k str, Option<Span>)>,
+    wrong: &mut dyn FnMut(Option<Span>, String),
+) -> (Access, Vec<String>) {
+    let mut access = Access::everybody();
+    let mut warnings = Vec::new();
+    for network in allow {
+        access = access.from_network(*network);
+    }
+    if let Some((path, place)) = own {
+        match own_keys(path) {
+            Ok(keys) => access = access.with_keys(keys),
+            Err(mistake) => wrong(place, mistake.to_string()),
+        }
+    }
+    for (client, place) in clients {
+        let (scope, path) = match client.split_once('=') {
+            Some((scope, path)) => (Some(scope), path),
+            None => (None, client),
+        };
+        let keys = match PublicKey::read_all(Path::new(path)) {
+            Ok(keys) => keys,
+            Err(mistake) => {
+                wrong(place, mistake.to_string());
+                continue;
+            }
+        };
+        if keys.is_empty() {
+            warnings.push(format!("{path}: there is no *.key in this directory"));
+        }
+        for key in keys {
+            access = match scope {
+                Some(scope) => access.allow_scope(scope, key),
+                None => access.allow(key),
+            };
+        }
+    }
+    (access, warnings)
 }

@@ -13,6 +13,7 @@ mod client;
 mod columns;
 mod complete_goal;
 mod completions;
+mod config_file;
 mod connect_options;
 mod data_format;
 mod demo;

@@ -12,10 +12,9 @@ use tracing::{Level, warn};
 use ztl_serve::{Config, ProcessRegistry, Streams};
 use ztl_std::listen::{LOG_FORMATS, LogFormat};
 
+use crate::config_file::{ConfigError, ConfigFile};
 use crate::exit::Done;
-use crate::listen_options::{
-    ConfigError, ListenOptions, ListenPlace, MISCONFIGURED, log_format, verdict,
-};
+use crate::listen_options::{ListenOptions, ListenPlace, MISCONFIGURED, log_format, verdict};
 use crate::option_values::scope_to_serve;
 use crate::systemd::Service;
 use crate::terminal::{error_line, error_part, line, part};
@@ -95,7 +94,7 @@ impl Serve {
             return Ok(ExitCode::SUCCESS);
         }
         let check = self.check;
-        let (mut config, place) = match self.plan() {
+        let (mut config, place, file) = match self.plan() {
             Ok(plan) => plan,
             Err(unfit) => {
                 error_line(unfit);
@@ -117,9 +116,8 @@ impl Serve {
             let verdict = verdict(config.warnings.len() + warnings.len());
             let (bind, port) = (&place.bind, place.port);
             let served = served(&config);
-            return place
-                .check()
-                .tell(format_args!("{verdict}: {served}, at {bind}:{port}."));
+            let right = format!("{verdict}: {served}, at {bind}:{port}.");
+            return place.check().tell(file, right);
         }
         log::init_as(place.log, place.log_format);
         signals::catch()?;
@@ -127,33 +125,44 @@ impl Serve {
     }
 
     /// Combines the file and the options.
-    fn plan(self) -> Result<(Config, ListenPlace), ConfigError> {
+    fn plan(self) -> Result<(Config, ListenPlace, ConfigFile), ConfigError> {
         // Without a file there is `--init`.
         let path = self.file.unwrap_or_default();
-        let mut config = Config::load(&path).map_err(ConfigError::File)?;
-        let file = path.display().to_string();
+        let mut file = ConfigFile::load(Some(&path));
+        let config = match file.document().map(Config::of).transpose() {
+            Ok(config) => config,
+            Err(mistakes) => {
+                file.add(mistakes);
+                None
+            }
+        };
+        let Some(mut config) = config else {
+            return Err(file.finish().err().unwrap_or_default());
+        };
         if let Some(name) = &self.scope {
             match config.scope_names().len() {
-                1 => config
-                    .rename_scopes(name)
-                    .map_err(|mistake| ConfigError::Whole(format!("--scope: {mistake}")))?,
+                1 => {
+                    if let Err(mistake) = config.rename_scopes(name) {
+                        file.wrong(None, format!("--scope: {mistake}"));
+                    }
+                }
                 many => {
+                    let path = path.display();
                     let mistake = format!(
-                        "--scope names the only scope of a file, and {file} has {many}; name them there"
+                        "--scope names the only scope of a file, and {path} has {many}; name them there"
                     );
-                    return Err(ConfigError::Whole(mistake));
+                    file.wrong(None, mistake);
                 }
             }
         }
-        let place = self.listen.with(std::mem::take(&mut config.listen))?;
-        let missing = || ConfigError::missing(Some(&file), "port", "--port <PORT>", "port: 12345");
-        let place = place.ok_or_else(missing)?;
-        if place.publish.is_none()
-            && let Some(mistake) = config.unpublished.take()
-        {
-            return Err(ConfigError::File(mistake.into()));
+        let place = self
+            .listen
+            .with(std::mem::take(&mut config.listen), &mut file);
+        if place.publish.is_none() {
+            file.add(config.unpublished.take());
         }
-        Ok((config, place))
+        file.finish()?;
+        Ok((config, place, file))
     }
 }
 

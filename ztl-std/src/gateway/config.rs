@@ -6,7 +6,7 @@ use super::endpoint::{BAUD_WANTED, Endpoint, ParseEndpoint};
 use super::reading_value::{READING_FORMATS, ReadingFormat};
 use crate::listen::Listen;
 use crate::scope;
-use ztl_yaml::{Diagnostics, Document, Node, NodeValue, Reading};
+use ztl_yaml::{Diagnostic, Document, Node, NodeValue, Reading};
 
 /// The settings in a file. Each can be left out and be given elsewhere.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -58,25 +58,17 @@ impl DeviceConfig {
 }
 
 impl Config {
-    /// Reads a file. Paths in it are relative to its directory.
-    ///
-    /// # Errors
-    /// All mistakes, each with its place.
-    pub fn load(path: &Path, endpoint: ParseEndpoint) -> Result<Self, Diagnostics> {
-        let document = crate::files::load_yaml(path)?;
-        let base = path.parent().unwrap_or(Path::new(""));
-        Self::read(&document, base, endpoint)
-    }
-
-    /// Reads a document; paths are relative to `base`.
-    fn read(
+    /// Reads a document; paths are relative to `base`. Returns what could be read, which must not be served if
+    /// anything is wrong, and all mistakes, each with its place.
+    #[must_use]
+    pub fn read(
         document: &Document,
         base: &Path,
         endpoint: ParseEndpoint,
-    ) -> Result<Self, Diagnostics> {
+    ) -> (Option<Self>, Vec<Diagnostic>) {
         let mut reading = document.reading();
         let config = config(&mut reading, document.root(), base, endpoint);
-        reading.finish(config)
+        reading.into_parts(config)
     }
 }
 
@@ -208,6 +200,7 @@ mod tests {
     use crate::listen::LogFormat;
     use crate::server::Limits;
     use ztl_tests::garbage::Garbage;
+    use ztl_yaml::Diagnostics;
 
     /// The endpoints of serial ports and TCP.
     fn endpoint(text: &str) -> Result<Endpoint, String> {
@@ -216,11 +209,11 @@ mod tests {
     }
 
     fn parse(text: &str) -> Result<Config, Diagnostics> {
-        Config::read(
-            &Document::parse("lab.yaml", text.as_bytes())?,
-            Path::new("/lab"),
-            endpoint,
-        )
+        let document = Document::parse("lab.yaml", text.as_bytes())?;
+        match Config::read(&document, Path::new("/lab"), endpoint) {
+            (Some(config), mistakes) if mistakes.is_empty() => Ok(config),
+            (_, mistakes) => Err(Diagnostics::new(mistakes)),
+        }
     }
 
     #[test]
@@ -378,7 +371,8 @@ devices:
         for _ in 0..5_000 {
             let bytes = numbers.spoil(WHOLE);
             if let Ok(document) = Document::parse("f", &bytes) {
-                let _ = Config::read(&document, Path::new(""), endpoint).map_err(|m| m.to_string());
+                let (_, mistakes) = Config::read(&document, Path::new(""), endpoint);
+                let _ = Diagnostics::new(mistakes).to_string();
             }
         }
     }

@@ -7,9 +7,11 @@ use ztl_std::gateway::config::{
     BUS_HAS_NO_FIRMWARE, Config, DeviceConfig, name_mistake, same_line,
 };
 use ztl_std::gateway::{Endpoint, READING_FORMATS, ReadingFormat};
+use ztl_yaml::Span;
 
+use crate::config_file::{ConfigError, ConfigFile};
 use crate::journal_options::JournalOptions;
-use crate::listen_options::{ConfigError, ListenOptions, ListenPlace};
+use crate::listen_options::{ListenOptions, ListenPlace};
 use crate::option_values::{one_of, scope_to_serve};
 
 #[derive(Debug, Clone, clap::Args)]
@@ -77,35 +79,35 @@ fn elf(text: &str) -> Result<(String, PathBuf), String> {
 
 /// Sets the ELF files of the command line, and checks that all can be read.
 #[cfg(feature = "defmt")]
-fn with_elfs(
-    devices: &mut [DeviceConfig],
-    elfs: Vec<(String, PathBuf)>,
-) -> Result<(), ConfigError> {
+fn with_elfs(devices: &mut [DeviceConfig], elfs: Vec<(String, PathBuf)>, file: &mut ConfigFile) {
+    let mut given = Vec::new();
     for (name, path) in elfs {
         let Some(device) = devices.iter_mut().find(|device| device.name == name) else {
             let names: Vec<&str> = devices.iter().map(|d| d.name.as_str()).collect();
             let names = names.join(", ");
-            let mistake = format!("--elf: no device '{name}'; there are: {names}");
-            return Err(ConfigError::Whole(mistake));
+            file.wrong(
+                None,
+                format!("--elf: no device '{name}'; there are: {names}"),
+            );
+            continue;
         };
         if matches!(device.endpoint, Endpoint::Bus { .. }) {
-            let mistake = format!("--elf: '{name}': {BUS_HAS_NO_FIRMWARE}");
-            return Err(ConfigError::Whole(mistake));
+            file.wrong(None, format!("--elf: '{name}': {BUS_HAS_NO_FIRMWARE}"));
+            continue;
         }
         device.elf = Some(path);
+        given.push(name);
     }
     for device in devices {
-        let Some(path) = &device.elf else { continue };
+        let (name, Some(path)) = (&device.name, &device.elf) else {
+            continue;
+        };
         if let Err(error) = ztl_std::defmt::Decoder::of_file(path) {
-            let mistake = format!(
-                "the firmware of '{}', {}: {error}",
-                device.name,
-                path.display()
-            );
-            return Err(ConfigError::Whole(mistake));
+            let place = file.place(&["devices", name, "elf"]);
+            let mistake = format!("the firmware of '{name}', {}: {error}", path.display());
+            file.wrong(place.filter(|_| !given.contains(name)), mistake);
         }
     }
-    Ok(())
 }
 
 /// What the gateway serves, and where.
@@ -116,6 +118,8 @@ pub(super) struct Plan {
     pub(super) leave_running: bool,
     pub(super) devices: Vec<DeviceConfig>,
     pub(super) journal: JournalOptions,
+    /// Its place in the configuration file, if it is from there.
+    pub(super) journal_place: Option<Span>,
 }
 
 impl Gateway {
@@ -130,14 +134,33 @@ impl Gateway {
     }
 
     /// Combines the file and the options.
+    ///
+    /// # Errors
+    /// All that is wrong.
     pub(super) fn plan(self) -> Result<Plan, ConfigError> {
-        let config = match &self.file {
-            Some(path) => Config::load(path, ztl_sim::endpoint).map_err(ConfigError::File)?,
-            None => Config::default(),
+        let (plan, mut file) = self.draft();
+        file.finish()?;
+        plan.ok_or_else(ConfigError::default)
+    }
+
+    /// Combines the file and the options. The plan may only be served if nothing is wrong; otherwise, what could be read is
+    /// for further checks. `None` if the file cannot be read.
+    pub(super) fn draft(self) -> (Option<Plan>, ConfigFile) {
+        let path = self.file.as_deref();
+        let mut file = ConfigFile::load(path);
+        let base = path.and_then(Path::parent).unwrap_or(Path::new(""));
+        let read = file.document();
+        let read = read.map(|document| Config::read(document, base, ztl_sim::endpoint));
+        let config = match (read, path) {
+            (Some((config, mistakes)), _) => {
+                file.add(mistakes);
+                config
+            }
+            (None, Some(_)) => None,
+            (None, None) => Some(Config::default()),
         };
-        let file = self.file.map(|path| path.display().to_string());
-        let missing = |what: &str, option: &str, key: &str| {
-            ConfigError::missing(file.as_deref(), what, option, key)
+        let Some(config) = config else {
+            return (None, file);
         };
         let mut devices = config.devices;
         for device in self.devices {
@@ -146,37 +169,41 @@ impl Gateway {
                     "two devices are named '{}'; give each its own name",
                     device.name
                 );
-                return Err(ConfigError::Whole(mistake));
-            }
-            if let Some(other) = same_line(&devices, &device) {
+                file.wrong(None, mistake);
+            } else if let Some(other) = same_line(&devices, &device) {
                 let mistake = format!(
                     "'{}' and '{}' are both at {}",
                     other.name, device.name, other.endpoint
                 );
-                return Err(ConfigError::Whole(mistake));
+                file.wrong(None, mistake);
+            } else {
+                devices.push(device);
             }
-            devices.push(device);
         }
         #[cfg(feature = "defmt")]
-        with_elfs(&mut devices, self.elfs)?;
+        with_elfs(&mut devices, self.elfs, &mut file);
         if devices.is_empty() {
-            let key = "devices:";
-            return Err(missing("device", "--device <NAME=URL>", key));
+            file.missing("device", "--device <NAME=URL>", "devices:");
         }
-        let place = self.listen.with(config.listen)?;
-        let place = place.ok_or_else(|| missing("port", "--port <PORT>", "port: 12345"))?;
+        let place = self.listen.with(config.listen, &mut file);
         let scope = self.scope.or(config.scope);
-        Ok(Plan {
+        if scope.is_none() {
+            file.missing("scope", "--scope <SCOPE>", "scope: /lab");
+        }
+        let in_file = file.place(&["journal"]);
+        let plan = Plan {
             place,
-            scope: scope.ok_or_else(|| missing("scope", "--scope <SCOPE>", "scope: /lab"))?,
+            scope: scope.unwrap_or_default(),
             publish_format: self
                 .publish_format
                 .or(config.publish_format)
                 .unwrap_or_default(),
             leave_running: self.leave_running,
             devices,
+            journal_place: in_file.filter(|_| !self.journal.is_given()),
             journal: self.journal.or(config.journal),
-        })
+        };
+        (Some(plan), file)
     }
 }
 

@@ -8,7 +8,6 @@ use ztl_std::gateway::config::DeviceConfig;
 use ztl_std::server::ServerHandle;
 
 use super::plan::{Gateway, Plan};
-use crate::listen_options::ConfigError;
 use crate::log;
 
 /// The target of the gateway's log lines.
@@ -43,11 +42,12 @@ impl Reload {
         let plan = match self.options.clone().plan() {
             Ok(plan) => plan,
             Err(unfit) => {
-                match unfit {
-                    ConfigError::File(mistakes) => mistakes
-                        .iter()
-                        .for_each(|mistake| error!(target: LOG, "{}", mistake.sentence())),
-                    ConfigError::Whole(mistake) => error!(target: LOG, "{file}: {mistake}"),
+                let (placed, elsewhere) = unfit.sentences();
+                for mistake in placed {
+                    error!(target: LOG, "{mistake}");
+                }
+                for mistake in elsewhere {
+                    error!(target: LOG, "{file}: {mistake}");
                 }
                 return error!(target: LOG, "{file}: the configuration was not reloaded; everything stays as it is.");
             }
