@@ -134,7 +134,7 @@ extern "C" {
 /**
  * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_BYTES 815
+#define ZTL_NODE_RAM_BYTES 855
 
 /**
  * Its pointers: see ZTL_NODE_RAM.

@@ -94,6 +94,8 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
 impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Polls the components that have a task, the idle ones that are going to the safe state, and those with a
     /// tick. Then starts waiting tasks.
+    // Not inlined in firmware: its stack is then free for what a server sends.
+    #[cfg_attr(target_os = "none", inline(never))]
     pub(crate) fn handle_timeout(&mut self, now: Instant) {
         let safety = now >= self.safety_wake;
         if safety {
