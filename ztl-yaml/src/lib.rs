@@ -24,6 +24,7 @@ mod document;
 mod flow;
 mod merge;
 mod node;
+mod open_quote;
 mod parse_errors;
 mod parser;
 pub mod python;

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::merge;
 use crate::node::{CORE, Mark, Mistake, Node, NodeValue, Rules, Span};
-use crate::parse_errors::cause_of;
+use crate::open_quote::cause_of;
 use crate::scanner::Scanner;
 use crate::token::{Bracket, Directive, Token, TokenKind};
 
