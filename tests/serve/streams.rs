@@ -368,11 +368,11 @@ fn a_killed_server_leaves_no_program_behind() {
 #[test]
 fn a_signal_stops_streams_and_tasks_together() {
     let text = "
-scopes: {/robot: {h: {c: {run: [sh, -c, 'echo > task; trap \"\" TERM; sleep 60; sleep 60'], abort: {grace: 2 s}}}}}
+scopes: {/robot: {h: {c: {run: [sh, -c, 'trap \"\" TERM; echo > task; sleep 60; sleep 60'], abort: {grace: 2 s}}}}}
 streams:
   /robot:
     careful: {run: [sh, -c, 'trap \"echo parked > parked; exit\" INT; echo > careful; while :; do sleep 0.02; done'], frame: line, abort: INT}
-    stubborn: {run: [sh, -c, 'echo > stubborn; trap \"\" TERM; sleep 60; sleep 60'], frame: line, abort: {grace: 2 s}}
+    stubborn: {run: [sh, -c, 'trap \"\" TERM; echo > stubborn; sleep 60; sleep 60'], frame: line, abort: {grace: 2 s}}
     driven: {run: [sh, -c, 'echo > driven; until [ -e halt ]; do sleep 0.02; done'], frame: line, abort: {run: [sh, -c, 'echo \"$ZTL_SCOPE\" > halt'], grace: 20 s}}
 ";
     let rig = Rig::of_file(text, &["--publish", "0"]);
