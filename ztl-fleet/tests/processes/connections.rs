@@ -129,15 +129,19 @@ fn a_router_tells_which_routers_it_waits_for_and_when_they_are_there() {
     });
 }
 
+fn links_to(router: &str) -> Links {
+    Links {
+        routers: vec![router.to_owned()],
+        ..Links::default()
+    }
+}
+
 #[test]
 fn a_list_asks_a_robot_again_whose_question_is_lost() {
     let scratch = Scratch::new();
     let address = nowhere();
     let _router = Fleet::start_router(&scratch, &address);
-    let links = Links {
-        routers: vec![address.clone()],
-        ..Links::default()
-    };
+    let links = links_to(&address);
     let agent = agent_of(&KeyPair::generate().public());
     let asked = AtomicU32::new(0);
     let info = json!({"ztl_fleet": 1, "name": "arm", "agent": agent, "boot": 1, "clock_ms": 1, "since": 1, "ready": true, "scopes": ["/test"]});
@@ -170,10 +174,7 @@ fn a_robot_that_is_late_does_not_refuse_a_request() {
     let scratch = Scratch::new();
     let address = nowhere();
     let _router = Fleet::start_router(&scratch, &address);
-    let links = Links {
-        routers: vec![address.clone()],
-        ..Links::default()
-    };
+    let links = links_to(&address);
     let robot = session::open(&links).unwrap();
     let [arm, _] = ["arm", "desk"].map(|name| {
         let pair = KeyPair::generate();
