@@ -79,7 +79,9 @@ impl Stage {
     #[track_caller]
     pub fn record(&self) -> Vec<Value> {
         let text = fs::read_to_string(self.files.path("run.jsonl")).unwrap();
-        text.lines()
+        // The last line may be half written.
+        text.split_inclusive('\n')
+            .filter(|line| line.ends_with('\n'))
             .map(|line| serde_json::from_str(line).expect(line))
             .collect()
     }
