@@ -246,6 +246,16 @@ pub const MUTANTS: &[Mutant] = &[
         complaint: "promise 4",
     },
     Mutant {
+        name: "the node takes a component for safe that fails to become safe",
+        edits: &[(
+            RUNNER,
+            "if to_safety && run == Run::Failed {",
+            "if to_safety && run == Run::Failed && !ON {",
+        )],
+        caught_in: ("fails", 1),
+        complaint: "promise 4",
+    },
+    Mutant {
         name: "the node lets another gateway use the id of a Start that may still arrive",
         edits: &[(
             COMMANDS,

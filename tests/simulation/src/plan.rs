@@ -25,6 +25,8 @@ pub struct MotorPlan {
     pub busy: Busy,
     /// How long it takes to stop, and how often it is polled.
     pub slow: Duration,
+    /// How often it fails to reach its safe state before it does.
+    pub failures: u8,
 }
 
 /// A happening.
@@ -216,7 +218,13 @@ fn motor(dice: &mut Dice) -> MotorPlan {
         _ => Busy::Replace,
     };
     let slow = Duration::from_millis([10, 10, 50, 300][dice.below(4) as usize]);
-    MotorPlan { loss, busy, slow }
+    let failures = [0, 0, 0, 1, 8][dice.below(5) as usize];
+    MotorPlan {
+        loss,
+        busy,
+        slow,
+        failures,
+    }
 }
 
 fn what(dice: &mut Dice, devices: usize, clients: usize, journal: bool, asked: usize) -> What {

@@ -51,6 +51,8 @@ pub(super) struct Device {
     down: FaultyLine,
     up: FaultyLine,
     cuts: [Range<Instant>; 2],
+    /// When the last stall ended before the line was closed.
+    released: Instant,
     /// Number of happenings that keep the line closed.
     unplugged: u32,
     truth: Shared,
@@ -87,6 +89,7 @@ impl Device {
             dice,
             due: now,
             cuts: [now..now, now..now],
+            released: now,
             unplugged: 0,
             truth,
         }
@@ -233,8 +236,9 @@ impl Device {
         self.node = node((self.number, self.place), self.motors, boot, &self.truth);
     }
 
-    pub(super) fn unplug(&mut self) {
+    pub(super) fn unplug(&mut self, now: Instant) {
         self.unplugged += 1;
+        self.released = self.released().min(now);
         self.down.lose();
         self.up.lose();
     }
@@ -270,6 +274,12 @@ impl Device {
         }
     }
 
+    /// When the last stall ends or has ended. It releases commands, or answers to which the gateway sends new ones.
+    fn released(&self) -> Instant {
+        let lines = [&self.down, &self.up].map(FaultyLine::held_until);
+        lines.into_iter().fold(self.released, Instant::max)
+    }
+
     /// Whether a direction has been cut for so long that the gateway, if it was able to write, must have ended the tasks.
     pub(super) fn is_silent(&self, now: Instant, able: Instant) -> bool {
         let long =
@@ -285,7 +295,7 @@ impl Device {
     /// Promise 4: a device without new commands for this long is in its safe state.
     pub(super) fn judge(&self, now: Instant, truth: &Truth) -> Result<(), String> {
         let cut = |cut: &Range<Instant>| {
-            let begin = cut.start.max(self.down.held_until());
+            let begin = cut.start.max(self.released());
             cut.contains(&now) && now > begin + LAST_COMMAND + LINK_TIMEOUT
         };
         if !self.cuts.iter().any(cut) {
@@ -320,6 +330,7 @@ fn node(
         truth: Rc::clone(truth),
         ends: None,
         safe_at: None,
+        failures: motors[place].failures,
     };
     SomeNode::new([motor(0), motor(1)], boot, place)
 }

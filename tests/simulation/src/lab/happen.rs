@@ -35,7 +35,7 @@ impl Lab {
             What::Reset(device) => self.devices[device].reset(now),
             What::Unplug(device, time) => {
                 for device in self.of_line(device) {
-                    self.devices[device].unplug();
+                    self.devices[device].unplug(now);
                     if let Some(gateway) = &mut self.gateway {
                         gateway.sessions[device].handle_disconnected();
                     }

@@ -100,8 +100,10 @@ pub(super) struct Motor {
     pub(super) place: (usize, usize),
     pub(super) truth: Shared,
     pub(super) ends: Option<(Instant, State)>,
-    /// When it reaches its safe state, if it is going there.
+    /// When it reaches its safe state, or fails to, if it is going there.
     pub(super) safe_at: Option<Instant>,
+    /// How often it still fails to reach it.
+    pub(super) failures: u8,
 }
 
 /// The names of a device's motors.
@@ -111,6 +113,13 @@ pub(super) const NAMES: [&str; 2] = ["arm", "belt"];
 fn read(goal: &str) -> Option<(usize, u64)> {
     let (task, millis) = goal.split_once(' ')?;
     Some((task.parse().ok()?, millis.parse().ok()?))
+}
+
+impl Motor {
+    /// Whether its last attempt to reach its safe state has failed.
+    fn fails_at(&self, now: Instant) -> bool {
+        self.failures > 0 && self.safe_at.is_some_and(|at| now >= at)
+    }
 }
 
 impl Describe for Motor {
@@ -140,12 +149,16 @@ impl Component for Motor {
         let (task, millis) = read(goal).ok_or(Refused)?;
         self.truth.borrow_mut().begin(self.place, task);
         self.ends = Some((now + Duration::from_millis(millis), State::Completed));
+        self.failures = self.plan.failures;
         Ok(())
     }
 
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         if self.safe_at.is_some_and(|at| now < at) {
             return Run::Running;
+        }
+        if self.fails_at(now) {
+            return Run::Failed;
         }
         if self.safe_at.take().is_some() {
             self.truth
@@ -180,6 +193,10 @@ impl Component for Motor {
 
     fn make_safe(&mut self, now: Instant) {
         self.ends = None;
+        if self.fails_at(now) {
+            self.failures -= 1;
+            self.safe_at = None;
+        }
         self.safe_at.get_or_insert(now + self.plan.slow);
         let (device, motor) = self.place;
         self.truth.borrow_mut().motors[device][motor].to_safety = true;

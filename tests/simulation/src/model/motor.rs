@@ -78,6 +78,8 @@ pub struct Kind {
     pub loss: Loss,
     /// What it does with a second task.
     pub busy: Busy,
+    /// Whether it fails to reach its safe state at first.
+    pub fails: bool,
 }
 
 /// A motor that moves for some time.
@@ -98,6 +100,8 @@ pub(super) enum Moving {
     Aborted,
     /// To the safe state, which it reaches at the next poll.
     ToSafety,
+    /// Its first attempt to reach the safe state has failed, or will at the next poll.
+    Failing,
 }
 
 /// A duration that means until the motor is stopped.
@@ -145,6 +149,7 @@ impl Component for Motor {
             Some(Moving::Aborted) => (State::Aborted, Run::Aborted),
             Some(Moving::Until(end)) if now >= end => (State::Completed, Run::Completed),
             Some(Moving::ToSafety) => (State::Failed, Run::Aborted),
+            Some(Moving::Failing) => return Run::Failed,
             Some(_) => return Run::Running,
             // It is safe.
             None => return Run::Aborted,
@@ -163,13 +168,18 @@ impl Component for Motor {
     }
 
     fn make_safe(&mut self, _now: Instant) {
-        self.run = Some(Moving::ToSafety);
+        let again = matches!(self.run, Some(Moving::Failing | Moving::ToSafety));
+        let powered = TRUTH.with_borrow(|truth| truth.powered[self.place]);
+        self.run = Some(match self.kind.fails && powered && !again {
+            true => Moving::Failing,
+            false => Moving::ToSafety,
+        });
     }
 
     fn poll_timeout(&self, now: Instant) -> Instant {
         match self.run {
             Some(Moving::Until(end)) => end,
-            Some(Moving::Aborted | Moving::ToSafety) => now,
+            Some(Moving::Aborted | Moving::ToSafety | Moving::Failing) => now,
             Some(Moving::On) | None => Instant::NEVER,
         }
     }

@@ -9,19 +9,27 @@ use super::{Act, Kind, Scenario, Way};
 const ABORT: Kind = Kind {
     loss: Loss::Abort,
     busy: Busy::Refuse,
+    fails: false,
 };
 const CARRY_ON: Kind = Kind {
     loss: Loss::CarryOn,
     busy: Busy::Refuse,
+    fails: false,
 };
 
+const FAILS: Kind = Kind {
+    fails: true,
+    ..ABORT
+};
 const QUEUE: Kind = Kind {
     loss: Loss::Abort,
     busy: Busy::Queue(1),
+    fails: false,
 };
 const REPLACE: Kind = Kind {
     loss: Loss::Hold,
     busy: Busy::Replace,
+    fails: false,
 };
 
 pub(super) const fn ask(gateway: usize, motor: usize, millis: u16) -> Act {
@@ -79,6 +87,14 @@ pub const SCENARIOS: &[Scenario] = &[
     Scenario {
         name: "cut",
         about: "an endless task; either direction is cut or stalled, a frame is delayed",
+        faults: &[Cut(DOWN), Cut(UP), Stall(DOWN), Stall(UP), Hold(DOWN)],
+        ..PLAIN
+    },
+    Scenario {
+        name: "fails",
+        about: "an endless task and a short one, of motors that fail to become safe at first; cuts, stalls, a frame is delayed",
+        motors: [FAILS, FAILS],
+        acts: &[ask(0, 0, ENDLESS), ask(0, 1, 40)],
         faults: &[Cut(DOWN), Cut(UP), Stall(DOWN), Stall(UP), Hold(DOWN)],
         ..PLAIN
     },
