@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, SystemTime};
 
@@ -38,6 +38,8 @@ pub struct Runner {
     connect: Connect,
     /// Workers without a request, by server.
     idle: BTreeMap<String, Vec<Worker>>,
+    /// The INITs under way, and whether each is withdrawn, so that it is not sent any more.
+    inits: BTreeMap<RequestNumber, Arc<AtomicBool>>,
     events: VecDeque<StampedEvent>,
 }
 
@@ -105,6 +107,7 @@ impl Runner {
             stopped_at: None,
             connect,
             idle: BTreeMap::new(),
+            inits: BTreeMap::new(),
             events: VecDeque::new(),
         }
     }
@@ -181,6 +184,7 @@ impl Runner {
                 }
                 Ok(Input::Answer(request, answer, mut worker)) => {
                     worker.note(&answer);
+                    self.inits.remove(&request);
                     let idle = self.idle.entry(worker.remote.clone()).or_default();
                     idle.push(worker);
                     self.player.handle_answer(now(), request, answer);
@@ -212,6 +216,11 @@ impl Runner {
     /// Hands the player's requests to workers, and collects its events.
     fn pump(&mut self) {
         self.collect_events();
+        for (request, withdrawn) in &self.inits {
+            if self.player.is_about_stopping(*request) {
+                withdrawn.store(true, Ordering::SeqCst);
+            }
+        }
         while let Some(request) = self.player.poll_request() {
             let number = request.number;
             if let Err(text) = self.send(request) {
@@ -245,8 +254,19 @@ impl Runner {
         // The worker travels with the request and returns with the answer. Nobody else holds the sending
         // end of its channel, so its thread ends when the runner is dropped.
         let requests = worker.requests.clone();
+        let withdrawn = Arc::new(AtomicBool::new(
+            self.player.is_about_stopping(request.number),
+        ));
+        if matches!(request.body, ServerRequest::Init { .. }) {
+            self.inits.insert(request.number, Arc::clone(&withdrawn));
+        }
+        let job = Job {
+            request,
+            decided: self.obeyed,
+            withdrawn,
+        };
         requests
-            .send((request, self.obeyed, worker))
+            .send((job, worker))
             .map_err(|_| "its thread has ended".to_owned())
     }
 }
@@ -265,7 +285,17 @@ struct Worker {
     remote: String,
     /// The last tasks that it has started, newest last.
     started: VecDeque<RemoteId>,
-    requests: Sender<(Request, SeenStops, Worker)>,
+    requests: Sender<(Job, Worker)>,
+}
+
+/// What a worker sends.
+#[derive(Debug)]
+struct Job {
+    request: Request,
+    /// The stops that were carried out before it was decided.
+    decided: SeenStops,
+    /// Whether its task is stopped meanwhile.
+    withdrawn: Arc<AtomicBool>,
 }
 
 impl Worker {
@@ -274,12 +304,14 @@ impl Worker {
         mut connection: Box<dyn Connection>,
         runner: RunnerHandle,
     ) -> Result<Self, String> {
-        let (requests, inbox) = mpsc::channel::<(Request, SeenStops, Self)>();
+        let (requests, inbox) = mpsc::channel::<(Job, Self)>();
         std::thread::Builder::new()
             .name(format!("ztl-{remote}"))
             .spawn(move || {
-                for (request, decided, worker) in inbox {
-                    let may_start = || runner.seen() == decided;
+                for (job, worker) in inbox {
+                    let request = job.request;
+                    let may_start =
+                        || runner.seen() == job.decided && !job.withdrawn.load(Ordering::SeqCst);
                     let answer = connection.request(&request.body, &may_start);
                     let answer = Input::Answer(request.number, answer, worker);
                     if runner.inputs.send(answer).is_err() {
@@ -316,232 +348,4 @@ impl Worker {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::Defaults;
-    use crate::server::Acceptance;
-
-    /// A server that accepts every INIT that it gets, once the test lets it.
-    struct Gated {
-        reached: Sender<String>,
-        gate: Arc<std::sync::Mutex<Receiver<()>>>,
-        sent: Sender<String>,
-    }
-
-    impl Connection for Gated {
-        fn request(
-            &mut self,
-            request: &ServerRequest,
-            may_start: &dyn Fn() -> bool,
-        ) -> ServerAnswer {
-            let listed = Some((1, Vec::new()));
-            match request {
-                ServerRequest::Init { component, .. } => {
-                    self.reached.send(component.clone()).unwrap();
-                    self.gate.lock().unwrap().recv().unwrap();
-                    if !may_start() {
-                        return ServerAnswer::Withdrawn;
-                    }
-                    self.sent.send(component.clone()).unwrap();
-                    ServerAnswer::Rejected {
-                        id: 1_i64.into(),
-                        text: "no".to_owned(),
-                    }
-                }
-                ServerRequest::Tasks => ServerAnswer::Tasks {
-                    listed,
-                    gaps: Vec::new(),
-                },
-                _ => ServerAnswer::Unclear {
-                    text: "not expected".to_owned(),
-                },
-            }
-        }
-
-        fn offers(&mut self) -> Option<ztl_std::Offers> {
-            None
-        }
-
-        fn would_accept(&mut self, _: &str, _: &str, _: &str) -> Acceptance {
-            Acceptance::Unknown
-        }
-    }
-
-    /// Plays a script whose servers hold each INIT; returns what reaches them, what lets it go on, and what was sent.
-    fn gated(file: &[u8]) -> (Runner, Receiver<String>, Sender<()>, Receiver<String>) {
-        let script = Script::read("f", file, Defaults::default()).unwrap();
-        let (reached, at_gate) = mpsc::channel();
-        let (open, gate) = mpsc::channel();
-        let (sent, arrived) = mpsc::channel();
-        let gate = Arc::new(std::sync::Mutex::new(gate));
-        let connect: Connect = Box::new(move |_| {
-            let (reached, gate, sent) = (reached.clone(), Arc::clone(&gate), sent.clone());
-            Ok(Box::new(Gated {
-                reached,
-                gate,
-                sent,
-            }))
-        });
-        let options = PlayOptions {
-            remotes: ["r".to_owned()].into(),
-            ..PlayOptions::default()
-        };
-        let mut runner = Runner::new(script.into(), options, connect);
-        runner.begin();
-        (runner, at_gate, open, arrived)
-    }
-
-    /// Takes events until a question is asked.
-    fn until_asked(runner: &mut Runner) -> Option<Question> {
-        loop {
-            if let Some(StampedEvent {
-                event: RunEvent::Asked { question, .. },
-                ..
-            }) = runner.next(Duration::from_secs(60))
-            {
-                return Some(question);
-            }
-        }
-    }
-
-    #[test]
-    fn nothing_that_was_decided_before_a_stop_is_sent_after_it() {
-        let file = b"one: {a: {r: {x: 1}}, b: {r: {y: 1}}}";
-        let (mut runner, at_gate, open, arrived) = gated(file);
-        let scene = Some(Question::Scene { scene: 0 });
-        assert_eq!(until_asked(&mut runner), scene);
-        let before = runner.handle().seen();
-        assert!(runner.has_obeyed(before));
-        assert!(runner.decide(RunCommand::Start, scene));
-        let wait = Duration::from_secs(60);
-        assert_eq!(at_gate.recv_timeout(wait).as_deref(), Ok("x"));
-        // The runner has not heard of it, and the request is on its way.
-        runner.handle().stop_all();
-        assert!(!runner.has_obeyed(before) && !runner.has_obeyed(runner.handle().seen()));
-        open.send(()).unwrap();
-        assert_eq!(until_asked(&mut runner), scene);
-        assert!(arrived.try_recv().is_err(), "it was sent after the stop");
-        assert!(at_gate.try_recv().is_err(), "a step began after the stop");
-        // Who decided before the stop has not seen it; who decides now has.
-        assert!(!runner.has_obeyed(before));
-        assert!(runner.has_obeyed(runner.handle().seen()));
-        assert!(runner.decide(RunCommand::Start, scene));
-        open.send(()).unwrap();
-        assert_eq!(arrived.recv_timeout(wait).as_deref(), Ok("x"));
-    }
-
-    /// A connection that gives its number as an id, and tells who is asked for which id.
-    struct Numbered {
-        number: RemoteId,
-        asked: Sender<(RemoteId, RemoteId)>,
-    }
-
-    impl Connection for Numbered {
-        fn request(&mut self, request: &ServerRequest, _: &dyn Fn() -> bool) -> ServerAnswer {
-            let text = String::new();
-            if let ServerRequest::Status { id, .. } = request {
-                let asked = (self.number.clone(), id.clone());
-                self.asked.send(asked).unwrap();
-                return ServerAnswer::Unclear { text };
-            }
-            ServerAnswer::Started {
-                id: self.number.clone(),
-                text,
-                server: crate::server::Server::Original,
-            }
-        }
-
-        fn offers(&mut self) -> Option<ztl_std::Offers> {
-            None
-        }
-
-        fn would_accept(&mut self, _: &str, _: &str, _: &str) -> Acceptance {
-            Acceptance::Unknown
-        }
-    }
-
-    #[test]
-    fn the_connection_that_started_a_task_asks_for_it() {
-        let script = Script::read("f", b"one: {a: {r: {x: 1}}}", Defaults::default()).unwrap();
-        let (asked, heard) = mpsc::channel();
-        let mut count = 0_i64;
-        let connect: Connect = Box::new(move |_| {
-            count += 1;
-            Ok(Box::new(Numbered {
-                number: count.into(),
-                asked: asked.clone(),
-            }))
-        });
-        let mut runner = Runner::new(script.into(), PlayOptions::default(), connect);
-        let mut send = |bodies: &[ServerRequest]| {
-            for body in bodies {
-                let (number, remote) = (RequestNumber(1), "r".to_owned());
-                let body = body.clone();
-                let request = Request {
-                    number,
-                    remote,
-                    body,
-                };
-                runner.send(request).unwrap();
-            }
-            while runner.idle.get("r").map_or(0, Vec::len) < 2 {
-                runner.next(Duration::from_millis(1));
-            }
-        };
-        let [handler, component, goal] = ["h", "c", "g"].map(str::to_owned);
-        let init = ServerRequest::Init {
-            handler,
-            component,
-            goal,
-        };
-        send(&[init.clone(), init]);
-        for id in [1, 2, 1, 1, 2, 2] {
-            let id = RemoteId::from(id);
-            send(&[ServerRequest::Status {
-                id: id.clone(),
-                text: String::new(),
-                hold: Duration::ZERO,
-            }]);
-            assert_eq!(heard.try_recv(), Ok((id.clone(), id)));
-        }
-    }
-
-    #[test]
-    fn a_flood_of_stops_is_one_stop_and_all_of_them_are_obeyed() {
-        let (mut runner, ..) = gated(b"one: {a: {r: {x: 1}}}");
-        until_asked(&mut runner);
-        let handle = runner.handle();
-        let mut decisions = 0;
-        for _ in 0..200 {
-            handle.stop_all();
-            while !runner.has_obeyed(handle.seen()) || runner.player.question().is_none() {
-                let event = runner.next(Duration::from_millis(1));
-                let event = event.map(|event| event.event);
-                decisions += usize::from(matches!(event, Some(RunEvent::Decided { .. })));
-            }
-        }
-        assert!((1..100).contains(&decisions), "{decisions}");
-    }
-
-    #[test]
-    fn a_decision_answers_only_the_question_that_the_operator_saw() {
-        let file = b"one: {a(on_failure=ask): {nobody: {x: 1}}}\ntwo: {b: {nobody: {x: 1}}}";
-        let script = Script::read("f", file, Defaults::default()).unwrap();
-        let mut runner = Runner::new(
-            script.into(),
-            PlayOptions::default(),
-            Box::new(|_| Err("nobody is there".to_owned())),
-        );
-        runner.begin();
-        let scene = Some(Question::Scene { scene: 0 });
-        assert!(runner.decide(RunCommand::Start, scene));
-        // It could not be started, and the operator has not seen that yet.
-        let step = Some(Question::Step { scene: 0, step: 0 });
-        assert_eq!(runner.player.question(), step);
-        assert!(!runner.decide(RunCommand::Skip, scene));
-        assert_eq!(runner.player.question(), step);
-        assert!(runner.decide(RunCommand::Skip, step));
-        assert_eq!(runner.player.question(), Some(Question::Scene { scene: 1 }));
-        assert!(runner.decide(RunCommand::Stop, step), "at any time");
-    }
-}
+mod tests;

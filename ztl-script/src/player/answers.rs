@@ -12,7 +12,7 @@ use crate::event::{RequestNumber, RunEvent, ServerState, TaskNumber, TaskState, 
 use crate::server::{Server, ServerAnswer, ServerRequest};
 
 /// Said about a task whose INIT was not sent.
-const WITHDRAWN: &str = "not sent: everything was stopped, or it was too late";
+const WITHDRAWN: &str = "not sent: it was stopped before, or it was too late";
 
 /// A STATUS answered sooner than this was not held.
 const NOT_HELD: Duration = Duration::from_millis(20);

@@ -24,6 +24,13 @@ impl Player {
         matches!(&self.phase, Phase::Stopping(stopping) if stopping.tasks.contains(&number))
     }
 
+    /// Whether the request is about a task that is being stopped.
+    pub(crate) fn is_about_stopping(&self, request: RequestNumber) -> bool {
+        let pending = self.under_way.get(&request);
+        let task = pending.and_then(|pending| pending.task);
+        task.is_some_and(|task| self.is_stopping(task))
+    }
+
     /// The scene that is shown when everything under way is stopped.
     fn before(&self) -> usize {
         match (&self.phase, self.question) {
