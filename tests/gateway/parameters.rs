@@ -124,7 +124,7 @@ fn nothing_is_set_under_a_task_and_reading_does_not_disturb_it() {
     assert_eq!(why, format!("ztl: hand: {busy}\n"));
     let why = refused(&gateway, &["save", "hand"]);
     assert!(
-        why.contains("a task runs, and saving may interrupt it"),
+        why.contains("not while a component moves or is not safe"),
         "{why}"
     );
     assert_eq!(told(&gateway, &["get", "hand", "speed"]), "0.1\n");

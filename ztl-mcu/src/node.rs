@@ -212,6 +212,7 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
                 runner: TaskRunner {
                     stopped: false,
                     safety_wake: Instant::NEVER,
+                    retry_at: Instant::ZERO,
                     readings_wake: Instant::ZERO,
                     unsafe_components: IndexSet::new(),
                     components,

@@ -89,7 +89,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Writing to flash may stop the processor for a while, so nothing may move.
     fn save_parameters(&mut self) -> Result<(), &'static str> {
         if self.moves(NO_COMPONENT) {
-            return Err("a task runs, and saving may interrupt it");
+            return Err("not while a component moves or is not safe");
         }
         match self.components.tuning_mut().map(|tuning| tuning.save()) {
             Some(Ok(())) => Ok(()),

@@ -6,13 +6,12 @@ use ztl_core::Instant;
 use ztl_core::link::update::UpdatePhase;
 use ztl_core::link::{Busy, LinkId, Loss};
 
-use super::refusal::{EMERGENCY_STOP, RESTARTING, Reason, Refusal, UPDATING};
+use super::refusal::{Reason, Refusal, UPDATING};
 use super::tasks::{Stage, TEXT, Table, Task, TaskText};
 use crate::component::{Component, Components, Refused, Report, Run};
 
 /// How often a component that fails to reach its safe state is made safe again.
 const SAFETY_INTERVAL: Duration = Duration::from_millis(50);
-const LINK_LOST: &str = "link was lost";
 const REPLACED: &str = "replaced by a later task";
 
 /// The components and their tasks, which come from a gateway or from a server in the same firmware.
@@ -25,6 +24,8 @@ pub(crate) struct TaskRunner<C, const TASKS: usize> {
     /// When to poll the idle components that have not reached the safe state yet; [`Instant::NEVER`] if all
     /// have.
     pub(super) safety_wake: Instant,
+    /// When components that failed to become safe are made safe again, at the earliest.
+    pub(super) retry_at: Instant,
     /// When an idle component wants to be asked for a reading; [`Instant::ZERO`] if a component may have changed since it was
     /// asked.
     pub(super) readings_wake: Instant,
@@ -65,6 +66,7 @@ impl<C, const TASKS: usize> TaskRunner<C, TASKS> {
         Self {
             stopped: false,
             safety_wake: Instant::NEVER,
+            retry_at: Instant::ZERO,
             readings_wake: Instant::ZERO,
             unsafe_components: IndexSet::new(),
             components,
@@ -101,6 +103,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         if safety {
             self.safety_wake = Instant::NEVER;
         }
+        let retry = now >= self.retry_at;
         for index in 0..self.components.count() {
             let next_tick = self.components.next_tick(index);
             // The first condition is constant, and so the second absent, if no component has ticks.
@@ -123,19 +126,19 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             let mut run = component.poll(now, &mut Report::new(&mut text));
             let mut wake = component.poll_timeout(now);
             if to_safety && run == Run::Failed {
-                if !due {
-                    continue;
+                if retry {
+                    component.make_safe(now);
+                    self.retry_at = now + SAFETY_INTERVAL;
                 }
-                component.make_safe(now);
                 run = Run::Running;
-                wake = now + SAFETY_INTERVAL;
+                wake = self.retry_at;
             } else {
                 wake = wake.min(self.components.next_tick(index));
             }
             let Some(task) = task else {
                 if run != Run::Running || wake == Instant::NEVER {
                     self.unsafe_components.set(index, false);
-                } else if due {
+                } else if to_safety {
                     self.safety_wake = self.safety_wake.min(wake);
                 }
                 continue;
@@ -151,10 +154,8 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             };
             self.unsafe_components.set(index, false);
             let (end, why) = match task.stage {
-                Stage::Lost => (Stage::Failed, LINK_LOST),
-                Stage::Stopped => (Stage::Aborted, stop_reason(&self.components)),
                 Stage::Replaced if end == Stage::Aborted => (end, REPLACED),
-                _ => (end, ""),
+                stage => stage.forced_end().unwrap_or((end, "")),
             };
             task.set_end(end, now, why);
             if end == Stage::Completed && !self.components.result(index).is_empty() {
@@ -189,14 +190,10 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
     /// Sends the components to the safe state, idle ones too: `all`, or those that do not carry on without a
     /// link. Ends waiting tasks at once, and running ones when their component is safe.
     pub(super) fn make_safe(&mut self, now: Instant, all: bool) {
-        let (stopping, end, why) = if all {
-            (
-                Stage::Stopped,
-                Stage::Aborted,
-                stop_reason(&self.components),
-            )
+        let stage = if all {
+            stop_stage(&self.components)
         } else {
-            (Stage::Lost, Stage::Failed, LINK_LOST)
+            Stage::Lost
         };
         for index in 0..self.components.count() {
             let Some(component) = self.components.component_mut(index) else {
@@ -212,14 +209,16 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                     continue;
                 }
                 if task.waits() {
+                    let (end, why) = stage.forced_end().unwrap_or((Stage::Failed, ""));
                     task.set_end(end, now, why);
                 } else if !task.is_made_safe() {
-                    task.stage = stopping;
+                    task.stage = stage;
                 }
                 task.wake = now;
             }
         }
         self.safety_wake = now;
+        self.retry_at = now;
         self.handle_timeout(now);
     }
 
@@ -257,7 +256,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         let Some(part) = self.components.component_mut(usize::from(component)) else {
             return Err(Refusal::NoSuchComponent);
         };
-        let (mut open, mut free) = (0, TASKS);
+        let (mut open, mut free, mut runs) = (0, TASKS, false);
         for (index, known) in self.tasks.0.iter().enumerate() {
             if known.is_free() {
                 free = free.min(index);
@@ -265,6 +264,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                 && (known.is_open() || has_result && known.is_kept())
             {
                 open += 1;
+                runs |= known.runs();
             }
         }
         let policy = part.offer().busy;
@@ -272,7 +272,9 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         if busy && policy == Busy::Refuse {
             return Err(Refusal::Busy);
         }
-        if !busy && self.unsafe_components.has(component.into()) {
+        // With a task on its way, it is safe before the next one begins.
+        if !runs && self.unsafe_components.has(component.into()) {
+            self.readings_wake = Instant::ZERO;
             let run = part.poll(now, &mut Report::new(&mut self.reason));
             if matches!(run, Run::Running | Run::Failed) {
                 return Err(Refusal::GoingToSafeState);
@@ -376,14 +378,14 @@ fn is_updating<C: Components>(components: &C) -> bool {
             .is_some_and(|(state, _)| state.is_active())
 }
 
-/// Why the tasks end for which all components go to the safe state.
-fn stop_reason<C: Components>(components: &C) -> &'static str {
+/// The stage of the tasks for which all components go to the safe state.
+fn stop_stage<C: Components>(components: &C) -> Stage {
     if !is_updating(components) {
-        return EMERGENCY_STOP;
+        return Stage::Stopped;
     }
     match components.update() {
-        Some((state, _)) if state.phase == UpdatePhase::Restarting => RESTARTING,
-        _ => UPDATING,
+        Some((state, _)) if state.phase == UpdatePhase::Restarting => Stage::Restarting,
+        _ => Stage::Updating,
     }
 }
 

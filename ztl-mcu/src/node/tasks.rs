@@ -7,6 +7,8 @@ use heapless::String;
 use ztl_core::link::LinkId;
 use ztl_core::{Instant, State};
 
+use super::refusal::{EMERGENCY_STOP, RESTARTING, UPDATING};
+
 /// Longest progress, result or reason of a task, and longest goal of a waiting task, in bytes.
 pub(crate) const TEXT: usize = 48;
 
@@ -46,12 +48,29 @@ pub(super) enum Stage {
     Replaced,
     /// Its component is going to the safe state because the link was lost.
     Lost,
-    /// Its component is going to the safe state because of an emergency stop.
+    /// The same because of an emergency stop.
     Stopped,
+    /// The same because of a firmware update.
+    Updating,
+    /// The same because the device restarts.
+    Restarting,
     /// Final, like the next two: kept until acknowledged.
     Failed,
     Aborted,
     Completed,
+}
+
+impl Stage {
+    /// How and why a task ends whose component is going to the safe state.
+    pub(super) const fn forced_end(self) -> Option<(Self, &'static str)> {
+        match self {
+            Self::Lost => Some((Self::Failed, "link was lost")),
+            Self::Stopped => Some((Self::Aborted, EMERGENCY_STOP)),
+            Self::Updating => Some((Self::Aborted, UPDATING)),
+            Self::Restarting => Some((Self::Aborted, RESTARTING)),
+            _ => None,
+        }
+    }
 }
 
 impl Task {
@@ -87,8 +106,8 @@ impl Task {
     pub(super) const fn runs(&self) -> bool {
         matches!(
             self.stage,
-            Stage::Running | Stage::Aborting | Stage::Replaced | Stage::Lost | Stage::Stopped
-        )
+            Stage::Running | Stage::Aborting | Stage::Replaced
+        ) || self.is_made_safe()
     }
 
     /// Its component keeps its result. Such a task is never polled again, so the time is free to say so: a stage of its own
@@ -104,7 +123,10 @@ impl Task {
 
     /// Whether its component is going to the safe state.
     pub(super) const fn is_made_safe(&self) -> bool {
-        matches!(self.stage, Stage::Lost | Stage::Stopped)
+        matches!(
+            self.stage,
+            Stage::Lost | Stage::Stopped | Stage::Updating | Stage::Restarting
+        )
     }
 
     /// Whether it waits or runs.

@@ -190,7 +190,8 @@ struct TestGateway<'n, C, const TASKS: usize> {
 }
 
 impl<C: Components, const TASKS: usize> TestGateway<'_, C, TASKS> {
-    fn send(&mut self, session: u32, seq: u8, body: Body<'_>) -> Grown<String> {
+    /// Gives a message to the node without taking its answer.
+    fn write(&mut self, session: u32, seq: u8, body: Body<'_>) {
         let mut buffer = [0xA5; 160];
         let frame = Frame {
             addr: ADDR_ONLY_NODE,
@@ -199,6 +200,10 @@ impl<C: Components, const TASKS: usize> TestGateway<'_, C, TASKS> {
         };
         let len = encode(session, &frame, &mut buffer).unwrap();
         self.node.handle_bytes(self.now, &buffer[..len]);
+    }
+
+    fn send(&mut self, session: u32, seq: u8, body: Body<'_>) -> Grown<String> {
+        self.write(session, seq, body);
         said(self.node, self.now, self.session)
     }
 

@@ -150,10 +150,12 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             state.phase = UpdatePhase::Stopping;
             self.make_safe(now, true);
         }
-        if self.moves(NO_COMPONENT) {
-            return UPDATE;
-        }
+        let moves = self.moves(NO_COMPONENT);
         if let Some((state, updater)) = self.components.update_mut() {
+            if moves {
+                state.phase = UpdatePhase::Stopping;
+                return UPDATE;
+            }
             state.phase = match updater.begin(manifest, downgrade) {
                 Ok(receiving) => {
                     state.length = receiving.length;
@@ -217,7 +219,8 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                     updater.restart();
                 }
             }
-            UpdatePhase::Restarting => {}
+            // It goes on to its end, also after a time without commands.
+            UpdatePhase::Verifying | UpdatePhase::Restarting => {}
             _ if state.is_active() && now >= state.until => state.phase = UpdatePhase::Idle,
             _ => {}
         }

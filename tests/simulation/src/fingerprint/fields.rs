@@ -37,7 +37,7 @@ pub(super) const SESSIONS: [u64; 2] = [name("session"), name("hello")];
 /// A session before this one. Which one it was does not matter.
 pub(super) const REPLACED: [u64; 2] = [name("replaced"), name("replaces")];
 /// Times at which something is due: how long ago does not matter.
-pub(super) const DUE: [u64; 12] = [
+pub(super) const DUE: [u64; 13] = [
     name("ask_at"),
     name("awake_due"),
     name("begun_due"),
@@ -47,6 +47,7 @@ pub(super) const DUE: [u64; 12] = [
     name("quiet_at"),
     name("receiving"),
     name("repeat"),
+    name("retry_at"),
     name("safety_wake"),
     name("until"),
     name("wake"),

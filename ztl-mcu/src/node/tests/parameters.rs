@@ -266,7 +266,7 @@ fn nothing_is_set_under_a_task_of_the_component_and_nothing_saved_under_any() {
     let other = set(0, Value::F32(80.0));
     assert_eq!(gateway.ask(4, other), "0 speed F32(80.0) Changed");
     assert_eq!(gateway.ask(5, read(2)), "1 speed F32(50.0) Saved");
-    let saving = "Refused a task runs, and saving may interrupt it";
+    let saving = "Refused not while a component moves or is not safe";
     assert_eq!(gateway.ask(6, SAVE), format!("6 {saving}"));
     gateway.command(7, Body::Abort { task: LinkId(1) });
     gateway.pass(1);

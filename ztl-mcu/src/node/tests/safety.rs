@@ -84,12 +84,17 @@ fn a_cleared_emergency_stop_lasts_until_each_component_is_safe() {
 /// A relay whose pin fails a number of times.
 struct Relay {
     loss: Loss,
+    busy: Busy,
     /// Writes that fail.
     failing: u32,
     on: bool,
     failed: bool,
     every: u64,
     tick: Instant,
+    /// How long it takes to become safe, in ms.
+    slow: u64,
+    safe_at: Instant,
+    result: &'static str,
     calls: Grown<String>,
 }
 
@@ -105,7 +110,9 @@ impl Relay {
 
 impl Component for Relay {
     fn offer(&self) -> Offer<'_> {
-        Offer::new("relay").with_loss(self.loss)
+        Offer::new("relay")
+            .with_loss(self.loss)
+            .with_busy(self.busy)
     }
 
     fn check(&self, _: &str, _: &mut Report<'_>) -> Result<(), Refused> {
@@ -125,14 +132,29 @@ impl Component for Relay {
             report.text("pin failed");
             return Run::Failed;
         }
-        Run::Completed
+        match now < self.safe_at {
+            true => Run::Running,
+            false => Run::Completed,
+        }
     }
 
     fn abort(&mut self, _: Instant) {}
 
     fn make_safe(&mut self, now: Instant) {
         self.calls.push(now.as_millis().to_string());
+        self.safe_at = now + Duration::from_millis(self.slow);
         self.set(false);
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Instant {
+        match now < self.safe_at {
+            true => now + Duration::from_millis(1),
+            false => Instant::NEVER,
+        }
+    }
+
+    fn result(&self) -> &str {
+        self.result
     }
 
     fn next_tick(&self) -> Instant {
@@ -142,11 +164,15 @@ impl Component for Relay {
 
 const RELAY: Relay = Relay {
     loss: Loss::Abort,
+    busy: Busy::Refuse,
     failing: 0,
     on: false,
     failed: false,
     every: 0,
     tick: Instant::NEVER,
+    slow: 0,
+    safe_at: Instant::ZERO,
+    result: "",
     calls: Grown::new(),
 };
 
@@ -247,5 +273,49 @@ fn a_component_with_ticks_is_made_safe_again_at_the_same_rate() {
         gateway.node.components_mut()[0].failing = 0;
         sleep_for(gateway, 1000);
         assert!(gateway.node.components()[0].calls.len() <= calls + 1);
+    });
+}
+
+#[test]
+fn a_neighbour_that_is_polled_often_changes_no_rate() {
+    let slow = Relay {
+        slow: 1000,
+        ..RELAY
+    };
+    let failing = Relay {
+        failing: u32::MAX,
+        ..RELAY
+    };
+    with_relays([slow, failing], |gateway| {
+        gateway.node.stop_everything(gateway.now);
+        sleep_for(gateway, 1000);
+        let calls = gateway.node.components()[1].calls.len();
+        assert!((18..=22).contains(&calls), "{calls}");
+    });
+}
+
+#[test]
+fn a_component_that_keeps_a_result_takes_no_task_before_it_is_safe() {
+    let keeping = Relay {
+        busy: Busy::Queue(1),
+        result: "long",
+        ..RELAY
+    };
+    with_relays([keeping, RELAY], |gateway| {
+        gateway.hello(5, 1);
+        gateway.start(1, 9, 0, "on");
+        assert!(sleep_for(gateway, 500).contains("Ended 9 COMPLETED"));
+        gateway.node.components_mut()[0].failing = u32::MAX;
+        sleep_for(gateway, 1000);
+        let refused = "Refused busy going to its safe state";
+        assert_eq!(gateway.start(2, 10, 0, "on")[0], format!("2 {refused}"));
+        gateway.send(key(5), NO_SEQ, Body::Ack { task: LinkId(9) });
+        assert_eq!(gateway.start(3, 10, 0, "on")[0], format!("3 {refused}"));
+        gateway.node.components_mut()[0].failing = 0;
+        sleep_for(gateway, 100);
+        assert!(!gateway.node.components()[0].on);
+        assert_eq!(gateway.start(4, 10, 0, "on")[0], "4 Started 10");
+        sleep_for(gateway, 100);
+        assert!(gateway.node.components()[0].on);
     });
 }

@@ -434,6 +434,57 @@ fn commands_do_not_drop_a_verification() {
 }
 
 #[test]
+fn an_answer_after_a_long_time_does_not_drop_a_verification() {
+    let memory = Memory {
+        verifies: 200,
+        ..Memory::default()
+    };
+    with_updates(memory, |gateway, _, _| {
+        begun(gateway, &[1, 32]);
+        assert!(gateway.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+        assert_eq!(gateway.phase(4, UpdateCommand::Finish), "Verifying");
+        for _ in 0..60 {
+            gateway.pass(100);
+        }
+        // Its answer waits when the node's turn comes.
+        gateway.write(key(5), 5, Body::Ping);
+        assert_eq!(gateway.pass(0), ["5 Pong 0"]);
+        assert_eq!(gateway.phase(6, UpdateCommand::Ask), "Verifying");
+    });
+}
+
+#[test]
+fn a_task_ends_for_the_reason_that_stopped_it() {
+    with_updates(Memory::default(), |gateway, _, _| {
+        gateway.start(1, 9, 1, "50000");
+        let at_once = UpdateCommand::Begin {
+            now: true,
+            downgrade: false,
+            manifest: &[1, 32],
+        };
+        assert_eq!(gateway.phase(2, at_once), "Stopping");
+        assert_eq!(gateway.phase(3, UpdateCommand::Cancel), "Idle");
+        let ended = gateway.pass(310).join(", ");
+        let why = "Ended 9 ABORTED a firmware update is in progress";
+        assert!(ended.contains(why), "{ended}");
+    });
+}
+
+#[test]
+fn another_image_is_not_written_behind_a_part_of_the_first() {
+    with_updates(Memory::default(), |gateway, _, _| {
+        begun(gateway, &[1, 64]);
+        assert!(gateway.phase(3, write(0, &[1; 32])).starts_with(RECEIVING));
+        gateway.pass(1000);
+        gateway.hello(6, 1);
+        // The link was lost, so a component is on its way to its safe state again.
+        assert_eq!(gateway.phase(1, begin(&[1])), "Stopping");
+        gateway.pass(300);
+        assert_eq!(gateway.phase(2, begin(&[1])), "Failed(Manifest)");
+    });
+}
+
+#[test]
 fn an_older_gateway_notices_nothing_of_updates() {
     let (trace, memory) = (Trace::default(), RefCell::default());
     let mut node = Node::<_, 2, 128>::new(Identity::new("desk", "1", 77), updated(&trace, &memory));
