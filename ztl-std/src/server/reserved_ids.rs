@@ -7,7 +7,7 @@ use std::thread::Thread;
 use ztl_core::TaskId;
 
 /// Shared between a server, which gives ids, and a journal, which reserves them before.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct ReservedIds {
     /// Those up to this one may be given.
     last: AtomicU32,
@@ -22,11 +22,12 @@ pub struct ReservedIds {
 impl ReservedIds {
     /// None are reserved yet; ids up to this one were given before.
     #[must_use]
-    pub fn after(given: u32) -> Self {
+    pub fn after(given: TaskId) -> Self {
         Self {
-            last: given.into(),
-            given: given.into(),
-            ..Self::default()
+            last: given.get().into(),
+            low: 0.into(),
+            given: given.get().into(),
+            reserves: OnceLock::new(),
         }
     }
 
@@ -41,7 +42,7 @@ impl ReservedIds {
         self.last.store(last, Ordering::Release);
     }
 
-    /// The last one that may be given.
+    /// The last one that may be given; never `None`.
     pub(crate) fn last(&self) -> Option<TaskId> {
         TaskId::new(self.last.load(Ordering::Acquire))
     }
@@ -87,7 +88,7 @@ mod tests {
 
     #[test]
     fn a_server_gives_only_reserved_ids_and_all_of_them() {
-        let ids = Arc::new(ReservedIds::after(5));
+        let ids = Arc::new(ReservedIds::after(TaskId::new(5).unwrap()));
         let mut server = TaskServer::bind("tcp://127.0.0.1:*").unwrap();
         server.register_handler("/test", Reserving(Arc::clone(&ids)));
         let server = server.spawn().unwrap();

@@ -134,7 +134,7 @@ impl<S: Storage> JournalRecords<S> {
             gateway: new_id,
             reserved: 0,
             low: 0,
-            ids: Arc::default(),
+            ids: Arc::new(ReservedIds::after(TaskId::MAX)),
             sync: false,
             tasks: BTreeMap::new(),
             len: written.len() as u64,
@@ -159,7 +159,8 @@ impl<S: Storage> JournalRecords<S> {
             // Random, so that an id of another journal names no task of this one.
             records.reserved = ((new_id >> 34) as u32).max(1);
         }
-        records.ids = Arc::new(ReservedIds::after(records.reserved));
+        let given = TaskId::new(records.reserved).unwrap_or(TaskId::MAX);
+        records.ids = Arc::new(ReservedIds::after(given));
         records.warn_of_few_ids();
         records.forget(now);
         records.end_updates(now);
@@ -167,7 +168,7 @@ impl<S: Storage> JournalRecords<S> {
             // The unusable lines stay in the earlier file.
             records.rotate_or_go_on(now);
         }
-        if !records.opened {
+        if !records.opened || records.low == 0 {
             // A failure is logged, and tried again with the first task.
             let _ = records.write(now, None);
         }

@@ -304,9 +304,16 @@ impl Worker {
         };
         running.test = Some(request.id);
         (running.stopped, running.test_refused) = (false, false);
+        // Nobody learns an id that the journal does not have.
+        if !self.note_update() && self.session.journal_mut().is_some() {
+            if let Some(running) = &mut self.updates.running {
+                running.test = None;
+            }
+            let why = Err("the journal cannot be written".to_owned());
+            return self.step(|job| job.on_tested(now(), why));
+        }
         let shown = DeviceRequest::from(&request);
         self.log_task(request.id, &shown, "tests the new firmware");
-        self.note_update();
         let task = id.begin_here(encoded(&request.handler, &request.component, &request.goal));
         self.tasks.insert(request.id, (task, shown));
         self.session

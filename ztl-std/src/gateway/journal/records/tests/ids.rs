@@ -53,6 +53,15 @@ fn ids_without_an_entry_are_reserved_before_they_are_given() {
 }
 
 #[test]
+fn ids_are_reserved_at_the_start_also_after_an_unreadable_line() {
+    let mut written = fresh().storage().clone();
+    written.extend_from_slice(b"{\"what\n");
+    let log = JournalRecords::open(Vec::new(), &written, at(1), 7);
+    let ids = log.reserved_ids();
+    assert!(ids.last() > Some(id(ids.given())));
+}
+
+#[test]
 fn no_id_is_given_while_none_can_be_reserved() {
     let mut log = JournalRecords::open(Small::new(0), b"", at(0), 7);
     let ids = Arc::clone(log.reserved_ids());
