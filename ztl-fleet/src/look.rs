@@ -49,27 +49,36 @@ pub(crate) fn refusal(robot: &str, agent: &str) -> String {
     format!("{robot}  refused  agent {agent} does not have the key of this name")
 }
 
-/// What agents say, for a list. Who does not answer is asked again: a router may not know the way yet, or the machine is
+/// Puts a question to agents. Who does not answer is asked again: a router may not know the way yet, or the machine is
 /// busy.
-fn infos(caller: &Caller, agents: &Agents) -> Vec<Option<RobotInfo>> {
-    let end = Instant::now() + LISTING;
-    let mut infos = caller.infos(agents, LIMIT);
+fn until_told<T>(
+    agents: &Agents,
+    end: Instant,
+    question: impl Fn(&Agents, Duration) -> Vec<Option<T>>,
+) -> Vec<Option<T>> {
+    let mut answers = question(agents, LIMIT);
     loop {
-        let open = infos.iter().enumerate().filter(|(_, info)| info.is_none());
+        let open = answers.iter().enumerate().filter(|(_, it)| it.is_none());
         let open: Vec<usize> = open.map(|(index, _)| index).collect();
         let left = end.saturating_duration_since(Instant::now());
         if open.is_empty() || left <= AGAIN {
-            return infos;
+            return answers;
         }
         std::thread::sleep(AGAIN);
         let again = open.iter().filter_map(|index| agents.get(*index).cloned());
         let again: Agents = again.collect();
-        for (index, info) in open.into_iter().zip(caller.infos(&again, LIMIT.min(left))) {
-            if let Some(slot) = infos.get_mut(index) {
-                *slot = info;
+        for (index, answer) in open.into_iter().zip(question(&again, LIMIT.min(left))) {
+            if let Some(slot) = answers.get_mut(index) {
+                *slot = answer;
             }
         }
     }
+}
+
+/// What agents say, for a list.
+fn infos(caller: &Caller, agents: &Agents) -> Vec<Option<RobotInfo>> {
+    let end = Instant::now() + LISTING;
+    until_told(agents, end, |agents, limit| caller.infos(agents, limit))
 }
 
 /// A robot that belongs to the fleet.
@@ -249,9 +258,10 @@ impl Select {
 
     /// Exit code 0 if all robots have told all their tasks.
     pub(crate) fn ps(self) -> Done {
+        let end = Instant::now() + LISTING;
         let (caller, all, _) = self.find_with(infos)?;
         let mut good = true;
-        for (found, tasks) in all.iter().zip(tasks(&caller, &all)) {
+        for (found, tasks) in all.iter().zip(tasks(&caller, &all, end)) {
             let name = &found.name;
             let Some(tasks) = tasks.filter(|_| !found.is_doubted) else {
                 good = false;
@@ -320,7 +330,9 @@ impl Select {
         let mut is_first = true;
         loop {
             let body = format!("{own};3;{id};abort command");
-            let answer = ask(&caller, &all, AgentQuery::Request, body.as_bytes(), LIMIT);
+            let answer = ask(&all, |agents| {
+                caller.ask_all(agents, AgentQuery::Request, body.as_bytes(), LIMIT)
+            });
             let answer = answer.into_iter().flatten().next();
             if let [found] = &all[..]
                 && let Some((agent, _)) = &found.agent
@@ -385,11 +397,16 @@ pub(crate) struct Tasks {
     unread: usize,
 }
 
-/// The tasks of each robot by its list and by its probe; `None` where it has not told them.
-pub(crate) fn tasks(caller: &Caller, all: &[Found]) -> Vec<Option<Tasks>> {
+/// The tasks of each robot by its list and by its probe; `None` where it has not told them, also when asked again until
+/// `end`.
+pub(crate) fn tasks(caller: &Caller, all: &[Found], end: Instant) -> Vec<Option<Tasks>> {
     let told = |question: &str| {
         let question = format!("$ztl;2;-1;{question}");
-        ask(caller, all, AgentQuery::Request, question.as_bytes(), LIMIT)
+        ask(all, |agents| {
+            until_told(agents, end, |agents, limit| {
+                caller.ask_all(agents, AgentQuery::Request, question.as_bytes(), limit)
+            })
+        })
     };
     let pairs = told("tasks").into_iter().zip(told("probe"));
     pairs
@@ -445,18 +462,15 @@ fn listed(body: &[u8]) -> Option<Tasks> {
 
 /// Asks all robots at once; `None` where there is no answer.
 fn ask(
-    caller: &Caller,
     all: &[Found],
-    what: AgentQuery,
-    payload: &[u8],
-    limit: Duration,
+    question: impl FnOnce(&Agents) -> Vec<Option<Verdict>>,
 ) -> Vec<Option<Vec<u8>>> {
     let there = all.iter().filter_map(|found| {
         let (agent, _) = found.agent.as_ref()?;
         Some((found.name.clone(), agent.clone()))
     });
-    let agents: Vec<(String, String)> = there.collect();
-    let mut verdicts = caller.ask_all(&agents, what, payload, limit).into_iter();
+    let agents: Agents = there.collect();
+    let mut verdicts = question(&agents).into_iter();
     let answers = all.iter().map(|found| match &found.agent {
         None => None,
         Some(_) => match verdicts.next().flatten() {

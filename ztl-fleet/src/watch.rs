@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::RecvTimeoutError;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::look::{Found, Looked, Select, Task, refusal, tasks};
 use crate::{Done, line, signals};
@@ -51,7 +51,7 @@ impl Select {
             {
                 tell(gone.0, gone.1, "is not there".to_owned())?;
             }
-            for (found, tasks) in all.iter().zip(tasks(&caller, &all)) {
+            for (found, tasks) in all.iter().zip(tasks(&caller, &all, Instant::now())) {
                 let known = seen.entry(found.name.clone()).or_default();
                 tell(&found.name, known, state(found))?;
                 // Without an answer, nothing is known to have changed.

@@ -1,8 +1,9 @@
 //! Routers that are not reached, that say nothing, that are lost and that come back.
 
+use std::collections::BTreeSet;
 use std::net::TcpListener;
 use std::process::Stdio;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use serde_json::json;
@@ -137,22 +138,32 @@ fn links_to(router: &str) -> Links {
 }
 
 #[test]
-fn a_list_asks_a_robot_again_whose_question_is_lost() {
+fn a_list_asks_a_robot_again_whose_questions_are_lost() {
     let scratch = Scratch::new();
     let address = nowhere();
     let _router = Fleet::start_router(&scratch, &address);
     let links = links_to(&address);
     let agent = agent_of(&KeyPair::generate().public());
-    let asked = AtomicU32::new(0);
+    let asked = Mutex::new(BTreeSet::new());
     let info = json!({"ztl_fleet": 1, "name": "arm", "agent": agent, "boot": 1, "clock_ms": 1, "since": 1, "ready": true, "scopes": ["/test"]});
+    // Each question is lost once.
     let answer = move |query: Query| {
-        if asked.fetch_add(1, Ordering::Relaxed) > 0 {
-            let answer = query.reply(query.key_expr(), info.to_string());
-            answer.wait().unwrap();
+        let body = query.payload().map(|body| body.to_bytes().into_owned());
+        let body = String::from_utf8(body.unwrap_or_default()).unwrap();
+        let what = (query.key_expr().to_string(), body);
+        let answer = match &*what.1 {
+            body if body.ends_with("tasks") => r#"$ztl;5;0;{"tasks": [], "more": 0}"#.to_owned(),
+            body if body.ends_with("probe") => {
+                r#"$ztl;5;0;{ztl: 1, version: "1", boot: 7, message: 1000, scopes: {"/test": {}}, running: {5: "/test"}}"#.to_owned()
+            }
+            _ => info.to_string(),
+        };
+        if !asked.lock().unwrap().insert(what) {
+            query.reply(query.key_expr(), answer).wait().unwrap();
         }
     };
     let robot = session::open(&links).unwrap();
-    let asked = robot.declare_queryable(key("arm", &agent, "info"));
+    let asked = robot.declare_queryable(key("arm", &agent, "*"));
     let _asked = asked.callback(answer).wait().unwrap();
     let alive = robot.liveliness();
     let alive = alive.declare_token(key("arm", &agent, "alive"));
@@ -167,6 +178,9 @@ fn a_list_asks_a_robot_again_whose_question_is_lost() {
     let listed = Process::run(&mut fleet(&["ls"], &file));
     assert_eq!(listed.code, Some(0), "{listed:?}");
     assert!(listed.stdout.starts_with("arm  ready  /test"), "{listed:?}");
+    let listed = Process::run(&mut fleet(&["ps"], &file));
+    assert_eq!(listed.code, Some(0), "{listed:?}");
+    assert!(listed.stdout.starts_with("5  /arm/test"), "{listed:?}");
 }
 
 #[test]
