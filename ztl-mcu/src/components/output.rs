@@ -106,7 +106,8 @@ enum Goal {
 }
 
 impl<P: OutputPin> DigitalOutput<P> {
-    /// An output with this name on this pin, which is set to its safe state at once.
+    /// An output with this name on this pin, which is set to its safe state at once. If the pin fails here, as one behind an
+    /// expander may, it keeps its level until a task sets it or the link is lost.
     pub fn new(name: &'static str, pin: P, config: DigitalOutputConfig) -> Self {
         let mut output = Self {
             name,
