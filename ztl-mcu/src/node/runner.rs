@@ -6,12 +6,13 @@ use ztl_core::Instant;
 use ztl_core::link::update::UpdatePhase;
 use ztl_core::link::{Busy, LinkId, Loss};
 
-use super::refusal::{Reason, Refusal, UPDATING};
+use super::refusal::{EMERGENCY_STOP, RESTARTING, Reason, Refusal, UPDATING};
 use super::tasks::{Stage, TEXT, Table, Task, TaskText};
 use crate::component::{Component, Components, Refused, Report, Run};
 
 /// How often a component that fails to reach its safe state is made safe again.
 const SAFETY_INTERVAL: Duration = Duration::from_millis(50);
+const LINK_LOST: &str = "link was lost";
 const REPLACED: &str = "replaced by a later task";
 
 /// The components and their tasks, which come from a gateway or from a server in the same firmware.
@@ -155,7 +156,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             self.unsafe_components.set(index, false);
             let (end, why) = match task.stage {
                 Stage::Replaced if end == Stage::Aborted => (end, REPLACED),
-                stage => stage.forced_end().unwrap_or((end, "")),
+                stage => forced_end::<C>(stage).unwrap_or((end, "")),
             };
             task.set_end(end, now, why);
             if end == Stage::Completed && !self.components.result(index).is_empty() {
@@ -195,6 +196,7 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
         } else {
             Stage::Lost
         };
+        let (end, why) = forced_end::<C>(stage).unwrap_or((Stage::Failed, ""));
         for index in 0..self.components.count() {
             let Some(component) = self.components.component_mut(index) else {
                 continue;
@@ -209,7 +211,6 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
                     continue;
                 }
                 if task.waits() {
-                    let (end, why) = stage.forced_end().unwrap_or((Stage::Failed, ""));
                     task.set_end(end, now, why);
                 } else if !task.is_made_safe() {
                     task.stage = stage;
@@ -386,6 +387,18 @@ fn stop_stage<C: Components>(components: &C) -> Stage {
     match components.update() {
         Some((state, _)) if state.phase == UpdatePhase::Restarting => Stage::Restarting,
         _ => Stage::Updating,
+    }
+}
+
+/// How and why a task ends whose component is going to the safe state. The reasons of updates are absent where there are
+/// none.
+const fn forced_end<C: Components>(stage: Stage) -> Option<(Stage, &'static str)> {
+    match stage {
+        Stage::Lost => Some((Stage::Failed, LINK_LOST)),
+        Stage::Stopped => Some((Stage::Aborted, EMERGENCY_STOP)),
+        Stage::Updating if C::UPDATES => Some((Stage::Aborted, UPDATING)),
+        Stage::Restarting if C::UPDATES => Some((Stage::Aborted, RESTARTING)),
+        _ => None,
     }
 }
 

@@ -7,8 +7,6 @@ use heapless::String;
 use ztl_core::link::LinkId;
 use ztl_core::{Instant, State};
 
-use super::refusal::{EMERGENCY_STOP, RESTARTING, UPDATING};
-
 /// Longest progress, result or reason of a task, and longest goal of a waiting task, in bytes.
 pub(crate) const TEXT: usize = 48;
 
@@ -58,19 +56,6 @@ pub(super) enum Stage {
     Failed,
     Aborted,
     Completed,
-}
-
-impl Stage {
-    /// How and why a task ends whose component is going to the safe state.
-    pub(super) const fn forced_end(self) -> Option<(Self, &'static str)> {
-        match self {
-            Self::Lost => Some((Self::Failed, "link was lost")),
-            Self::Stopped => Some((Self::Aborted, EMERGENCY_STOP)),
-            Self::Updating => Some((Self::Aborted, UPDATING)),
-            Self::Restarting => Some((Self::Aborted, RESTARTING)),
-            _ => None,
-        }
-    }
 }
 
 impl Task {
