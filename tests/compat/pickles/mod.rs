@@ -28,7 +28,7 @@ fn run(python: &mut Command, args: &[&str], input: &str) -> Vec<String> {
     let stdout = process.stdout.as_mut().expect("a pipe");
     stdout.read_to_string(&mut text).expect("UTF-8");
     let status = process.wait().expect("Python ends");
-    assert!(status.success(), "Python failed: {args:?}");
+    assert!(status.success(), "Python failed with {status}: {args:?}");
     text.lines().map(str::to_owned).collect()
 }
 
