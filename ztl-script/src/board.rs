@@ -10,8 +10,11 @@ use crate::event::{
     RunOutcome, ServerState, StampedEvent, TaskNumber, TaskOutline, TaskState, WaitReason,
 };
 
+/// Longest text of a server that a view shows, in bytes. The record has it in full.
+const LONGEST_TEXT: usize = 4000;
+
 /// The state of a run.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct RunBoard {
     /// The script file, as given.
     pub script: String,
@@ -56,7 +59,7 @@ pub struct RunBoard {
 }
 
 /// The tasks that are being stopped.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Stopping {
     /// What was ordered.
     pub command: RunCommand,
@@ -99,7 +102,7 @@ pub enum Progress {
 }
 
 /// A take of a scene.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct SceneRun {
     /// Its scene.
     pub scene: usize,
@@ -125,7 +128,7 @@ pub struct StepRun {
 }
 
 /// A task.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct TaskRun {
     /// `handler:component:goal`.
     pub name: String,
@@ -296,8 +299,12 @@ impl RunBoard {
             }
             RunEvent::Unanswered { request, .. } => drop(self.requests.remove(request)),
             RunEvent::Server { remote, state } => {
+                let state = match state {
+                    ServerState::Absent { text } => ServerState::Absent { text: cut(text) },
+                    state => state.clone(),
+                };
                 let server = ServerView {
-                    state: Some(state.clone()),
+                    state: Some(state),
                     since: at,
                     latency: None,
                 };
@@ -308,7 +315,7 @@ impl RunBoard {
             }
             RunEvent::TaskFound { task, text, .. } => {
                 let found = TaskRun {
-                    name: text.clone(),
+                    name: cut(text),
                     state: TaskState::Accepted,
                     ..TaskRun::new(at)
                 };
@@ -334,14 +341,14 @@ impl RunBoard {
                 task,
                 confirmed,
                 text,
-            } => self.stop_answer(*task, Some((*confirmed, text.clone()))),
-            RunEvent::Note { text } => self.notes.push(text.clone()),
+            } => self.stop_answer(*task, Some((*confirmed, cut(text)))),
+            RunEvent::Note { text } => self.notes.push(cut(text)),
             RunEvent::RunEnded {
                 outcome,
                 running,
                 text,
             } => {
-                self.ended = Some((*outcome, running.clone(), text.clone()));
+                self.ended = Some((*outcome, running.clone(), cut(text)));
                 self.question = None;
             }
             _ => {}
@@ -540,7 +547,7 @@ impl RunBoard {
                 None if text == NOTHING_KNOWN && !state.is_over() => "",
                 _ => text,
             };
-            text.clone_into(&mut task.text);
+            task.text = cut(text);
             if state.is_over() && task.to.is_none() {
                 task.to = Some(at);
             }
@@ -553,5 +560,13 @@ impl RunBoard {
         {
             *answer = Some((true, state.to_string()));
         }
+    }
+}
+
+/// A text as a view shows it: if it is long, its beginning and its length.
+fn cut(text: &str) -> String {
+    match text.get(..text.floor_char_boundary(LONGEST_TEXT)) {
+        Some(start) if start.len() < text.len() => format!("{start}… ({} bytes)", text.len()),
+        _ => text.to_owned(),
     }
 }

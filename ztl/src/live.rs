@@ -25,7 +25,6 @@ use self::text::Capabilities;
 use crate::key_press::KeyPress;
 use crate::terminal::{self, drawn_line};
 use crate::terminal_mode::{self, Mode};
-use ztl_script::board::RunBoard;
 
 /// The live view. It has the terminal until it is dropped.
 #[derive(Debug)]
@@ -43,7 +42,7 @@ impl LiveView {
     pub(crate) fn open(wake: impl Fn() + Send + 'static, attended: bool) -> io::Result<Self> {
         terminal_mode::take(Mode::Screen)?;
         let shared = Arc::new(Mutex::new(Shared {
-            board: RunBoard::default(),
+            board: Arc::default(),
             received: Instant::now(),
             changed: true,
             over: false,
@@ -70,7 +69,7 @@ impl LiveView {
     /// Shows an event.
     pub(crate) fn handle(&self, event: &StampedEvent) {
         let mut shared = lock(&self.shared);
-        shared.board.handle(event);
+        Arc::make_mut(&mut shared.board).handle(event);
         shared.received = Instant::now();
         shared.changed = true;
     }
@@ -84,7 +83,8 @@ impl LiveView {
     pub(crate) fn close(mut self) {
         self.end();
         let (width, _) = terminal::size();
-        for line in draw::summary(&lock(&self.shared).board, width) {
+        let board = Arc::clone(&lock(&self.shared).board);
+        for line in draw::summary(&board, width) {
             drawn_line(&line.encoded(Capabilities::of_terminal()));
         }
     }

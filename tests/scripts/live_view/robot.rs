@@ -9,8 +9,8 @@ use ztl_tests::lab::{Process, SCOPE, Terminal, ztl};
 
 use super::stage::{Stage, start_scene};
 
-/// `sleep` runs until it is aborted, `stubborn` until it is also released, `held` until it is released. Other tasks
-/// complete at once.
+/// `sleep` runs until it is aborted, `stubborn` until it is also released, `held` until it is released. `babble` fails
+/// with a text of so many bytes. Other tasks complete at once.
 struct Sleeper {
     released: Arc<AtomicBool>,
 }
@@ -19,6 +19,8 @@ impl TaskController for Sleeper {
     fn assign(&self, request: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
         let waits = matches!(request.component.as_str(), "stubborn" | "held");
         let sleeps = matches!(request.component.as_str(), "stubborn" | "sleep");
+        let babbles = request.component == "babble";
+        let length = request.goal.parse().unwrap_or(0);
         let released = Arc::clone(&self.released);
         Ok(Box::new(move |task: &TaskContext| {
             while waits && !released.load(Ordering::Relaxed) {
@@ -27,7 +29,10 @@ impl TaskController for Sleeper {
             if sleeps {
                 task.sleep(Duration::from_secs(600))?;
             }
-            Ok(String::new())
+            match babbles {
+                true => Err(TaskError::from("no ".repeat(length / 3))),
+                false => Ok(String::new()),
+            }
         }))
     }
 }

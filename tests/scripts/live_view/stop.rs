@@ -78,6 +78,34 @@ fn x_stops_everything_including_foreign_tasks_and_the_run_continues() {
 }
 
 #[test]
+fn x_stops_everything_at_once_although_a_server_sent_a_huge_text() {
+    let robot = Robot::start();
+    let script = "\
+first:
+  light (wait=no): {test: {sleep: 100}}
+  talk (on_failure=ask): {test: {babble: 600000}}
+";
+    let stage = Stage::with(script, &[("test", robot.port)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: first");
+    terminal.type_in("\r");
+    let screen = terminal.shows("failed: no no no");
+    assert!(screen.contains("WAITING: something failed."), "{screen}");
+    assert!(robot.running().contains("sleep:100"));
+    terminal.type_in("x");
+    until("the end of the background task", PATIENCE, || {
+        (!robot.running().contains("sleep:100")).then_some(())
+    });
+    terminal.shows("STOPPED EVERYTHING: 1 of 1 confirmed");
+    // The page of details cuts the text too.
+    terminal.type_in("d");
+    terminal.type_in("\x1b[F");
+    terminal.shows("… (600000 bytes)");
+    terminal.type_in("\x03");
+    terminal.end();
+}
+
+#[test]
 fn unconfirmed_stops_are_reported_and_stay_visible() {
     let server = Server::original();
     let port = server.port;

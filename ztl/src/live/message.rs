@@ -15,6 +15,9 @@ const LONGEST: usize = 40;
 pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     for (style, text) in said {
+        if lines.len() > most {
+            break;
+        }
         let pieces = text::wrap(text, width.saturating_sub(1), LONGEST);
         let line = |text: &String| Line::new(width).and(*style, &format!(" {text}"));
         lines.extend(pieces.iter().map(line));

@@ -35,7 +35,8 @@ const UNHEARD: Duration = Duration::from_millis(500);
 /// What the run and the thread share.
 #[derive(Debug)]
 pub(super) struct Shared {
-    pub(super) board: RunBoard,
+    /// Drawing borrows it without the lock, so that the run never waits for that.
+    pub(super) board: Arc<RunBoard>,
     /// When the last event was received.
     pub(super) received: Instant,
     pub(super) changed: bool,
@@ -339,28 +340,27 @@ impl Screen {
         let entered = terminal_mode::times_entered();
         let all = entered != self.entered || size != self.size || self.drawn.is_empty();
         let due = self.last_drawn.is_none_or(|last| last.elapsed() >= TICK);
-        let lines = {
+        let (board, received) = {
             let mut shared = lock(&self.shared);
             if !(all || due || shared.changed) {
                 return Ok(());
             }
             shared.changed = false;
-            let board = &shared.board;
-            if board.question.is_none() && self.is_choosing()
-                || self.shown_question != board.questions
-            {
-                // A new question is always visible, and closes the chooser of the one before.
-                self.view = View::default();
-            }
-            self.shown_question = board.questions;
-            let now = match board.ended {
-                Some(_) => board.at,
-                None => board.at + shared.received.elapsed(),
-            };
-            let (lines, seen) = draw::draw(board, &self.view, now, size);
-            self.body = seen;
-            lines
+            (Arc::clone(&shared.board), shared.received)
         };
+        if board.question.is_none() && self.is_choosing() || self.shown_question != board.questions
+        {
+            // A new question is always visible, and closes the chooser of the one before.
+            self.view = View::default();
+        }
+        self.shown_question = board.questions;
+        let now = match board.ended {
+            Some(_) => board.at,
+            None => board.at + received.elapsed(),
+        };
+        let (lines, seen) = draw::draw(&board, &self.view, now, size);
+        drop(board);
+        self.body = seen;
         self.last_drawn = Some(Instant::now());
         if all {
             self.drawn.clear();

@@ -87,7 +87,7 @@ impl Line {
     /// Appends text, cut at the end of the line.
     pub(super) fn put(&mut self, style: Style, text: &str) {
         let cut = clip(text, self.most.saturating_sub(self.width));
-        self.width += cut.width();
+        self.width += columns(&cut);
         self.pieces.push((style, cut));
     }
 
@@ -100,7 +100,7 @@ impl Line {
     /// Appends text at the right edge.
     pub(super) fn put_right(&mut self, style: Style, text: &str) {
         let text = clip(text, self.most);
-        let blanks = self.most.saturating_sub(self.width + text.width());
+        let blanks = self.most.saturating_sub(self.width + columns(&text));
         self.put(style, &" ".repeat(blanks));
         self.put(style, &text);
     }
@@ -147,6 +147,9 @@ const fn ascii(char: char) -> char {
     }
 }
 
+/// Each so many characters of a text that is shown take at least a column.
+const MOST_PER_COLUMN: usize = 1;
+
 /// Escapes a text for a line of the screen, and replaces invisible characters that join others: how wide the result is
 /// differs between terminals.
 fn shown(text: &str) -> String {
@@ -154,10 +157,23 @@ fn shown(text: &str) -> String {
     flat(text).replace(joins, "\u{fffd}")
 }
 
+/// The columns that a text takes on a terminal.
+pub(super) fn columns(text: &str) -> usize {
+    text.width()
+}
+
+/// The beginning of a text, if it certainly fills more than so many columns: the work for a line does not depend on how
+/// much a server sends.
+fn start(text: &str, columns: usize) -> &str {
+    let most = columns.saturating_add(1).saturating_mul(MOST_PER_COLUMN);
+    let end = text.char_indices().nth(most).map(|(at, _)| at);
+    end.and_then(|end| text.get(..end)).unwrap_or(text)
+}
+
 /// Cuts text to at most `most` columns, with `…` at the cut.
 pub(super) fn clip(text: &str, most: usize) -> String {
-    let text = shown(text);
-    if text.width() <= most {
+    let text = shown(start(text, most));
+    if columns(&text) <= most {
         return text;
     }
     let mut out = String::new();
@@ -179,24 +195,38 @@ pub(super) fn clip(text: &str, most: usize) -> String {
 /// Wraps text at blanks, and inside words that fit on no line. Lines after the first are indented; the last of
 /// `most` lines is cut.
 pub(super) fn wrap(text: &str, width: usize, most: usize) -> Vec<String> {
-    let text = shown(text);
-    let indent = text.chars().take_while(|char| *char == ' ').count();
-    let mut lines = Vec::new();
-    let mut line = String::new();
+    let start = start(text, width.saturating_mul(most));
+    let mut shown = shown(start);
+    if start.len() < text.len() {
+        shown.push('…');
+    }
+    let indent = shown.chars().take_while(|char| *char == ' ').count();
     let next = " ".repeat((indent + 2).min(width / 2));
-    for word in text.split_inclusive(' ') {
-        let length = word.trim_end().width();
-        let fits = |line: &str| line.width() + length <= width;
+    let mut lines = Vec::new();
+    let (mut line, mut filled, mut is_blank) = (String::new(), 0, true);
+    'words: for word in shown.split_inclusive(' ') {
+        let length = columns(word.trim_end());
+        let fits = |filled: usize| filled + length <= width;
         // A word that fits on no line is broken at the end of this one.
-        if !fits(&line) && fits(&next) && !line.trim().is_empty() && lines.len() + 1 < most {
+        if !fits(filled) && fits(next.len()) && !is_blank && lines.len() + 1 < most {
             lines.push(std::mem::replace(&mut line, next.clone()));
+            (filled, is_blank) = (next.len(), true);
         }
         for char in word.chars() {
-            let full = char != ' ' && line.width() + char.width().unwrap_or(0) > width;
-            if full && !line.trim().is_empty() && lines.len() + 1 < most {
-                lines.push(std::mem::replace(&mut line, next.clone()));
+            let more = char.width().unwrap_or(0);
+            if char != ' ' && filled + more > width {
+                if lines.len() + 1 >= most {
+                    line.push('…');
+                    break 'words;
+                }
+                if !is_blank {
+                    lines.push(std::mem::replace(&mut line, next.clone()));
+                    (filled, is_blank) = (next.len(), true);
+                }
             }
             line.push(char);
+            filled += more;
+            is_blank &= char.is_whitespace();
         }
     }
     lines.push(line);
@@ -259,6 +289,25 @@ mod tests {
         assert_eq!(wrap("unbreakable", 5, 2), ["unbre", "  ak…"]);
         assert_eq!(wrap("too narrow", 0, 3), ["", "", ""]);
         assert_eq!(wrap("", 5, 3), [""]);
+    }
+
+    #[test]
+    fn a_huge_text_takes_few_lines_and_says_that_it_was_cut() {
+        let blanks = format!("a{}b", " ".repeat(500_000));
+        for text in [
+            "x".repeat(500_000),
+            "word ".repeat(100_000),
+            "日".repeat(500_000),
+            blanks,
+        ] {
+            let lines = wrap(&text, 79, 40);
+            assert!(lines.len() <= 40, "{}", lines.len());
+            assert!(lines.iter().all(|line| columns(line) <= 79));
+            assert!(lines.iter().all(|line| line.len() < 2000));
+            assert!(lines.last().unwrap().ends_with('…'), "{lines:?}");
+        }
+        let whole = wrap(&"word ".repeat(1000), 79, usize::MAX);
+        assert!(!whole.concat().contains('…') && whole.len() > 60);
     }
 
     #[test]
