@@ -42,8 +42,9 @@ static TERMINAL: Mutex<Terminal> = Mutex::new(Terminal {
     entered: 0,
 });
 
-const ENTER_SCREEN: &str = "\x1b[?1049h\x1b[?25l\x1b[2J";
-const LEAVE_SCREEN: &str = "\x1b[0m\x1b[2J\x1b[?25h\x1b[?1049l";
+/// Without auto-wrap (`?7`), so that a text that the terminal shows wider than expected covers no other line.
+const ENTER_SCREEN: &str = "\x1b[?1049h\x1b[?7l\x1b[?25l\x1b[2J";
+const LEAVE_SCREEN: &str = "\x1b[0m\x1b[2J\x1b[?25h\x1b[?1049l\x1b[?7h";
 
 /// The character code that disables a special key.
 const DISABLED: u8 = if cfg!(any(target_os = "linux", target_os = "android")) {

@@ -1,5 +1,6 @@
 //! Styled lines, never wider than the screen, and the escaping, cutting and wrapping of text.
 
+use std::borrow::Cow;
 use std::time::Duration;
 
 use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
@@ -114,9 +115,9 @@ impl Line {
         let mut out = String::new();
         for (style, text) in &self.pieces {
             let attributes = style.attributes(colour);
-            let text: String = match utf8 {
-                true => text.clone(),
-                false => text.chars().map(ascii).collect(),
+            let text = match utf8 {
+                true => Cow::Borrowed(text.as_str()),
+                false => Cow::Owned(ascii(text)),
             };
             if attributes.is_empty() || text.is_empty() {
                 out.push_str(&text);
@@ -128,9 +129,20 @@ impl Line {
     }
 }
 
-/// Replaces a character by one of ASCII, so that columns stay aligned.
-const fn ascii(char: char) -> char {
-    match char {
+/// Replaces characters by ASCII of the same width, so that columns stay aligned.
+fn ascii(text: &str) -> String {
+    let replace = |char: char| {
+        let (sign, width) = match ascii_sign(char) {
+            Some(sign) => (sign, 1),
+            None => ('?', char.width().unwrap_or(0)),
+        };
+        std::iter::repeat_n(sign, width)
+    };
+    text.chars().flat_map(replace).collect()
+}
+
+const fn ascii_sign(char: char) -> Option<char> {
+    Some(match char {
         '✓' => '+',
         '✗' => '!',
         '▶' => '>',
@@ -143,23 +155,60 @@ const fn ascii(char: char) -> char {
         '█' => '=',
         '░' => '.',
         char if char.is_ascii() => char,
-        _ => '?',
-    }
+        _ => return None,
+    })
 }
 
-/// Each so many characters of a text that is shown take at least a column.
-const MOST_PER_COLUMN: usize = 1;
+/// Most accents and other marks that are shown on one character.
+const MARKS: usize = 4;
+/// Each so many characters of a text take at least one column when it is shown.
+const MOST_PER_COLUMN: usize = MARKS + 1;
 
-/// Escapes a text for a line of the screen, and replaces invisible characters that join others: how wide the result is
-/// differs between terminals.
+/// Escapes a text for a line of the screen. Replaces characters that are invisible or join others, and marks without a
+/// character that they belong to: how wide these are differs between terminals.
 fn shown(text: &str) -> String {
-    let joins = |char| matches!(char, '\u{200b}'..='\u{200d}' | '\u{2060}'..='\u{2065}');
-    flat(text).replace(joins, "\u{fffd}")
+    let text = flat(text);
+    let mut out = String::with_capacity(text.len());
+    // The marks on the last character.
+    let mut marks = MARKS;
+    for char in text.chars() {
+        let is_mark = !is_invisible(char) && char.width() == Some(0);
+        if is_mark && marks < MARKS {
+            marks += 1;
+            // Without it, all terminals show the same width.
+            if !is_variation(char) {
+                out.push(char);
+            }
+        } else if is_mark || is_invisible(char) {
+            marks = MARKS;
+            out.push(char::REPLACEMENT_CHARACTER);
+        } else {
+            marks = 0;
+            out.push(char);
+        }
+    }
+    out
 }
 
-/// The columns that a text takes on a terminal.
+/// Whether a character chooses how the one before it is drawn.
+const fn is_variation(char: char) -> bool {
+    matches!(char, '\u{fe00}'..='\u{fe0f}')
+}
+
+/// Whether a character is usually not drawn at all (Unicode's `Default_Ignorable_Code_Point`).
+const fn is_invisible(char: char) -> bool {
+    matches!(char,
+        '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}'
+        | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{3164}' | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fff8}'
+        | '\u{1bca0}'..='\u{1bca3}' | '\u{1d173}'..='\u{1d17a}' | '\u{e0000}'..='\u{e0fff}')
+}
+
+/// The most columns that a text takes on a terminal. Terminals that do not join characters, such as an emoji with its
+/// skin tone, show each of them.
 pub(super) fn columns(text: &str) -> usize {
-    text.width()
+    let single = text.chars().filter_map(char::width).sum();
+    text.width().max(single)
 }
 
 /// The beginning of a text, if it certainly fills more than so many columns: the work for a line does not depend on how
@@ -248,90 +297,4 @@ pub(super) fn clock(time: Duration) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const PLAIN: Capabilities = Capabilities {
-        colour: false,
-        utf8: false,
-    };
-    const FULL: Capabilities = Capabilities {
-        colour: true,
-        utf8: true,
-    };
-
-    #[test]
-    fn a_line_is_never_wider_than_its_limit() {
-        for most in 0..12 {
-            for text in [
-                "plain text",
-                "日本語のテキスト",
-                "a\u{301}b\u{301}c\u{301}defghijkl",
-                "",
-            ] {
-                assert!(clip(text, most).width() <= most, "{text} in {most}");
-                let mut line = Line::new(most).and(Style::Good, text).and(Style::Bar, text);
-                line.put_right(Style::Plain, "right");
-                assert!(line.width() <= most);
-            }
-        }
-    }
-
-    #[test]
-    fn text_is_wrapped_at_blanks_and_cut_after_the_last_line() {
-        assert_eq!(wrap("one line", 20, 3), ["one line"]);
-        assert_eq!(
-            wrap("  two lines of this", 11, 3),
-            ["  two lines", "    of this"]
-        );
-        assert_eq!(wrap("a b c d e f g h", 5, 2), ["a b c", "  d …"]);
-        assert_eq!(wrap("unbreakable", 5, 9), ["unbre", "  aka", "  ble"]);
-        assert_eq!(wrap("unbreakable", 5, 2), ["unbre", "  ak…"]);
-        assert_eq!(wrap("too narrow", 0, 3), ["", "", ""]);
-        assert_eq!(wrap("", 5, 3), [""]);
-    }
-
-    #[test]
-    fn a_huge_text_takes_few_lines_and_says_that_it_was_cut() {
-        let blanks = format!("a{}b", " ".repeat(500_000));
-        for text in [
-            "x".repeat(500_000),
-            "word ".repeat(100_000),
-            "日".repeat(500_000),
-            blanks,
-        ] {
-            let lines = wrap(&text, 79, 40);
-            assert!(lines.len() <= 40, "{}", lines.len());
-            assert!(lines.iter().all(|line| columns(line) <= 79));
-            assert!(lines.iter().all(|line| line.len() < 2000));
-            assert!(lines.last().unwrap().ends_with('…'), "{lines:?}");
-        }
-        let whole = wrap(&"word ".repeat(1000), 79, usize::MAX);
-        assert!(!whole.concat().contains('…') && whole.len() > 60);
-    }
-
-    #[test]
-    fn text_cannot_control_the_terminal() {
-        let evil = "\x1b[2J\u{9b}31m\u{202e}\u{61c}\u{2028}\u{2029}\r\n\x07";
-        let line = Line::new(80).and(Style::Plain, evil).encoded(FULL);
-        let escaped = r"\u001b[2J\u009b31m\u202e\u061c\u2028\u2029\r\n\u0007";
-        assert_eq!(line, escaped);
-        assert_eq!(wrap(evil, 80, 9), [escaped]);
-        // Columns stay aligned.
-        let joined = Line::new(80).and(Style::Plain, "a\u{200d}\u{200b}b\u{2060}");
-        assert_eq!(joined.encoded(FULL), "a\u{fffd}\u{fffd}b\u{fffd}");
-        assert_eq!(joined.width(), 5);
-    }
-
-    #[test]
-    fn signs_and_attributes_follow_the_capabilities() {
-        let line = Line::new(80)
-            .and(Style::Bad, "✗ bad")
-            .and(Style::Good, "ok");
-        assert_eq!(line.encoded(PLAIN), "\x1b[1m! bad\x1b[0mok");
-        assert_eq!(
-            line.encoded(FULL),
-            "\x1b[1;31m✗ bad\x1b[0m\x1b[32mok\x1b[0m"
-        );
-    }
-}
+mod tests;
