@@ -1,6 +1,8 @@
 //! The state of a run as views show it, computed from its events only.
 
-use std::collections::BTreeMap;
+mod notes;
+
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
@@ -9,6 +11,8 @@ use crate::event::{
     DecidedBy, Ending, Outline, Question, RemoteOutline, RequestNumber, RunCommand, RunEvent,
     RunOutcome, ServerState, StampedEvent, TaskNumber, TaskOutline, TaskState, WaitReason,
 };
+
+pub use notes::Note;
 
 /// Longest text of a server that a view shows, in bytes. The record has it in full.
 const LONGEST_TEXT: usize = 4000;
@@ -51,8 +55,8 @@ pub struct RunBoard {
     pub stopping: Option<Stopping>,
     /// The last key, what it meant, and when it was pressed.
     pub key: Option<(String, Option<RunCommand>, Duration)>,
-    /// Notes since the last key.
-    pub notes: Vec<String>,
+    /// Notes, the newest ones last.
+    pub notes: VecDeque<Note>,
     /// How the run ended, the tasks that may still run, and more about it.
     pub ended: Option<(RunOutcome, Vec<TaskNumber>, String)>,
     requests: BTreeMap<RequestNumber, String>,
@@ -198,8 +202,6 @@ impl RunBoard {
             }
             RunEvent::Key { key, command } => {
                 self.key = Some((key.clone(), *command, at));
-                // The operator has seen them.
-                self.notes.clear();
             }
             RunEvent::Decided { command, by, .. } => self.decide(*command, *by),
             RunEvent::SceneStarted { scene, take, .. } => self.start_scene(at, *scene, *take),
@@ -342,7 +344,7 @@ impl RunBoard {
                 confirmed,
                 text,
             } => self.stop_answer(*task, Some((*confirmed, cut(text)))),
-            RunEvent::Note { text } => self.notes.push(cut(text)),
+            RunEvent::Note { text } => self.note(cut(text)),
             RunEvent::RunEnded {
                 outcome,
                 running,
@@ -406,7 +408,7 @@ impl RunBoard {
         !self.outline.cues.is_empty()
     }
 
-    /// Whether a task failed or a server is missing.
+    /// Whether a task failed, a server is missing, or there are notes.
     pub fn has_details(&self) -> bool {
         let wrong = |task: &TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
         let missing = |(_, server): &(String, ServerView)| {
@@ -416,7 +418,7 @@ impl RunBoard {
                 Some(ServerState::Absent { .. } | ServerState::Silent)
             )
         };
-        self.tasks.values().any(wrong) || self.servers.iter().any(missing)
+        self.tasks.values().any(wrong) || self.servers.iter().any(missing) || !self.notes.is_empty()
     }
 
     /// Whether a scene is playing.

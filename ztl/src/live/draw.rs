@@ -8,7 +8,7 @@ use super::choose::Chooser;
 use super::keys;
 use super::message::{self, message};
 use super::rows::{Seen, body, page, scene_line, scene_list, task_line, task_sign, window};
-use super::text::{Line, Paragraph, Style, clip, clock};
+use super::text::{Line, Paragraph, Style, clip, clock, columns};
 use ztl_script::board::{RunBoard, SceneRun, ServerView, TaskRun};
 
 /// Lines of a long message that take precedence over keys.
@@ -42,19 +42,20 @@ impl View {
     }
 }
 
-/// Draws exactly `height` lines, none wider than `width`. Returns the visible part of the body too. `now` is the
-/// time since the start of the run.
+/// Draws exactly `height` lines, none wider than `width`. Also returns what is visible. `now` is the time since the
+/// start of the run.
 pub(super) fn draw(
     board: &RunBoard,
     view: &View,
     now: Duration,
     (width, height): (usize, usize),
 ) -> (Vec<Line>, Seen) {
-    let said = match &view.pane {
+    let message = match &view.pane {
         Pane::Choose(chooser) => message::choosing(board, chooser),
         _ => message(board, now),
     };
-    let message_least = message::lines(&said, width, MESSAGE_LEAST).len();
+    let said = &message.said;
+    let message_least = message::lines(said, width, MESSAGE_LEAST).0.len();
     let keys = key_lines(
         board,
         view,
@@ -64,9 +65,10 @@ pub(super) fn draw(
     let room = height.saturating_sub(keys.len());
     // A long message leaves some lines for the body.
     let most = if room < 8 { room } else { room * 3 / 4 };
-    let message = message::lines(&said, width, most);
+    let (said, whole) = message::lines(said, width, most);
+    let notes = message.notes(whole);
     // The parts in order of importance; those that do not fit are left out.
-    let mut left = height.saturating_sub(keys.len() + message.len());
+    let mut left = height.saturating_sub(keys.len() + said.len());
     let mut take = |lines: Vec<Line>, least: usize| {
         if lines.len() + least > left {
             return Vec::new();
@@ -87,19 +89,22 @@ pub(super) fn draw(
         Pane::Details => page(&details(board, now), width),
         Pane::Cues => page(&cue_page(board), width),
     };
-    let (body, seen) = window(board, &body, view.top, now, (left, width));
+    let (body, mut seen) = window(board, &body, view.top, now, (left, width));
     let mut lines = title;
     lines.extend(servers);
     lines.extend(body);
-    let fixed = background.len() + cues.len() + rule.len() + message.len() + keys.len();
+    let fixed = background.len() + cues.len() + rule.len() + said.len() + keys.len();
     lines.resize(height.saturating_sub(fixed), Line::new(width));
     lines.extend(background);
     lines.extend(rule);
     lines.extend(cues);
-    lines.extend(message);
+    lines.extend(said);
     lines.extend(keys);
     // A window may have no height at all.
     let surplus = lines.len().saturating_sub(height);
+    if surplus == 0 {
+        seen.notes = notes;
+    }
     lines.drain(..surplus);
     (lines, seen)
 }
@@ -148,7 +153,8 @@ pub(super) fn summary(board: &RunBoard, width: usize) -> Vec<Line> {
         .values()
         .filter(|task| task.state != TaskState::Completed);
     lines.extend(bad.map(|task| task_line(task, 0, board.at, width)));
-    lines.extend(message::lines(&message(board, board.at), width, usize::MAX));
+    let message = message(board, board.at);
+    lines.extend(message::lines(&message.said, width, usize::MAX).0);
     lines
 }
 
@@ -189,7 +195,7 @@ fn cues(board: &RunBoard, width: usize) -> Vec<Line> {
             (!state.is_over(), state != TaskState::Completed)
         });
         let (style, sign) = worst.map_or((Style::Soft, "·"), |task| task_sign(task.state));
-        let length = key.chars().count() + cue.name.chars().count() + 7;
+        let length = columns(&key) + columns(&cue.name) + 7;
         if line.width() + length > width && line.width() > 5 {
             let next = Line::new(width).and(Style::Soft, "     ");
             lines.push(std::mem::replace(&mut line, next));
@@ -211,7 +217,7 @@ fn servers(board: &RunBoard, now: Duration, width: usize) -> Vec<Line> {
     let mut line = Line::new(width).and(Style::Soft, " servers");
     for (name, server) in &board.servers {
         let (style, says) = server_words(server, now);
-        let length = name.chars().count() + says.chars().count() + 3;
+        let length = columns(name) + columns(&says) + 3;
         if line.width() + length > width && line.width() > 8 {
             let next = Line::new(width).and(Style::Soft, "        ");
             lines.push(std::mem::replace(&mut line, next));
@@ -304,7 +310,7 @@ fn wrap_keys(keys: &[(&str, String)], width: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut line = Line::new(width);
     for (key, words) in keys {
-        let length = key.len() + words.chars().count() + 5;
+        let length = columns(key) + columns(words) + 5;
         if line.width() > 0 && line.width() + length > width {
             lines.push(std::mem::replace(&mut line, Line::new(width)));
         }

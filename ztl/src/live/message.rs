@@ -6,14 +6,22 @@ use ztl_script::event::{Question, RunCommand, RunOutcome, ServerState, TaskState
 
 use super::choose::Chooser;
 use super::text::{self, Line, Paragraph, Style, clock};
-use ztl_script::board::{RunBoard, Stopping, TaskRun};
+use ztl_script::board::{Note, RunBoard, Stopping, TaskRun};
 
 /// Most lines of one paragraph.
 const LONGEST: usize = 40;
 
-/// Wraps paragraphs. If there are more than `most` lines, the last one says how to see the rest.
-pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> {
+/// Most servers that the message names for one reason.
+const NAMED: usize = 2;
+/// Most notes in the message.
+const MOST_NOTES: usize = 3;
+
+/// Wraps paragraphs. If there are more than `most` lines, the last one says how to see the rest. Returns the number of
+/// whole paragraphs too.
+pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> (Vec<Line>, usize) {
     let mut lines = Vec::new();
+    // The number of lines up to the end of each paragraph.
+    let mut ends = Vec::new();
     for (style, text) in said {
         if lines.len() > most {
             break;
@@ -21,18 +29,39 @@ pub(super) fn lines(said: &[Paragraph], width: usize, most: usize) -> Vec<Line> 
         let pieces = text::wrap(text, width.saturating_sub(1), LONGEST);
         let line = |text: &String| Line::new(width).and(*style, &format!(" {text}"));
         lines.extend(pieces.iter().map(line));
+        ends.push(lines.len());
     }
+    let mut visible = lines.len();
     if lines.len() > most {
         lines.truncate(most);
+        visible = most;
         if let Some(last) = lines.get_mut(1..).and_then(<[Line]>::last_mut) {
             *last = Line::new(width).and(Style::Soft, "   … (d shows the rest)");
+            visible -= 1;
         }
     }
-    lines
+    let whole = ends.iter().filter(|end| **end <= visible).count();
+    (lines, whole)
+}
+
+/// What the message says.
+#[derive(Debug, Default)]
+pub(super) struct Message {
+    pub(super) said: Vec<Paragraph>,
+    /// The paragraphs that are notes, with their numbers.
+    notes: Vec<(usize, u64)>,
+}
+
+impl Message {
+    /// The numbers of the notes among the first `paragraphs`.
+    pub(super) fn notes(&self, paragraphs: usize) -> Vec<u64> {
+        let notes = self.notes.iter().filter(|(at, _)| *at < paragraphs);
+        notes.map(|(_, number)| *number).collect()
+    }
 }
 
 /// The message while the chooser is open.
-pub(super) fn choosing(board: &RunBoard, chooser: &Chooser) -> Vec<Paragraph> {
+pub(super) fn choosing(board: &RunBoard, chooser: &Chooser) -> Message {
     let scenes = &board.outline.scenes;
     let words = match chooser.cursor.and_then(|at| Some((at, scenes.get(at)?))) {
         Some((at, scene)) => format!("Jump to: {}  ▶ {} {}", chooser.typed, at + 1, scene.name),
@@ -42,10 +71,13 @@ pub(super) fn choosing(board: &RunBoard, chooser: &Chooser) -> Vec<Paragraph> {
             scenes.len()
         ),
     };
-    vec![(Style::Strong, words)]
+    Message {
+        said: vec![(Style::Strong, words)],
+        ..Message::default()
+    }
 }
 
-pub(super) fn message(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
+pub(super) fn message(board: &RunBoard, now: Duration) -> Message {
     let mut said = Vec::new();
     if let Some((outcome, running, text)) = &board.ended {
         said.extend(over(*outcome, running.len()));
@@ -86,24 +118,34 @@ pub(super) fn message(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
                 Some(stopping) => said.extend(confirmations(board, stopping)),
                 None => said.extend(failures(board).map(reason)),
             }
-            said.extend(missing(board, now));
+            said.extend(missing(board, now, NAMED));
         }
     }
-    // Room for the newest ones.
-    let notes = board.notes.iter().rev().take(3).rev();
-    said.extend(notes.map(|note| (Style::Warning, note.clone())));
+    let unseen: Vec<&Note> = board.unseen_notes().collect();
+    let more = unseen.len().saturating_sub(MOST_NOTES);
+    let newest = unseen.get(more..).unwrap_or_default();
+    let places = said.len()..;
+    let notes = places.zip(newest.iter().map(|note| note.number)).collect();
+    let words = newest
+        .iter()
+        .map(|note| (Style::Warning, note.text.clone()));
+    said.extend(words);
+    if more > 0 {
+        let s = if more == 1 { "" } else { "s" };
+        said.push((Style::Warning, format!("and {more} more note{s}")));
+    }
     if let Some((key, None, at)) = &board.key
         && board.ended.is_none()
         && now.saturating_sub(*at) < Duration::from_secs(3)
     {
         said.push((Style::Soft, format!("{key} has no effect now")));
     }
-    said
+    Message { said, notes }
 }
 
 /// The page of failures in full.
 pub(super) fn details(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
-    let mut said = missing(board, now);
+    let mut said = missing(board, now, usize::MAX);
     let wrong = |task: &&TaskRun| task.state.is_failure() || task.state == TaskState::Unknown;
     said.extend(board.tasks.values().filter(wrong).map(reason));
     if let Some(stopping) = &board.stopping {
@@ -113,7 +155,7 @@ pub(super) fn details(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
         board
             .notes
             .iter()
-            .map(|note| (Style::Warning, note.clone())),
+            .map(|note| (Style::Warning, note.text.clone())),
     );
     said
 }
@@ -131,8 +173,9 @@ fn failures(board: &RunBoard) -> impl Iterator<Item = &TaskRun> {
     board.tasks.values().filter(wrong)
 }
 
-/// Servers of the script that do not answer. Those that are absent for the same reason come together.
-fn missing(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
+/// Servers of the script that do not answer. Those that are absent for the same reason come together; at most `named` of
+/// them are named.
+fn missing(board: &RunBoard, now: Duration, named: usize) -> Vec<Paragraph> {
     let mut reasons: Vec<(String, Vec<&str>)> = Vec::new();
     for (name, server) in &board.servers {
         let reason = match &server.state {
@@ -152,12 +195,20 @@ fn missing(board: &RunBoard, now: Duration) -> Vec<Paragraph> {
     }
     let words = |(reason, names): (String, Vec<&str>)| match names.as_slice() {
         [name] => format!("MISSING: server '{name}'{reason}"),
-        [first, second] => format!("MISSING: servers '{first}' and '{second}'{reason}"),
-        [first, second, more @ ..] => {
-            let more = more.len();
-            format!("MISSING: servers '{first}', '{second}' and {more} more{reason}")
+        names => {
+            let more = names.len().saturating_sub(named);
+            let mut names: Vec<String> = names
+                .iter()
+                .take(named)
+                .map(|name| format!("'{name}'"))
+                .collect();
+            let last = match more {
+                0 => names.pop().unwrap_or_default(),
+                more => format!("{more} more"),
+            };
+            let names = names.join(", ");
+            format!("MISSING: servers {names} and {last}{reason}")
         }
-        [] => reason,
     };
     let words = reasons.into_iter().map(words);
     words.map(|words| (Style::Bad, words)).collect()

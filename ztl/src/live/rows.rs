@@ -6,7 +6,7 @@ use std::time::Duration;
 use ztl_script::event::{Question, SceneOutline, StepOutline, TaskOutline, TaskState};
 
 use super::choose::Chooser;
-use super::text::{self, Line, Paragraph, Style, clip, clock};
+use super::text::{self, Line, Paragraph, Style, clip, clock, columns};
 use ztl_script::board::{Progress, RunBoard, StepRun, TaskRun};
 
 /// A row of the body.
@@ -27,11 +27,15 @@ pub(super) struct Body<'a> {
     focus: Option<usize>,
 }
 
-/// The visible part of a body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// What is visible.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Seen {
+    /// The first visible row of the body.
     pub(super) from: usize,
+    /// The height of the body.
     pub(super) height: usize,
+    /// The numbers of the notes in the message.
+    pub(super) notes: Vec<u64>,
 }
 
 /// Renders the rows from `top` on, or those around the focus.
@@ -59,7 +63,13 @@ pub(super) fn window(
         _ if nth + 1 == to && to < count => more('↓', count - to + 1),
         _ => line(board, row, false, now, width),
     });
-    (lines.collect(), Seen { from, height })
+    let notes = Vec::new();
+    let seen = Seen {
+        from,
+        height,
+        notes,
+    };
+    (lines.collect(), seen)
 }
 
 fn line(board: &RunBoard, row: &Row<'_>, focus: bool, now: Duration, width: usize) -> Line {
@@ -209,7 +219,7 @@ pub(super) fn scene_line(
         (_, Progress::Pending, _) => format!("after {}", clock(scene.delay)),
         (.., length) => length.map(clock).unwrap_or_default(),
     };
-    let room = width.saturating_sub(line.width() + right.chars().count() + 2);
+    let room = width.saturating_sub(line.width() + columns(&right) + 2);
     line.put(name, &clip(&format!("{} {}", nth + 1, scene.name), room));
     line.put_right(Style::Soft, &right);
     line
@@ -244,7 +254,7 @@ fn step_line(step: &StepOutline, shown: Option<&StepRun>, now: Duration, width: 
     } else {
         Style::Plain
     };
-    let room = width.saturating_sub(line.width() + right.chars().count() + 2);
+    let room = width.saturating_sub(line.width() + columns(&right) + 2);
     line.put(style, &clip(&step.name, room));
     line.put_right(Style::Soft, &right);
     line
@@ -283,7 +293,7 @@ pub(super) fn task_line(task: &TaskRun, indent: usize, now: Duration, width: usi
     let text_room = room / 2;
     let name = clip(
         &format!("{again}{}", task.name),
-        room - text_room.min(task.text.chars().count()),
+        room - text_room.min(columns(&task.text)),
     );
     line.put(Style::Plain, &name);
     line.put(Style::Plain, "  ");

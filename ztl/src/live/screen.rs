@@ -59,8 +59,8 @@ pub(super) struct Screen {
     /// When the last part of a paste was received.
     pasted: Option<Instant>,
     view: View,
-    /// The part of the body that is visible.
-    body: Seen,
+    /// What is visible.
+    seen: Seen,
     /// Number of the question on the screen.
     shown_question: u64,
     /// The question answered last, and when.
@@ -90,7 +90,7 @@ impl Screen {
             decoder: KeyDecoder::default(),
             pasted: None,
             view: View::default(),
-            body: Seen::default(),
+            seen: Seen::default(),
             shown_question: 0,
             answered: None,
             last_key: None,
@@ -228,6 +228,11 @@ impl Screen {
     }
 
     fn pass(&self, press: KeyPress) {
+        // Whoever presses a key has seen them.
+        if !self.seen.notes.is_empty() {
+            let mut shared = lock(&self.shared);
+            Arc::make_mut(&mut shared.board).see_notes(&self.seen.notes);
+        }
         // Fails only when the run is over.
         let _ = self.pressed.send(press);
         (self.wake)();
@@ -239,8 +244,8 @@ impl Screen {
 
     /// Changes the view if the key does so. This is not a decision and is not recorded.
     fn look(&mut self, key: &str, can_jump: bool, scene: Option<usize>) -> bool {
-        let page = self.body.height.saturating_sub(1).max(1);
-        let from = self.body.from;
+        let page = self.seen.height.saturating_sub(1).max(1);
+        let from = self.seen.from;
         let toggled = |pane: &Pane, other: Pane| match *pane == other {
             true => View::default(),
             false => View::of(other),
@@ -288,7 +293,7 @@ impl Screen {
             "" => String::new(),
             typed => format!(" {typed}"),
         };
-        let chosen = chooser.press(key, &board.outline.scenes, self.body.height);
+        let chosen = chooser.press(key, &board.outline.scenes, self.seen.height);
         drop(shared);
         self.last_drawn = None;
         let command = match chosen {
@@ -360,7 +365,7 @@ impl Screen {
         };
         let (lines, seen) = draw::draw(&board, &self.view, now, size);
         drop(board);
-        self.body = seen;
+        self.seen = seen;
         self.last_drawn = Some(Instant::now());
         if all {
             self.drawn.clear();

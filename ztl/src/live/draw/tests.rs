@@ -1,3 +1,4 @@
+mod notes;
 mod stopping;
 
 use ztl_script::event::{
@@ -268,6 +269,26 @@ fn cues_are_shown_with_the_keys_that_start_them() {
     assert_eq!([pressed("W", false), pressed("w", true)], [Some(0); 2]);
     assert_eq!([pressed("s", false), pressed("s", true)], [None, Some(1)]);
     assert_eq!([pressed("x", false), pressed("x", true)], [None; 2]);
+}
+
+#[test]
+fn wide_names_of_servers_and_cues_are_wrapped_before_they_are_cut() {
+    let (mut board, at) = board(|event| matches!(event, RunEvent::StepStarted { .. }));
+    let one = board.outline.scenes[0].steps[0].clone();
+    for nth in 0..4 {
+        let name = format!("日本語の名前{nth}");
+        board.servers.push((name.clone(), ServerView::default()));
+        board.outline.cues.push(StepOutline {
+            name,
+            key: None,
+            ..one.clone()
+        });
+    }
+    let shown = screen(&board, at, (50, 30));
+    for nth in 0..4 {
+        let count = shown.matches(&format!("名前{nth} ·")).count();
+        assert_eq!(count, 2, "{nth} in\n{shown}");
+    }
 }
 
 #[test]
