@@ -82,6 +82,22 @@ fn keys_in_pieces_move_in_the_chooser_and_a_lone_esc_closes_it() {
 }
 
 #[test]
+fn esc_and_a_stop_key_that_arrive_together_stop() {
+    let (robot, stage, mut terminal) = playing_second_scene();
+    terminal.type_in("\x1bc");
+    terminal.shows("STOPPED THE SCENE: 1 of 1 confirmed");
+    assert!(robot.running().contains("sleep:100"));
+    // In the chooser x alone would search.
+    terminal.type_in("j");
+    terminal.shows("Esc  do not jump");
+    terminal.type_in("\x1bx");
+    terminal.shows("STOPPED EVERYTHING: 1 of 1 confirmed");
+    assert_eq!(recorded(&stage), ["Esc", "c", "x"]);
+    terminal.type_in("\x03");
+    terminal.end();
+}
+
+#[test]
 fn a_paste_of_many_bytes_decides_once() {
     let (_robot, stage, mut terminal) = at_the_first_of_thirty_scenes();
     terminal.type_in("s\r".repeat(20_000));

@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(keys(&[(0, "\x1b")], 400), Vec::<String>::new());
         assert_eq!(keys(&[(0, "\x1b"), (100, "x")], 5000), ["Esc", "x"]);
         assert_eq!(keys(&[(0, "\x1b"), (100, "\x1b")], 5000), ["Esc", "Esc"]);
-        assert_eq!(keys(&[(0, "\x1b"), (5, "x")], 5000), ["Alt-x"]);
+        assert_eq!(keys(&[(0, "\x1b"), (5, "q")], 5000), ["Alt-q"]);
         assert_eq!(keys(&[(0, "\x1b"), (2500, "[")], 5000), ["Esc", "["]);
     }
 
@@ -123,5 +123,7 @@ mod tests {
             [UNKNOWN, "Ctrl-C"]
         );
         assert_eq!(keys(&[(0, "\x1b"), (5, "\x03")], 6), ["Esc", "Ctrl-C"]);
+        assert_eq!(keys(&[(0, "\x1b"), (5, "x")], 6), ["Esc", "x"]);
+        assert_eq!(keys(&[(0, "\x1bc")], 1), ["Esc", "c"]);
     }
 }
