@@ -9,6 +9,9 @@ const FIRST_REPEAT: Duration = Duration::from_millis(700);
 /// The same for further repeats. Keyboards send one every 30 to 50 ms; a busy machine reads them late.
 const NEXT_REPEAT: Duration = Duration::from_millis(250);
 
+/// A longer write to the terminal was stalled: nobody saw meanwhile what it shows.
+pub(crate) const STALLED: Duration = Duration::from_secs(1);
+
 /// A key that was pressed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct KeyPress {

@@ -1,5 +1,6 @@
 //! Keys whose bytes arrive separately, as on a slow connection, and many that arrive together.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use ztl_tests::lab::{PATIENCE, Terminal, until};
@@ -79,6 +80,46 @@ fn keys_in_pieces_move_in_the_chooser_and_a_lone_esc_closes_it() {
     assert_eq!(stage.decided(), Vec::<String>::new());
     terminal.type_in("\x03");
     terminal.end();
+}
+
+#[test]
+fn keys_typed_while_the_screen_stalls_answer_no_question() {
+    let robot = Robot::start();
+    let script = "one: {a: {test: {held: 1}}}\ntwo: {b: {test: {echo: 1}}}\n";
+    let stage = Stage::with(script, &[("test", robot.port)]);
+    let mut terminal = stage.play();
+    terminal.shows(" Next: one");
+    terminal.type_in("\r");
+    terminal.shows("▶ test:held:1  accepted");
+    // One line shows only the keys, so the next change is the question.
+    terminal.resize((80, 1));
+    terminal.shows_that("the keys alone", |screen| {
+        screen.contains("p  pause after this step")
+    });
+    terminal.stall(true);
+    robot.released.store(true, Ordering::Relaxed);
+    until("the question", PATIENCE, || {
+        let record = stage.record();
+        let asked = record.iter().filter(|line| line["event"] == "asked");
+        (asked.count() == 2).then_some(())
+    });
+    std::thread::sleep(Duration::from_millis(1500));
+    assert!(terminal.screen().contains("p  pause after this step"));
+    terminal.type_in("s");
+    terminal.stall(false);
+    until("the record of the key", PATIENCE, || {
+        recorded(&stage).contains(&"s".to_owned()).then_some(())
+    });
+    terminal.resize((80, 24));
+    terminal.shows(" Next: two");
+    assert_eq!(stage.decided(), ["start operator"]);
+    // Stop keys count.
+    terminal.stall(true);
+    std::thread::sleep(Duration::from_millis(1500));
+    terminal.type_in("\x03");
+    terminal.stall(false);
+    terminal.end();
+    assert_eq!(stage.decided(), ["start operator", "stop operator"]);
 }
 
 #[test]

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{LocalModes, Termios, Winsize, tcgetattr, tcsetwinsize};
+use rustix::termios::{Action, LocalModes, Termios, Winsize, tcflow, tcgetattr, tcsetwinsize};
 
 use super::process::signal;
 use super::{PATIENCE, until};
@@ -184,6 +184,15 @@ impl Terminal {
         until("a terminal as it was before", PATIENCE, || {
             self.is_as_before().then_some(())
         });
+    }
+
+    /// Stalls the output, as a connection does that is lost for a while, or lets it go on.
+    pub fn stall(&self, is_stalled: bool) {
+        let action = match is_stalled {
+            true => Action::OOff,
+            false => Action::OOn,
+        };
+        tcflow(&self.tty, action).expect("a terminal");
     }
 
     /// Somebody makes the window larger or smaller.

@@ -13,7 +13,7 @@ use super::key_decoder::KeyDecoder;
 use super::keys;
 use super::rows::Seen;
 use super::text::{Capabilities, Line};
-use crate::key_press::{KeyPress, LastPress};
+use crate::key_press::{KeyPress, LastPress, STALLED};
 use crate::{signals, terminal, terminal_mode};
 use ztl_script::board::RunBoard;
 
@@ -117,13 +117,14 @@ impl Screen {
 
     fn turn(&mut self) -> io::Result<()> {
         // Keys typed before the screen changes were meant for what was visible.
-        self.read_keys(Duration::ZERO)?;
+        self.read_keys(Duration::ZERO, false)?;
         self.draw()?;
-        self.read_keys(PAUSE)
+        self.read_keys(PAUSE, false)
     }
 
-    /// Waits for keys, and handles all that were typed.
-    fn read_keys(&mut self, limit: Duration) -> io::Result<()> {
+    /// Waits for keys, and handles all that were typed. `unseen`: they were typed before the screen was visible, so
+    /// they decide nothing, except for stop keys.
+    fn read_keys(&mut self, limit: Duration, unseen: bool) -> io::Result<()> {
         let mut typed = terminal_mode::read_within(limit)?;
         let mut more = !typed.is_empty();
         while more && typed.len() < MOST_INPUT {
@@ -133,7 +134,7 @@ impl Screen {
         }
         let now = Instant::now();
         if let Some(key) = self.decoder.given_up(now, &typed) {
-            self.handle_keys(vec![key], false);
+            self.handle_keys(vec![key], unseen);
         }
         let keys = self.decoder.complete(now, &typed);
         let goes_on = |at: Instant| now.saturating_duration_since(at) < PASTE_GOES_ON;
@@ -141,16 +142,16 @@ impl Screen {
         if !keys.is_empty() && (goes_on || keys.len() >= PASTE) {
             self.pasted = Some(now);
         }
-        self.handle_keys(keys, goes_on);
+        self.handle_keys(keys, goes_on || unseen);
         Ok(())
     }
 
-    /// Of keys read together, only the first is a decision: the operator has not seen its effect yet. `pasted`: they
-    /// follow others of a paste.
-    fn handle_keys(&mut self, keys: Vec<String>, pasted: bool) {
+    /// Of keys read together, only the first is a decision: the operator has not seen its effect yet. `late`: neither is
+    /// the first.
+    fn handle_keys(&mut self, keys: Vec<String>, late: bool) {
         let count = keys.len();
         for (nth, key) in keys.into_iter().enumerate() {
-            let first = nth == 0 && !pasted;
+            let first = nth == 0 && !late;
             match key.as_str() {
                 "Ctrl-Z" => terminal_mode::suspend(),
                 "Ctrl-L" => self.drawn.clear(),
@@ -358,14 +359,13 @@ impl Screen {
             // A new question is always visible, and closes the chooser of the one before.
             self.view = View::default();
         }
-        self.shown_question = board.questions;
+        let question = board.questions;
         let now = match board.ended {
             Some(_) => board.at,
             None => board.at + received.elapsed(),
         };
         let (lines, seen) = draw::draw(&board, &self.view, now, size);
         drop(board);
-        self.seen = seen;
         self.last_drawn = Some(Instant::now());
         if all {
             self.drawn.clear();
@@ -373,10 +373,16 @@ impl Screen {
             self.entered = entered;
         }
         let out = self.update(&lines);
-        if out.is_empty() || terminal_mode::is_restored() {
-            return Ok(());
+        let before = Instant::now();
+        if !out.is_empty() && !terminal_mode::is_restored() {
+            terminal_mode::write(out.as_bytes())?;
         }
-        terminal_mode::write(out.as_bytes())
+        if before.elapsed() > STALLED {
+            self.read_keys(Duration::ZERO, true)?;
+        }
+        self.shown_question = question;
+        self.seen = seen;
+        Ok(())
     }
 
     /// Replaces the drawn lines; returns what changes them on the terminal.

@@ -8,12 +8,11 @@ use std::time::{Duration, Instant};
 
 use tracing_subscriber::fmt::MakeWriter;
 
+use crate::key_press::STALLED;
 use crate::terminal;
 
 /// Queue size in bytes; beyond it the oldest lines are dropped.
 const QUEUE_SIZE: usize = 1 << 20;
-/// A longer write was stalled, so the question was not visible meanwhile.
-const STALLED: Duration = Duration::from_secs(1);
 
 /// stdout and stderr of a run. The order is kept on each, and across both if they are the same file, such as
 /// a terminal.
