@@ -8,3 +8,4 @@ mod live_view;
 mod record;
 mod rehearse;
 mod report_page;
+mod slow_reader;

@@ -51,10 +51,15 @@ fn drawn(text: fmt::Arguments<'_>) {
 pub(crate) fn printed(result: io::Result<()>) {
     if let Err(error) = result
         && error.kind() != io::ErrorKind::BrokenPipe
-        && !IS_OUTPUT_LOST.swap(true, Ordering::Relaxed)
+        && mark_output_lost()
     {
         error_line(format_args!("ztl: cannot write the output: {error}"));
     }
+}
+
+/// Makes [`checked`] tell that something was not written to stdout. Returns whether it is the first loss.
+pub(crate) fn mark_output_lost() -> bool {
+    !IS_OUTPUT_LOST.swap(true, Ordering::Relaxed)
 }
 
 /// The exit code of the process: `code`, but not success if stdout could not be written.

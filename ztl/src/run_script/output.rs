@@ -14,6 +14,11 @@ use crate::terminal;
 /// Queue size in bytes; beyond it the oldest lines are dropped.
 const QUEUE_SIZE: usize = 1 << 20;
 
+/// What stderr gets if the reader of stdout was too slow.
+const TOO_SLOW: &str = "ztl: cannot write the output: its reader is too slow\n";
+/// Time for writing that.
+const LAST_WARNING: Duration = Duration::from_millis(200);
+
 /// stdout and stderr of a run. The order is kept on each, and across both if they are the same file, such as
 /// a terminal.
 #[derive(Clone)]
@@ -40,6 +45,8 @@ struct State {
     bytes: usize,
     /// How many pieces were dropped before those that wait.
     dropped: usize,
+    /// Whether something for stdout was dropped.
+    is_stdout_lost: bool,
     writing: bool,
 }
 
@@ -80,12 +87,17 @@ impl LineOutput {
         self.out.push(Stream::Out, format!("{text}\n"), Some(seen));
     }
 
-    /// Waits up to `limit` until all is written; returns whether it is.
-    pub(super) fn finish(&self, limit: Duration) -> bool {
-        let until = Instant::now() + limit;
-        [&self.err, &self.out]
-            .into_iter()
-            .all(|queue| queue.is_empty_by(until))
+    /// Waits up to `limit` until all is written. Tells it if something of stdout is not.
+    pub(super) fn finish(&self, limit: Duration) {
+        let start = Instant::now();
+        if !self.out.is_empty_by(start + limit) || self.out.lock().is_stdout_lost {
+            // A write from here could block for ever.
+            if terminal::mark_output_lost() {
+                self.err.push(Stream::Err, TOO_SLOW, None);
+            }
+        }
+        self.err
+            .is_empty_by((start + limit).max(Instant::now() + LAST_WARNING));
     }
 }
 
@@ -145,6 +157,7 @@ impl Queue {
             };
             state.bytes -= piece.text.len();
             state.dropped += 1;
+            state.is_stdout_lost |= piece.stream == Stream::Out;
         }
         self.changed.notify_all();
     }
@@ -176,6 +189,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
+    /// Waits until all is written; returns whether it is.
     fn is_empty_by(&self, until: Instant) -> bool {
         let left = until.saturating_duration_since(Instant::now());
         let busy = |state: &mut State| state.writing || !state.waiting.is_empty();
@@ -224,6 +238,7 @@ mod tests {
         assert!(queue.lock().bytes <= QUEUE_SIZE);
         assert!(!queue.is_empty_by(Instant::now()));
         assert!(since.try_recv().is_err(), "nobody has seen it");
+        assert!(queue.lock().is_stdout_lost);
         let written = Mutex::new(Vec::new());
         while !queue.is_empty_by(Instant::now()) {
             queue.write(|_, text| {
