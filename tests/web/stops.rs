@@ -1,5 +1,7 @@
 //! What a Stop reaches, and what it may confirm.
 
+mod counts;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};

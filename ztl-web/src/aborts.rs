@@ -56,12 +56,12 @@ impl AbortRequest {
         }
     }
 
-    /// Aborts a task because of a Stop.
-    pub(crate) fn of_stop(key: Key) -> Self {
+    /// Aborts a task because of a Stop. It has this time also if its goal has ended: the task of a lost goal may still run.
+    pub(crate) fn of_stop(key: Key, goal: Option<&Arc<Goal>>) -> Self {
         Self {
             key,
             patience: PATIENCE_OF_STOP,
-            goal: None,
+            goal: goal.cloned(),
             told: None,
         }
     }
@@ -173,6 +173,7 @@ mod tests {
     use ztl_std::State;
 
     use super::*;
+    use crate::robots::Target;
 
     fn key(id: i64) -> Key {
         ("/lab".to_owned(), RemoteId::from(id))
@@ -203,7 +204,7 @@ mod tests {
             None
         );
         // A Stop waits longer.
-        aborts.add(AbortRequest::of_stop(key(1)), start + PATIENCE);
+        aborts.add(AbortRequest::of_stop(key(1), None), start + PATIENCE);
         assert_eq!(aborts.take_due(start + PATIENCE), [key(1)]);
         assert_eq!(
             aborts.on_answer(&key(1), Err(lost()), start + PATIENCE),
@@ -220,6 +221,24 @@ mod tests {
         );
         assert!(telling.try_recv().expect("told").is_err());
         assert!(!aborts.contains(&key(1)));
+    }
+
+    #[test]
+    fn a_stop_repeats_the_abort_of_a_lost_goal() {
+        let target = Target {
+            server: 0,
+            scope: "/lab".to_owned(),
+            handler: "arm".to_owned(),
+            component: "left".to_owned(),
+        };
+        let goal = Arc::new(Goal::new(target, String::new(), String::new(), 0));
+        goal.end();
+        let (mut aborts, start) = (Aborts::default(), Instant::now());
+        aborts.add(AbortRequest::of_stop(key(1), Some(&goal)), start);
+        assert_eq!(aborts.take_due(start), [key(1)]);
+        let later = start + 2 * PATIENCE;
+        assert_eq!(aborts.on_answer(&key(1), Err(lost()), later), None);
+        assert_eq!(aborts.take_due(later + AGAIN), [key(1)]);
     }
 
     #[test]

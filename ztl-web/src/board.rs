@@ -66,7 +66,7 @@ struct Post {
 struct Goals {
     next: u64,
     open: BTreeMap<u64, Arc<Goal>>,
-    /// Those of servers of the original whose final state cannot be learnt. They may run, and no list tells it.
+    /// Those whose final state cannot be learnt. They may run, and a list need not tell it.
     lost: VecDeque<Arc<Goal>>,
 }
 

@@ -2,8 +2,9 @@
 //! time over one connection, so that an ABORT never waits for another answer. A server that hangs delays no other server.
 
 mod seldom;
+mod stopping;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::hash::DefaultHasher;
 use std::io;
 use std::sync::Arc;
@@ -16,12 +17,13 @@ use ztl_std::{
     ServerTasks, State, Status, server_answer,
 };
 
-use crate::aborts::{AbortRequest, Aborts, Key};
+use crate::aborts::{Aborts, Key};
 use crate::board::{Board, Described, Health, Seen};
 use crate::clock::now_ms;
 use crate::cut;
 use crate::robots::Server;
 use crate::task::Task;
+use stopping::Stopping;
 
 /// Pause between two questions to a server: during a Stop, while a page is open, and while none is.
 const STOPPING: Duration = Duration::from_millis(20);
@@ -37,8 +39,6 @@ const PATIENCE: Duration = Duration::from_millis(900);
 const PATIENCE_FOR_ABORTS: Duration = Duration::from_millis(1700);
 /// How long an answer is waited for until the next look at what has to be sent.
 const TURN: Duration = Duration::from_millis(10);
-/// How long a robot may take to stop its tasks until it counts as not confirmed.
-const STOP_LIMIT: Duration = Duration::from_secs(4);
 /// Ended tasks that are kept for each server.
 const ENDED: usize = 20;
 /// Most tasks that a message names.
@@ -80,18 +80,6 @@ struct Look {
     settled: bool,
     probe: Option<Answer>,
     tasks: Option<Answer>,
-}
-
-/// A press of Stop for which this server has not decided yet.
-struct Stopping {
-    press: u64,
-    /// When this thread heard of it. Only a list that was asked for later counts.
-    at: Instant,
-    /// The tasks that were sent an ABORT, and how many of them have ended.
-    asked: HashSet<Key>,
-    ended: usize,
-    /// Since when the lists say that nothing runs.
-    idle: Option<Instant>,
 }
 
 struct ServerThread<'b> {
@@ -161,66 +149,9 @@ impl<'b> ServerThread<'b> {
     fn next_work(&self) -> Instant {
         // Without a client, ABORTs wait for the next attempt, too.
         let aborts = self.requests.as_ref().and(self.aborts.next_due());
-        aborts.map_or(self.next_look, |due| due.min(self.next_look))
-    }
-
-    /// Stop was pressed: everything that is known to run is sent an ABORT at once.
-    fn begin_stop(&mut self) {
-        let press = self.board.stops.undecided(self.index);
-        let begins = self.stop.is_none() && press.is_some();
-        if begins && let Some(press) = press {
-            let now = Instant::now();
-            self.stop = Some(Stopping {
-                press,
-                at: now,
-                asked: HashSet::new(),
-                ended: 0,
-                idle: None,
-            });
-            self.next_look = now;
-        }
-        self.stop_goals();
-        if begins {
-            self.stop_running();
-        }
-    }
-
-    /// During a Stop, sends an ABORT to the task of every goal of this console. A server of the original does not say whether
-    /// those run whose state could not be learnt.
-    fn stop_goals(&mut self) {
-        if self.stop.is_none() {
-            return;
-        }
-        let mut goals = self.board.goals_at(self.index);
-        if self.is_original {
-            goals.extend(self.board.lost_at(self.index));
-        }
-        for goal in goals {
-            if let Some(id) = goal.id() {
-                let request = AbortRequest::of_goal(&goal, id);
-                self.stop_task((goal.target.scope.clone(), id.clone()), request);
-            }
-        }
-    }
-
-    /// During a Stop, sends an ABORT to every task that is known to run.
-    fn stop_running(&mut self) {
-        if self.stop.is_none() {
-            return;
-        }
-        let running: Vec<Key> = self.running.iter().map(|(key, _)| key.clone()).collect();
-        for key in running {
-            self.stop_task(key.clone(), AbortRequest::of_stop(key));
-        }
-    }
-
-    /// Sends an ABORT to a task that this Stop has not asked yet.
-    fn stop_task(&mut self, key: Key, request: AbortRequest) {
-        if let Some(stop) = &mut self.stop
-            && stop.asked.insert(key)
-        {
-            self.aborts.add(request, Instant::now());
-        }
+        let limit = self.stop.as_ref().map(Stopping::limit);
+        let others = aborts.into_iter().chain(limit);
+        others.fold(self.next_look, Instant::min)
     }
 
     fn send(&mut self) {
@@ -302,9 +233,8 @@ impl<'b> ServerThread<'b> {
         if let Some(Ok(status)) = self.aborts.on_answer(key, answer, Instant::now())
             && status.state.is_final()
             && let Some(stop) = &mut self.stop
-            && stop.asked.contains(key)
         {
-            stop.ended += 1;
+            stop.note_ended(|asked| asked == key);
         }
     }
 
@@ -329,21 +259,23 @@ impl<'b> ServerThread<'b> {
             server_answer(probe).and_then(|answer| answer.map(Description::read).transpose());
         let listed =
             ServerTasks::merged(&self.of.endpoint, described.clone(), server_answer(tasks));
+        let is_older = |stop: &Stopping| !stop.counts(at);
         let pause = match &listed {
-            Ok(None) => ORIGINAL,
+            Ok(None) if !self.stop.as_ref().is_some_and(is_older) => ORIGINAL,
             _ if self.stop.is_some() => STOPPING,
             _ if self.board.is_watched() => WATCHED,
             _ => UNWATCHED,
         };
         // A slow server gets a rest, too.
         self.next_look = (at + pause).max(Instant::now() + pause / 2);
+        if let (Ok(_), Some(stop)) = (&listed, &mut self.stop) {
+            stop.note_kind(at);
+        }
         match listed {
             Err(error) => self.set_missing(error.to_string()),
             Ok(None) => {
                 self.is_original = true;
                 self.running.clear();
-                // Before the Stop is decided: until now, this server could have listed its tasks.
-                self.stop_goals();
                 let known = self.board.seen(self.index);
                 if known.described != Some(0) {
                     self.board
@@ -369,6 +301,23 @@ impl<'b> ServerThread<'b> {
                 self.on_list(described.ok().flatten(), &listed);
                 self.note_idle(at, settled);
             }
+        }
+    }
+
+    /// Notes which tasks of a Stop the list shows as ended, and forgets lost goals that it does.
+    fn note_ended(&mut self, listed: &ServerTasks) {
+        let has_ended = |scope: &str, id: &RemoteId| {
+            let mut tasks = listed.tasks.iter();
+            tasks.any(|task| !task.may_run && task.scope == scope && task.id == *id)
+        };
+        for goal in self.board.lost_at(self.index) {
+            let scope = &goal.target.scope;
+            if let Some(id) = goal.id().filter(|id| has_ended(scope, id)) {
+                self.board.forget_lost(self.index, scope, id);
+            }
+        }
+        if let Some(stop) = &mut self.stop {
+            stop.note_ended(|(scope, id)| has_ended(scope, id));
         }
     }
 
@@ -456,98 +405,8 @@ impl<'b> ServerThread<'b> {
             self.ask_devices();
         }
         self.board.set_seen(self.index, seen);
+        self.note_ended(listed);
         self.stop_running();
-    }
-
-    /// A server confirms a Stop by a list without running tasks that was asked for after the press, and after every goal of
-    /// this console had an answer: such a goal can start nothing later.
-    fn note_idle(&mut self, asked_at: Instant, settled: bool) {
-        let is_complete = self.board.seen(self.index).gaps.is_empty();
-        let is_idle = settled && self.running.is_empty() && is_complete;
-        let Some(stop) = &mut self.stop else {
-            return;
-        };
-        let idle = stop.idle.unwrap_or_else(Instant::now);
-        stop.idle = (is_idle && asked_at >= stop.at).then_some(idle);
-        if stop.idle.is_some() {
-            self.ask_devices();
-        }
-    }
-
-    /// A gateway must also have said, after that list, that its devices answer. It reports the tasks of a device that does not
-    /// answer as FAILED, but such a device may still move.
-    fn confirm(&mut self) {
-        let Some(stop) = &self.stop else {
-            return;
-        };
-        let is_newer = stop.idle.is_some_and(|idle| self.devices_at >= Some(idle));
-        if is_newer && self.board.seen(self.index).devices.unknown.is_empty() {
-            let text = match stop.asked.len() {
-                0 => "nothing ran".to_owned(),
-                1 => "1 task has ended".to_owned(),
-                many => format!("{many} tasks have ended"),
-            };
-            self.decide(Ok(text));
-        }
-    }
-
-    /// Decides what cannot be confirmed.
-    fn end_stop(&mut self) {
-        let Some(stop) = &self.stop else {
-            return;
-        };
-        let goals = self.board.goals_at(self.index);
-        let settled = goals.iter().all(|goal| goal.is_settled());
-        let is_late = stop.at.elapsed() >= STOP_LIMIT;
-        if self.is_original {
-            let waits = stop.asked.iter().any(|key| self.aborts.contains(key));
-            if is_late || (settled && !waits) {
-                let (asked, ended) = (stop.asked.len(), stop.ended);
-                let open = match settled {
-                    true => "",
-                    false => "; a goal of this console has no answer: it may still start",
-                };
-                self.decide(Err(format!(
-                    "a server of the original lists no tasks; {asked} of this console were asked to stop, {ended} of them have ended{open}"
-                )));
-            }
-            return;
-        }
-        if !is_late {
-            return;
-        }
-        let seen = self.board.seen(self.index);
-        let mut why = Vec::new();
-        if seen.health != Health::There {
-            why.push(seen.text);
-        }
-        if !settled {
-            why.push("a goal of this console has no answer: it may still start".to_owned());
-        }
-        if !self.running.is_empty() {
-            let names = self.running.iter().take(NAMED);
-            let names: Vec<String> = names
-                .map(|((_, id), task)| format!("{id} {task}"))
-                .collect();
-            why.push(format!(
-                "{} may still run: {}",
-                self.running.len(),
-                names.join(", ")
-            ));
-        }
-        why.extend(seen.gaps);
-        why.extend(seen.devices.unknown.iter().take(NAMED).cloned());
-        if why.is_empty() {
-            why.push("its list of tasks came too late".to_owned());
-        }
-        self.decide(Err(why.join("; ")));
-    }
-
-    fn decide(&mut self, told: Result<String, String>) {
-        if let Some(stop) = self.stop.take() {
-            self.board.stops.decide(self.index, stop.press, told);
-            self.board.publish_stop();
-        }
     }
 }
 

@@ -292,7 +292,7 @@ impl ShowThread {
             let place = self.board.locate(self.stage.remote_of(number));
             let asked = match place {
                 Some((server, scope)) => {
-                    let request = AbortRequest::of_stop((scope, id));
+                    let request = AbortRequest::of_stop((scope, id), None);
                     self.board.abort(server, request)
                 }
                 None => Err("its robot is not known".to_owned()),
