@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, OnceLock};
+use std::time::Instant;
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -68,6 +69,15 @@ struct Goals {
     open: BTreeMap<u64, Arc<Goal>>,
     /// Those whose final state cannot be learnt. They may run, and a list need not tell it.
     lost: VecDeque<Arc<Goal>>,
+    /// For each server, those that got no answer to their INIT. They may run, and no ABORT reaches them.
+    without_id: BTreeMap<usize, WithoutId>,
+}
+
+struct WithoutId {
+    count: usize,
+    /// When the last one was lost, or a complete list was answered after that.
+    at: Instant,
+    is_listed: bool,
 }
 
 /// What a watcher knows of its server.
@@ -365,6 +375,42 @@ impl Board {
         }
     }
 
+    /// A goal got no answer to its INIT, so that its task has no id.
+    pub(crate) fn lose_without_id(&self, server: usize) {
+        let mut goals = locked(&self.goals);
+        let count = goals.without_id.get(&server).map_or(0, |lost| lost.count);
+        let lost = WithoutId {
+            count: count + 1,
+            at: Instant::now(),
+            is_listed: false,
+        };
+        goals.without_id.insert(server, lost);
+    }
+
+    /// A server has answered a list of all tasks that was asked for at this time. Such a goal counts until the second list
+    /// after it: before it answers that, a server that hung has read the INIT.
+    pub(crate) fn forget_without_id(&self, server: usize, asked_at: Instant) {
+        let mut goals = locked(&self.goals);
+        let Some(lost) = goals.without_id.get_mut(&server) else {
+            return;
+        };
+        if asked_at <= lost.at {
+            return;
+        }
+        lost.at = Instant::now();
+        if std::mem::replace(&mut lost.is_listed, true) {
+            goals.without_id.remove(&server);
+            drop(goals);
+            self.publish();
+        }
+    }
+
+    /// How many goals of a server got no answer to their INIT.
+    pub(crate) fn lost_without_id(&self, server: usize) -> usize {
+        let goals = locked(&self.goals);
+        goals.without_id.get(&server).map_or(0, |lost| lost.count)
+    }
+
     /// The goals of a server whose final state cannot be learnt.
     pub(crate) fn lost_at(&self, server: usize) -> Vec<Arc<Goal>> {
         let goals = locked(&self.goals);
@@ -453,6 +499,7 @@ impl Board {
             tasks.extend(unlisted.filter_map(|goal| unlisted_task(goal, &server.name)));
             let more = seen.tasks.len().saturating_sub(SHOWN);
             let mut why = seen.gaps.clone();
+            why.extend(without_id(self.lost_without_id(index)));
             if more > 0 {
                 why.push(format!("{more} more tasks are not shown"));
             }
@@ -462,6 +509,17 @@ impl Board {
             );
         }
         json!({ "tasks": tasks, "gaps": gaps })
+    }
+}
+
+/// What is told of goals that got no answer to their INIT, if there are some.
+pub(crate) fn without_id(count: usize) -> Option<String> {
+    match count {
+        0 => None,
+        1 => Some("1 goal got no answer: it may run and cannot be aborted".to_owned()),
+        _ => Some(format!(
+            "{count} goals got no answer: they may run and cannot be aborted"
+        )),
     }
 }
 

@@ -50,6 +50,10 @@ pub(crate) fn start(goal: &Arc<Goal>, board: &Arc<Board>, tell: Tell) -> Result<
         .name("ztl-web-goal".to_owned())
         .spawn(move || {
             let outcome = run(&goal, &on, &tell);
+            // Before it is settled: a Stop that sees that counts it.
+            if outcome.state == GoalState::Unknown && goal.id().is_none() {
+                on.lose_without_id(goal.target.server);
+            }
             goal.settle();
             goal.end();
             on.remove_goal(number);

@@ -176,6 +176,40 @@ fn a_task_that_answers_two_aborts_counts_once() {
 }
 
 #[test]
+fn a_goal_without_an_answer_from_the_original_is_told_by_a_stop() {
+    let robot = Scripted::start(|request| match request {
+        init if init.starts_with("/test;1;") => None,
+        _ => of_the_original(),
+    });
+    let (_console, mut client) = console(robot.port);
+    lose_a_goal(&mut client);
+    let text = "1 goal got no answer: it may run and cannot be aborted";
+    client.topic("/ztl/tasks", |list| {
+        let gaps = list["gaps"].as_array().expect("gaps");
+        gaps.iter().any(|gap| gap["text"] == text)
+    });
+    let told = told(&client.call("/ztl/stop", &json!({})));
+    assert!(!told[0].0 && told[0].1.ends_with(text), "{told:?}");
+}
+
+#[test]
+fn a_goal_without_an_answer_is_forgotten_when_its_server_lists_its_tasks() {
+    let is_ours = Arc::new(AtomicBool::new(false));
+    let is_replaced = Arc::clone(&is_ours);
+    let robot = Scripted::start(move |request| match request {
+        init if init.starts_with("/test;1;") => None,
+        _ if !is_replaced.load(Ordering::SeqCst) => of_the_original(),
+        "$ztl;2;-1;probe" => Some(probed(&[])),
+        _ => Some(listed()),
+    });
+    let (_console, mut client) = console(robot.port);
+    lose_a_goal(&mut client);
+    is_ours.store(true, Ordering::SeqCst);
+    let stop = client.call("/ztl/stop", &json!({}));
+    assert_eq!(told(&stop), [(true, "nothing ran".to_owned())]);
+}
+
+#[test]
 fn a_task_that_its_server_does_not_know_is_not_counted_as_ended() {
     let aborts = Arc::new(AtomicUsize::new(0));
     let seen = Arc::clone(&aborts);

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::{NAMED, ServerThread};
 use crate::aborts::{AbortRequest, Key};
-use crate::board::Health;
+use crate::board::{Health, without_id};
 
 /// How long a robot may take to stop its tasks until it counts as not confirmed.
 const STOP_LIMIT: Duration = Duration::from_secs(4);
@@ -115,6 +115,10 @@ impl ServerThread<'_> {
     /// this console had an answer: such a goal can start nothing later.
     pub(super) fn note_idle(&mut self, asked_at: Instant, settled: bool) {
         let is_complete = self.board.seen(self.index).gaps.is_empty();
+        if is_complete {
+            self.board.forget_without_id(self.index, asked_at);
+        }
+        let settled = settled && self.board.lost_without_id(self.index) == 0;
         let is_idle = settled && self.running.is_empty() && is_complete;
         let Some(stop) = &mut self.stop else {
             return;
@@ -180,6 +184,7 @@ impl ServerThread<'_> {
         if !settled {
             why.push("a goal of this console has no answer: it may still start".to_owned());
         }
+        why.extend(without_id(self.board.lost_without_id(self.index)));
         if !self.running.is_empty() {
             let names = self.running.iter().take(NAMED);
             let names: Vec<String> = names
