@@ -134,7 +134,7 @@ extern "C" {
 /**
  * Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
  */
-#define ZTL_NODE_RAM_BYTES 855
+#define ZTL_NODE_RAM_BYTES 863
 
 /**
  * Its pointers: see ZTL_NODE_RAM.

@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// Bytes of RAM of a node without its components and pointers: see ZTL_NODE_RAM.
-pub const ZTL_NODE_RAM_BYTES: usize = 855;
+pub const ZTL_NODE_RAM_BYTES: usize = 863;
 /// Its pointers: see ZTL_NODE_RAM.
 pub const ZTL_NODE_RAM_POINTERS: usize = 20;
 
