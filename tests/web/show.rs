@@ -61,7 +61,7 @@ impl Stage {
 }
 
 /// The number of the open question about a scene.
-fn asked(client: &mut Client, scene: usize) -> Value {
+pub(crate) fn asked(client: &mut Client, scene: usize) -> Value {
     asked_after(client, scene, &Value::Null)
 }
 
@@ -76,7 +76,7 @@ fn asked_after(client: &mut Client, scene: usize, before: &Value) -> Value {
 }
 
 /// The answer to a command: whether it was carried out, and the text.
-fn command(client: &mut Client, command: &str, question: &Value) -> (bool, String) {
+pub(crate) fn command(client: &mut Client, command: &str, question: &Value) -> (bool, String) {
     let args = json!({ "do": command, "question": question });
     told(client, "/ztl/show/command", &args)
 }

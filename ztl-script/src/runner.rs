@@ -257,9 +257,9 @@ impl Runner {
         let withdrawn = Arc::new(AtomicBool::new(
             self.player.is_about_stopping(request.number),
         ));
-        if matches!(request.body, ServerRequest::Init { .. }) {
-            self.inits.insert(request.number, Arc::clone(&withdrawn));
-        }
+        let number = request.number;
+        let init = matches!(request.body, ServerRequest::Init { .. });
+        let init = init.then(|| Arc::clone(&withdrawn));
         let job = Job {
             request,
             decided: self.obeyed,
@@ -267,7 +267,9 @@ impl Runner {
         };
         requests
             .send((job, worker))
-            .map_err(|_| "its thread has ended".to_owned())
+            .map_err(|_| "its thread has ended".to_owned())?;
+        self.inits.extend(init.map(|withdrawn| (number, withdrawn)));
+        Ok(())
     }
 }
 

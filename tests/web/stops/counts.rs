@@ -1,15 +1,18 @@
 //! Goals whose final state cannot be learnt, servers that change or hang, and what a Stop counts.
 
+use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use ztl_tests::lab::{PATIENCE, SCOPE, until};
+use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, until};
 
 use super::{console, told};
 use crate::client::Client;
+use crate::console::{port, web};
 use crate::robot::{Scripted, listed, probed};
+use crate::show::{asked, command};
 
 /// The answer of a server of the original to any question about itself.
 fn of_the_original() -> Option<String> {
@@ -183,6 +186,31 @@ fn a_goal_without_an_answer_from_the_original_is_told_by_a_stop() {
     });
     let (_console, mut client) = console(robot.port);
     lose_a_goal(&mut client);
+    let text = "1 goal got no answer: it may run and cannot be aborted";
+    client.topic("/ztl/tasks", |list| {
+        let gaps = list["gaps"].as_array().expect("gaps");
+        gaps.iter().any(|gap| gap["text"] == text)
+    });
+    let told = told(&client.call("/ztl/stop", &json!({})));
+    assert!(!told[0].0 && told[0].1.ends_with(text), "{told:?}");
+}
+
+#[test]
+fn a_task_of_a_show_without_an_answer_is_told_by_a_stop() {
+    let robot = Scripted::start(|request| match request {
+        init if init.starts_with("/test;1;") => None,
+        _ => of_the_original(),
+    });
+    let files = Scratch::new();
+    let script = files.path("show.yaml");
+    fs::write(&script, "one: {a: {test(remote=ours): {nap: 1}}}\n").expect("a file");
+    let script = script.display().to_string();
+    let (_console, url) = web(0, &[("ours", robot.port)], &["--script", &script]);
+    let mut client = Client::open(port(&url));
+    client.subscribe("/ztl/show");
+    client.subscribe("/ztl/tasks");
+    let question = asked(&mut client, 0);
+    assert!(command(&mut client, "start", &question).0);
     let text = "1 goal got no answer: it may run and cannot be aborted";
     client.topic("/ztl/tasks", |list| {
         let gaps = list["gaps"].as_array().expect("gaps");

@@ -202,7 +202,8 @@ impl<C: Components, const TASKS: usize> TaskRunner<C, TASKS> {
             return;
         };
         match state.phase {
-            UpdatePhase::Verifying if !answers => {
+            // An answer that cannot be sent does not hold it up for ever.
+            UpdatePhase::Verifying if !answers || now >= state.until => {
                 state.phase = match updater.verify() {
                     Ok(Verification::Continues) => UpdatePhase::Verifying,
                     Ok(Verification::Done) => {

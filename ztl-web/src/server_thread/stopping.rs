@@ -153,11 +153,16 @@ impl ServerThread<'_> {
 
     /// Decides what cannot be confirmed: by a server of the original when each ABORT is answered, by others at the limit.
     pub(super) fn end_stop(&mut self) {
+        if self.stop.is_none() {
+            return;
+        }
+        let goals = self.board.goals_at(self.index);
+        let settled = goals.iter().all(|goal| goal.is_settled());
+        // A goal may have got its id since the last look.
+        self.stop_goals();
         let Some(stop) = &self.stop else {
             return;
         };
-        let goals = self.board.goals_at(self.index);
-        let settled = goals.iter().all(|goal| goal.is_settled());
         let waits = stop.asked.iter().any(|key| self.aborts.contains(key));
         let is_known = self.is_original && stop.kind_is_known && settled && !waits;
         if !is_known && Instant::now() < stop.limit() {
@@ -209,6 +214,9 @@ impl ServerThread<'_> {
     fn decide(&mut self, told: Result<String, String>) {
         if let Some(stop) = self.stop.take() {
             self.board.stops.decide(self.index, stop.press, told);
+            if self.board.stops.undecided(self.index).is_some() {
+                self.next_look = Instant::now();
+            }
             self.board.publish_stop();
         }
     }

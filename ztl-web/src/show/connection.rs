@@ -89,6 +89,10 @@ impl Watched {
             self.close(earlier);
             self.board.publish();
         } else {
+            // Before it is settled: a Stop that sees that counts it.
+            if is_open(&answer) {
+                self.board.lose_without_id(self.server);
+            }
             self.close(Some((number, goal)));
         }
         answer

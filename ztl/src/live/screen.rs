@@ -377,7 +377,7 @@ impl Screen {
         if !out.is_empty() && !terminal_mode::is_restored() {
             terminal_mode::write(out.as_bytes())?;
         }
-        if before.elapsed() > STALLED {
+        if question != self.shown_question && before.elapsed() > STALLED {
             self.read_keys(Duration::ZERO, true)?;
         }
         self.shown_question = question;
