@@ -97,8 +97,7 @@ fn ctrl_c_stops_background_tasks_and_reports_unstoppable_ones() {
     let gateway = Server::simulated();
     let original = Server::original();
     let files = Scratch::new();
-    let script =
-        "s: {a(wait=no): {gripper: {finger: 100}}, b: {test: {sleep: 5}}, c: {test: {echo: 1}}}\n";
+    let script = "s: {a(wait=no): {gripper: {finger: 100}}, b: {test: {sleep: 5, echo(wait=no): x}}, c: {test: {echo: 1}}}\n";
     fs::write(files.path("show.yaml"), script).unwrap();
     let (ours, theirs) = (gateway.port.to_string(), original.port.to_string());
     let mut command = ztl();
@@ -107,10 +106,7 @@ fn ctrl_c_stops_background_tasks_and_reports_unstoppable_ones() {
     command.args(["--task", "gripper", "127.0.0.1", &ours, SCOPE]);
     command.args(["--task", "test", "127.0.0.1", &theirs, SCOPE]);
     let player = Process::start(&mut command);
-    player.wait_for("STARTING STEP 'b'...");
-    until("both tasks", PATIENCE, || {
-        player.stderr().contains(&theirs).then_some(())
-    });
+    player.wait_for(&TAKEN.replace("'a'", "'b'"));
     player.signal("INT");
     let ended = player.end(PATIENCE);
     assert_eq!(ended.code, Some(1), "{ended:?}");
