@@ -387,8 +387,8 @@ impl Board {
         goals.without_id.insert(server, lost);
     }
 
-    /// A server has answered a list of all tasks that was asked for at this time. Such a goal counts until the second list
-    /// after it: before it answers that, a server that hung has read the INIT.
+    /// A server has sent a complete list of its tasks; `asked_at` is when the console asked for it. Goals without an id are
+    /// forgotten at the second list after they were lost: by then, a server that hung has read their INITs.
     pub(crate) fn forget_without_id(&self, server: usize, asked_at: Instant) {
         let mut goals = locked(&self.goals);
         let Some(lost) = goals.without_id.get_mut(&server) else {

@@ -9,7 +9,7 @@ const FIRST_REPEAT: Duration = Duration::from_millis(700);
 /// The same for further repeats. Keyboards send one every 30 to 50 ms; a busy machine reads them late.
 const NEXT_REPEAT: Duration = Duration::from_millis(250);
 
-/// A longer write to the terminal was stalled: nobody saw meanwhile what it shows.
+/// A write to the terminal that takes longer is stalled: the operator does not see its text until it ends.
 pub(crate) const STALLED: Duration = Duration::from_secs(1);
 
 /// A key that was pressed.
@@ -107,7 +107,7 @@ fn escape_sequence(rest: &[u8]) -> Option<(String, usize)> {
             };
             name(key, end + 3)
         }
-        // A slow connection delivers Esc and a key that stops together. Such a key never counts as another.
+        // A slow connection may deliver Esc and a stop key together. The stop key must still stop, so this is not Alt-x.
         [b'c' | b'C' | b'x' | b'X', ..] => name("Esc", 1),
         [other @ 0x20..=0x7e, ..] => Some((format!("Alt-{}", char::from(*other)), 2)),
         _ => name("Esc", 1),

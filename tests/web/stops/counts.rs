@@ -19,6 +19,26 @@ fn of_the_original() -> Option<String> {
     Some("$ztl;2;-1;No controller for scope: $ztl".to_owned())
 }
 
+/// A server of the original that answers no INIT.
+fn robot_that_answers_no_init() -> Scripted {
+    Scripted::start(|request| match request {
+        init if init.starts_with("/test;1;") => None,
+        _ => of_the_original(),
+    })
+}
+
+/// The tasks and a Stop say that one goal got no answer.
+#[track_caller]
+fn is_told_by_a_stop(client: &mut Client) {
+    let text = "1 goal got no answer: it may run and cannot be aborted";
+    client.topic("/ztl/tasks", |list| {
+        let gaps = list["gaps"].as_array().expect("gaps");
+        gaps.iter().any(|gap| gap["text"] == text)
+    });
+    let told = told(&client.call("/ztl/stop", &json!({})));
+    assert!(!told[0].0 && told[0].1.ends_with(text), "{told:?}");
+}
+
 /// Starts task 5 of a robot that does not tell its state.
 fn lose_a_goal(client: &mut Client) {
     client.goal("g", "/test/nap/for", &json!({ "goal": "mute" }));
@@ -57,7 +77,7 @@ fn a_lost_goal_is_aborted_when_its_server_answers_again() {
     // Longer than an ABORT that a client waits for is repeated.
     std::thread::sleep(Duration::from_millis(7500).saturating_sub(pressed.elapsed()));
     is_back.store(true, Ordering::SeqCst);
-    until("an ABORT", Duration::from_secs(10), || {
+    until("an ABORT", PATIENCE, || {
         is_aborted.load(Ordering::SeqCst).then_some(())
     });
 }
@@ -144,6 +164,8 @@ fn a_missing_server_of_the_original_is_told_as_missing() {
 #[test]
 fn a_task_that_answers_two_aborts_counts_once() {
     let (mut last, mut aborts_of_b, mut aborted) = (4, 0, Vec::new());
+    let a_is_aborted = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&a_is_aborted);
     let robot = Scripted::start(move |request| match request {
         _ if request.starts_with("$ztl") => of_the_original(),
         init if init.starts_with("/test;1;") => {
@@ -159,6 +181,7 @@ fn a_task_that_answers_two_aborts_counts_once() {
             let id = if request.contains(";5;") { 5 } else { 6 };
             if request.starts_with("/test;3;") {
                 aborted.push(id);
+                seen.fetch_or(id == 5, Ordering::SeqCst);
             }
             let state = if aborted.contains(&id) { 4 } else { 1 };
             Some(format!("/test;{state};{id};None"))
@@ -170,7 +193,9 @@ fn a_task_that_answers_two_aborts_counts_once() {
         client.task(|task| task["task"] == format!("nap:for:{id}"));
     }
     client.ask("stop", "/ztl/stop", &json!({}));
-    std::thread::sleep(Duration::from_millis(300));
+    until("the first ABORT of a", PATIENCE, || {
+        a_is_aborted.load(Ordering::SeqCst).then_some(())
+    });
     let again = json!({ "robot": "ours", "scope": SCOPE, "id": 5 });
     client.call("/ztl/abort", &again);
     let told = told(&client.answer("stop")["values"]);
@@ -180,27 +205,15 @@ fn a_task_that_answers_two_aborts_counts_once() {
 
 #[test]
 fn a_goal_without_an_answer_from_the_original_is_told_by_a_stop() {
-    let robot = Scripted::start(|request| match request {
-        init if init.starts_with("/test;1;") => None,
-        _ => of_the_original(),
-    });
+    let robot = robot_that_answers_no_init();
     let (_console, mut client) = console(robot.port);
     lose_a_goal(&mut client);
-    let text = "1 goal got no answer: it may run and cannot be aborted";
-    client.topic("/ztl/tasks", |list| {
-        let gaps = list["gaps"].as_array().expect("gaps");
-        gaps.iter().any(|gap| gap["text"] == text)
-    });
-    let told = told(&client.call("/ztl/stop", &json!({})));
-    assert!(!told[0].0 && told[0].1.ends_with(text), "{told:?}");
+    is_told_by_a_stop(&mut client);
 }
 
 #[test]
 fn a_task_of_a_show_without_an_answer_is_told_by_a_stop() {
-    let robot = Scripted::start(|request| match request {
-        init if init.starts_with("/test;1;") => None,
-        _ => of_the_original(),
-    });
+    let robot = robot_that_answers_no_init();
     let files = Scratch::new();
     let script = files.path("show.yaml");
     fs::write(&script, "one: {a: {test(remote=ours): {nap: 1}}}\n").expect("a file");
@@ -211,13 +224,7 @@ fn a_task_of_a_show_without_an_answer_is_told_by_a_stop() {
     client.subscribe("/ztl/tasks");
     let question = asked(&mut client, 0);
     assert!(command(&mut client, "start", &question).0);
-    let text = "1 goal got no answer: it may run and cannot be aborted";
-    client.topic("/ztl/tasks", |list| {
-        let gaps = list["gaps"].as_array().expect("gaps");
-        gaps.iter().any(|gap| gap["text"] == text)
-    });
-    let told = told(&client.call("/ztl/stop", &json!({})));
-    assert!(!told[0].0 && told[0].1.ends_with(text), "{told:?}");
+    is_told_by_a_stop(&mut client);
 }
 
 #[test]

@@ -15,7 +15,7 @@ pub(super) struct Stopping {
     press: u64,
     /// When this thread heard of it. Only a look that was asked for later counts.
     at: Instant,
-    /// Whether such a look has told whether the server lists its tasks.
+    /// Whether it is known since then if the server lists its tasks; a server of the original does not.
     kind_is_known: bool,
     /// The tasks that were sent an ABORT, and those of them that are known to have ended.
     asked: HashSet<Key>,
@@ -36,7 +36,7 @@ impl Stopping {
         }
     }
 
-    /// When it is decided at the latest.
+    /// The latest time at which this Stop is decided.
     pub(super) fn limit(&self) -> Instant {
         self.at + STOP_LIMIT
     }

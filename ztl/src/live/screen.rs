@@ -229,7 +229,7 @@ impl Screen {
     }
 
     fn pass(&self, press: KeyPress) {
-        // Whoever presses a key has seen them.
+        // The operator who pressed this key has seen the notes on the screen.
         if !self.seen.notes.is_empty() {
             let mut shared = lock(&self.shared);
             Arc::make_mut(&mut shared.board).see_notes(&self.seen.notes);

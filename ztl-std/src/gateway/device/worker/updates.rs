@@ -304,7 +304,7 @@ impl Worker {
         };
         running.test = Some(request.id);
         (running.stopped, running.test_refused) = (false, false);
-        // Nobody learns an id that the journal does not have.
+        // A client must not see an id before the journal has it: after a restart, another task could get it.
         if !self.note_update() && self.session.journal_mut().is_some() {
             if let Some(running) = &mut self.updates.running {
                 running.test = None;
