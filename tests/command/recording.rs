@@ -12,7 +12,7 @@ use ztl_record::{Content, Formats, Read, Reader, Recording, Source};
 use ztl_std::{Publisher, Subscriber};
 use ztl_tests::lab::{
     Ended, PATIENCE, Process, Random, SCOPE, Scratch, Server, Terminal, busy, our_client_at,
-    port_of, run_python, seed, until, ztl,
+    port_of, reserve_port, run_python, seed, until, ztl,
 };
 
 /// Prints a line for each message of each file that PyPI's `mcap` reads from its start: file, topic, schema, log time,
@@ -212,8 +212,9 @@ fn streams_and_tasks_are_recorded_for_python_and_reported() {
 fn a_publisher_that_goes_and_comes_back_is_said_and_recorded_again() {
     let scratch = Scratch::new();
     let file = scratch.path("run.mcap");
-    let publisher = Publisher::bind("tcp://127.0.0.1:*", "/lab").expect("a port");
-    let endpoint = publisher.endpoint().to_owned();
+    // Bound twice: no connection gets a reserved port between.
+    let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
+    let publisher = Publisher::bind(&endpoint, "/lab").expect("a free port");
     let recorder = Process::start(&mut record(&file, &[&endpoint]));
     recorder.wait_for(": connected");
     drop(publisher);

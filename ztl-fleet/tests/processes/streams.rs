@@ -8,7 +8,8 @@ use ztl_std::keys::KeyPair;
 use ztl_std::publish::Heard;
 use ztl_std::{Publisher, State, Subscriber};
 use ztl_tests::lab::{
-    PATIENCE, Process, Scratch, Server, end, in_time, original_tool, start, until, ztl,
+    PATIENCE, Process, Scratch, Server, end, in_time, original_tool, reserve_port, start, until,
+    ztl,
 };
 
 use crate::line::{Line, Mode};
@@ -46,7 +47,9 @@ impl Streaming {
     fn of(fleet: Fleet, agent: &str, router: &str) -> Self {
         let port = fleet.endpoint.wait_for_port("Publishing ");
         let server = Server::naps();
-        let publisher = Publisher::bind("tcp://127.0.0.1:*", "/test").unwrap();
+        // A test binds it twice: no connection gets a reserved port between.
+        let endpoint = format!("tcp://127.0.0.1:{}", reserve_port());
+        let publisher = Publisher::bind(&endpoint, "/test").unwrap();
         let more = format!("publish: {}\n{agent}", publisher.endpoint());
         let file = fleet.agent_file("arm", &server.endpoint(), &more);
         let text = std::fs::read_to_string(&file).unwrap();
@@ -278,7 +281,7 @@ fn states_of_a_publisher_that_was_restarted_do_not_come_back() {
     streaming.publish("/pose", 1, true);
     assert_eq!(next(&mut early, "/pose"), 1);
     let endpoint = streaming.publisher.endpoint().to_owned();
-    // Its port is free again.
+    // Closes the first one.
     streaming.publisher = Publisher::bind("tcp://127.0.0.1:*", "/test").unwrap();
     streaming.publisher = Publisher::bind(&endpoint, "/test").unwrap();
     streaming.until_heard(&mut early);
