@@ -1,5 +1,5 @@
 //! Steps that run at the same time as the others, in a process of their own at the lowest priority: they use the processor
-//! while tests wait, and delay no test.
+//! while tests wait, and delay no test. They get the usual priority when only they are left.
 
 use std::env;
 use std::fs::File;
@@ -15,6 +15,9 @@ use crate::project::Project;
 /// Runs its arguments. When its input ends, also because this program was killed, it kills its whole process group.
 const SCRIPT: &str =
     "exec 3<&0 </dev/null; (cat <&3 >/dev/null; kill 0) & exec 3<&- nice -n 19 \"$@\"";
+
+/// Gives a process group the priority of this program. Only root may raise one.
+const RAISE: &str = "renice -n \"$(nice)\" -g \"$1\" >/dev/null 2>&1";
 
 /// The running process. Dropping this kills the process and everything that the process has started.
 pub(crate) struct Beside {
@@ -66,6 +69,11 @@ impl Beside {
     /// # Errors
     /// If the process has failed.
     pub(crate) fn end(&mut self) -> Result<()> {
+        // At the lowest priority, it could take hours beside busy programs of others. Fails if it has ended already.
+        let group = self.child.id().to_string();
+        let _ = Command::new("sh")
+            .args(["-c", RAISE, "sh", &group])
+            .status()?;
         let status = self.child.wait()?;
         io::copy(&mut File::open(&self.log)?, &mut io::stdout())?;
         ensure!(status.success(), "a step beside the others failed");
@@ -104,6 +112,30 @@ mod tests {
         for beside in [fine, failing] {
             fs::remove_file(&beside.log).unwrap();
         }
+    }
+
+    #[test]
+    fn it_has_the_usual_priority_when_its_end_is_waited_for() {
+        let printed = |program: &str, option: &[&str]| {
+            let output = Command::new(program).args(option).output().unwrap().stdout;
+            String::from_utf8(output).unwrap().trim().to_owned()
+        };
+        if printed("id", &["-u"]) != "0" {
+            eprintln!(
+                "not run: only root may raise a priority, as the whole test command needs it"
+            );
+            return;
+        }
+        let usual = printed("nice", &[]);
+        let mut beside = start(&format!(
+            "nice; for i in $(seq 3000); do [ $(nice) = {usual} ] && exit; sleep 0.01; done; exit 3"
+        ));
+        while !fs::read_to_string(&beside.log).unwrap().ends_with('\n') {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+            beside.has_not_failed().unwrap();
+        }
+        beside.end().unwrap();
+        fs::remove_file(&beside.log).unwrap();
     }
 
     #[test]
