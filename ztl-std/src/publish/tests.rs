@@ -158,22 +158,28 @@ fn a_slow_subscriber_gets_a_state_that_was_dropped_when_it_has_caught_up() {
             while quick.next_within(LIMIT).unwrap().unwrap().body[0] != number {}
         }
     };
-    // The first images fill its connection, so that the state waits behind them, and is dropped before they end.
-    flood(0);
-    // As long as an image, so that the connection has no room for it either.
-    publisher.publish_bytes("/pose", &[9; 200_000], true);
-    flood(100);
-    let mut poses = Vec::new();
-    let mut last = 0;
-    while poses.is_empty() {
-        let heard = slow.next_within(LIMIT).unwrap().unwrap();
-        match heard.topic.as_str() {
-            "/lab/pose" => poses.push(heard.body[0]),
-            "/lab/image" => last = heard.body[0],
-            _ => {}
+    // The first images fill its connection, so that the state waits behind them, and is dropped before they end. Seldom, the
+    // system takes more just when the state is the oldest one that waits: then it comes before them, and was not dropped.
+    let was_dropped = |attempt: u8| {
+        flood(0);
+        // As long as an image, so that the connection has no room for it either.
+        publisher.publish_bytes("/pose", &[attempt; 200_000], true);
+        flood(100);
+        let (mut before, mut last) = (None, 0);
+        while before.is_none() || last != 199 {
+            let heard = slow.next_within(LIMIT).unwrap().unwrap();
+            match heard.topic.as_str() {
+                "/lab/pose" => {
+                    assert_eq!(heard.body[0], attempt);
+                    before = Some(last);
+                }
+                "/lab/image" => last = heard.body[0],
+                _ => {}
+            }
         }
-    }
-    assert_eq!((poses, last), (vec![9], 199));
+        before == Some(199)
+    };
+    assert!((0..10).any(was_dropped));
     assert!(slow.missed() > 0);
 }
 
