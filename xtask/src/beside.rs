@@ -120,7 +120,7 @@ mod tests {
         let usual = Command::new("nice").output().unwrap().stdout;
         let usual = String::from_utf8(usual).unwrap();
         let usual = usual.trim();
-        // Neither a user nor root in most containers.
+        // Root may raise a priority, except in most containers.
         let mut raise = Command::new("nice");
         raise.args(["sh", "-c", "renice -n $1 $$", "sh", usual]);
         if !raise.status().unwrap().success() {
