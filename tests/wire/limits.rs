@@ -1,8 +1,8 @@
 //! Limits of a server: requests beyond them are rejected with the reason, and affect nothing else.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use ztl_std::server::MAX_MESSAGE;
+use ztl_std::server::{MAX_MESSAGE, TaskHandler, TaskReporter};
 use ztl_std::{
     ExecutableTask, Limits, RemoteTask, RequestError, RunError, RunningServer, State, TaskContext,
     TaskController, TaskError, TaskId, TaskRequest, TaskServer, TriggerError,
@@ -93,6 +93,52 @@ fn an_outcome_is_kept_for_the_configured_time() {
     });
     // Time counts from the end.
     assert!(is_known(&mut remote, running));
+}
+
+/// Aborts its tasks when it is dropped.
+struct Held(Vec<TaskReporter>);
+
+impl TaskHandler for Held {
+    fn start(&mut self, task: TaskReporter, request: TaskRequest) {
+        task.accepted(request.reply());
+        self.0.push(task);
+    }
+
+    fn abort(&mut self, _: TaskId) {}
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        for task in self.0.drain(..) {
+            task.aborted("stopped");
+        }
+    }
+}
+
+#[test]
+fn a_server_that_stops_answers_until_the_ends_are_told_or_for_2_s() {
+    let stop = |ask: bool| {
+        let server = TaskServer::builder().bind("tcp://127.0.0.1:*");
+        let mut server = server.expect("a port");
+        server.register_handler(SCOPE, Held(Vec::new()));
+        let server = server.spawn().expect("a thread");
+        let mut remote = connect(server.endpoint());
+        let id = start(&mut remote, "h", "c", "g");
+        let begun = Instant::now();
+        let stopping = std::thread::spawn(move || drop(server));
+        if ask && let Ok(end) = remote.wait(id, Some(PATIENCE)) {
+            assert_eq!(end.state, State::Aborted);
+        }
+        stopping.join().expect("no panic");
+        begun.elapsed()
+    };
+    let longest = Duration::from_secs(2);
+    for _ in 0..5 {
+        assert!(stop(false) >= longest, "nobody has asked");
+    }
+    // On a busy machine, asking may take as long.
+    let early = (0..10).any(|_| stop(true) < longest);
+    assert!(early, "all ends are told");
 }
 
 #[test]

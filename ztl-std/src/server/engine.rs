@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use ztl_core::dispatcher::Dispatcher;
+use ztl_core::reply::Reply;
 use ztl_core::{Instant, Request, TaskId};
 
 use super::client_liveness::ClientLiveness;
 use super::dropped::DroppedLog;
 use super::handler::TaskHandler;
+use super::incoming::ReturnPath;
 use super::limits::Limits;
 use super::memory::ServerMemory;
 use super::reporter::{Claim, Inbox, Mailbox};
@@ -46,6 +48,21 @@ pub(super) struct Engine {
     pub(super) logged_used_up: bool,
     /// Whether the last turn took a report.
     pub(super) reported: bool,
+    /// While the server stops: tasks whose end no client has been told yet.
+    pub(super) untold: Vec<TaskId>,
     /// Whether a handler was given a task since `all_started` was called.
     pub(super) started: bool,
+}
+
+/// Sends a reply; a task whose end it tells is no longer `untold`.
+pub(super) fn answer(
+    router: &mut Router,
+    untold: &mut Vec<TaskId>,
+    path: ReturnPath,
+    reply: &Reply<'_>,
+) {
+    if reply.state().is_final() {
+        untold.retain(|id| reply.task() != Some(*id));
+    }
+    router.answer(path, reply);
 }

@@ -11,7 +11,7 @@ use ztl_core::tasks::Tasks;
 
 use super::access::Sender;
 use super::clock::now;
-use super::engine::Engine;
+use super::engine::{Engine, answer};
 use super::incoming::Request;
 use super::reporter::TaskReporter;
 use crate::log_targets::TASKS;
@@ -54,12 +54,13 @@ impl Engine {
         if let Sender::Client(_) = sender {
             self.dispatcher.memory_mut().hide(hidden);
         }
-        let (router, refusals) = (&mut self.router, &mut self.refusals);
+        let (router, untold) = (&mut self.router, &mut self.untold);
+        let refusals = &mut self.refusals;
         let mut out = |peer, reply: &Reply<'_>| {
             if reply.refusal_of().is_some() && refusals.take(now()) {
                 log_refusal(reply, body);
             }
-            router.answer(peer, reply);
+            answer(router, untold, peer, reply);
         };
         let action = self
             .dispatcher

@@ -15,7 +15,7 @@ use ztl_core::tasks::Tasks;
 use ztl_core::{Instant, TaskId};
 
 use super::clock::now;
-use super::engine::Engine;
+use super::engine::{Engine, answer};
 use super::incoming::Received;
 use super::reporter::Report;
 use crate::log_targets::TASKS;
@@ -23,9 +23,10 @@ use crate::log_targets::TASKS;
 /// Most requests, and most reports, handled per turn.
 const BATCH: usize = 64;
 
-/// How long a server keeps answering after its handlers stopped tasks, so that clients that ask every 100 ms
-/// learn the ends.
+/// How long a server keeps answering after its handlers stopped tasks, for all clients that ask every 100 ms.
 const LINGER: Duration = Duration::from_millis(250);
+/// As [`LINGER`], if no client at all has been told a task's end yet: the client or its network may be slow.
+const LINGER_UNTOLD: Duration = Duration::from_secs(2);
 
 impl Engine {
     /// Serves until it is stopped.
@@ -80,10 +81,10 @@ impl Engine {
                 self.on_event(now, id, TaskEvent::Rejected { reason });
             }
         }
-        let Self {
-            dispatcher, router, ..
-        } = self;
-        dispatcher.handle_timeout(now, &mut |peer, reply| router.answer(peer, reply));
+        let (router, untold) = (&mut self.router, &mut self.untold);
+        self.dispatcher.handle_timeout(now, &mut |peer, reply| {
+            answer(router, untold, peer, reply);
+        });
         self.abort_tasks_of_gone_clients(now);
         Ok(more)
     }
@@ -102,26 +103,41 @@ impl Engine {
 
     /// Handlers stop their tasks when they are dropped; clients are answered meanwhile.
     fn stop_handlers(&mut self) -> io::Result<()> {
+        let running = self.dispatcher.memory().tasks().iter();
+        let running = running.filter(|(_, task)| !task.state.is_final());
+        self.untold = running.map(|(id, _)| id).collect();
         let mut handlers = std::mem::take(&mut self.handlers);
         let longest = handlers.iter_mut().map(|handler| handler.stop()).max();
         let stopping = std::thread::Builder::new().spawn(move || drop(handlers));
         // If no thread could be started, the handlers were dropped on this one.
-        let Ok(stopping) = stopping else {
-            return Ok(());
-        };
+        let stops = || stopping.as_ref().is_ok_and(|thread| !thread.is_finished());
         let end = now() + longest.unwrap_or_default();
         let pause = Duration::from_millis(10);
         let mut reported = false;
-        while now() < end && !stopping.is_finished() {
+        while now() < end && stops() {
             self.turn(pause)?;
             reported |= self.reported;
         }
-        let end = now() + LINGER;
-        while (reported || self.reported) && now() < end {
-            reported = true;
+        let stopped = now();
+        loop {
+            // At least once: the last reports may have come since the turn before.
             self.turn(pause)?;
+            reported |= self.reported;
+            let longest = match self.owes_an_end() {
+                true => LINGER_UNTOLD,
+                false => LINGER,
+            };
+            if !reported || now() >= stopped + longest {
+                return Ok(());
+            }
         }
-        Ok(())
+    }
+
+    /// Whether a task has ended since the server began to stop, and no client has been told so.
+    fn owes_an_end(&self) -> bool {
+        let tasks = self.dispatcher.memory().tasks();
+        let ended = |id| tasks.get(id).is_some_and(|task| task.state.is_final());
+        self.untold.iter().any(|id| ended(*id))
     }
 
     /// Waits for a request, a report or the next deadline, at most for `longest`; returns the request.
@@ -170,10 +186,10 @@ impl Engine {
     fn on_event(&mut self, now: Instant, id: TaskId, event: TaskEvent<'_>) {
         #[cfg(feature = "publish")]
         let before = self.before(id, &event);
-        let router = &mut self.router;
+        let (router, untold) = (&mut self.router, &mut self.untold);
         self.dispatcher
             .handle_event(now, id, event, &mut |peer, reply| {
-                router.answer(peer, reply);
+                answer(router, untold, peer, reply);
             });
         #[cfg(feature = "publish")]
         if let Some(before) = before {

@@ -115,6 +115,7 @@ impl ServerBuilder {
                 refusals: RateLimit::of_refusals(now()),
                 logged_used_up: false,
                 reported: false,
+                untold: Vec::new(),
                 started: false,
             },
         })
