@@ -358,9 +358,10 @@ ztl_server *ztl_server_new(void);
 
 /**
  * Stops and frees a server. Running tasks are asked to stop (their `abort` is called, within this call if
- * ztl_server_poll makes the calls); those that have not ended after 1.4 s end as FAILED. Then waits until every
- * callback has returned, however long that takes. Any thread; within a callback it is ZTL_E_STATE, and nothing is
- * freed. Apart from its callbacks, nothing may use the server during or after this call. NULL is ZTL_OK.
+ * ztl_server_poll makes the calls); those that have not ended after 1.4 s end as FAILED. Requests are answered for
+ * up to 2 s longer, until a client has asked for the end of each task. Then waits until every callback has
+ * returned, however long that takes. Any thread; within a callback it is ZTL_E_STATE, and nothing is freed. Apart
+ * from its callbacks, nothing may use the server during or after this call. NULL is ZTL_OK.
  */
 int ztl_server_free(ztl_server *server);
 
