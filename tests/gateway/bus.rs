@@ -176,10 +176,7 @@ fn a_board_that_comes_to_the_address_of_a_moving_one_ends_no_task_and_an_abort_s
     line.process.write_line("right off");
     let (gateway, mut remote) = line.gateway();
     gateway.wait_ready("arm.left");
-    let port = gateway.port.to_string();
-    let set = ["param", "set", "arm.left", "speed", "0.1", "-p", &port];
-    let slow = Process::run(ztl().args(set));
-    assert_eq!(slow.code, Some(0), "{slow:?}");
+    gateway.set_speed("arm.left", "speed", 0.1);
     let task = start(&mut remote, "arm.left", "finger", "100");
     line.process.write_line("right on");
     gateway
@@ -223,9 +220,7 @@ fn a_node_that_moves_after_its_line_was_opened_again_goes_on_with_its_task() {
     gateway.wait_ready("arm.left");
     let mut remote = connect(&gateway.endpoint());
     let port = gateway.port.to_string();
-    let set = ["param", "set", "arm.left", "speed", "0.1", "-p", &port];
-    let slow = Process::run(ztl().args(set));
-    assert_eq!(slow.code, Some(0), "{slow:?}");
+    gateway.set_speed("arm.left", "speed", 0.1);
     let task = start(&mut remote, "arm.left", "finger", "100");
     wires.kill();
     let told = gateway.process.wait_for(&format!("'arm.left': {url}"));

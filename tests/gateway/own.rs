@@ -64,15 +64,6 @@ fn press(buttons: &Buttons, goal: &str) {
     until("the button works", PATIENCE, || buttons.press(goal).ok());
 }
 
-/// Sets how fast the gripper moves, as a factor.
-#[track_caller]
-fn set_speed(gateway: &Server, factor: &str) {
-    let port = gateway.port.to_string();
-    let words = ["param", "set", "gripper", "speed", factor, "-p", &port];
-    let ended = Process::run(ztl().args(words));
-    assert_eq!(ended.code, Some(0), "{ended:?}");
-}
-
 fn state(remote: &mut RemoteTask, id: TaskId) -> State {
     remote.status(id).expect("an answer").state
 }
@@ -85,7 +76,7 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
     let gateway = start_gateway(&url, &scratch, reserve_port());
     let mut remote = connect(&gateway.endpoint());
     // It takes 20 s then, so it still runs when it is aborted.
-    set_speed(&gateway, "0.1");
+    gateway.set_speed("gripper", "speed", 0.1);
     press(&buttons, "100");
     let id = only_id(&gateway);
     assert_eq!(listed(&gateway)[0]["task"], "gripper:finger:100");
@@ -103,7 +94,7 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
     });
     gateway.process.wait_for("was started by the device");
 
-    set_speed(&gateway, "4");
+    gateway.set_speed("gripper", "speed", 4.0);
     press(&buttons, "0");
     until("the second end", PATIENCE, || {
         let all = listed(&gateway);
@@ -148,7 +139,7 @@ fn a_restarted_gateway_keeps_the_id_and_a_reset_device_fails_the_task() {
     assert_eq!(end.state, State::Aborted, "{end:?}");
 
     // It takes 20 s then, so it still runs when the device is reset.
-    set_speed(&gateway, "0.1");
+    gateway.set_speed("gripper", "speed", 0.1);
     press(&buttons, "100");
     let second = until("the next task", PATIENCE, || {
         let all = listed(&gateway);

@@ -238,9 +238,7 @@ fn a_task_delays_the_update_unless_it_is_to_end_now() {
     let gateway = Server::gateway(&[&hand]);
     gateway.wait_ready("hand");
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
-    let port = gateway.port.to_string();
-    let slow = Process::run(ztl().args(["param", "set", "hand", "speed", "0.1", "-p", &port]));
-    assert_eq!(slow.code, Some(0), "{slow:?}");
+    gateway.set_speed("hand", "speed", 0.1);
     let image = bench.signed(["lab", "simulated", "1.1.0"], "", 40_000);
     let task = remote.trigger("hand", "finger", "100").expect("a task");
     updates(
@@ -424,9 +422,7 @@ fn a_node_of_a_shared_line_is_updated_while_another_one_moves() {
     let gateway = Server::gateway(&[&arm]);
     gateway.wait_ready("arm.left");
     gateway.wait_ready("arm.right");
-    let port = gateway.port.to_string();
-    let slow = Process::run(ztl().args(["param", "set", "arm.right", "speed", "0.1", "-p", &port]));
-    assert_eq!(slow.code, Some(0), "{slow:?}");
+    gateway.set_speed("arm.right", "speed", 0.1);
     let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
     let task = remote.trigger("arm.right", "finger", "90").expect("a task");
     let image = bench.image("1.1.0", "self-test: 20\n");

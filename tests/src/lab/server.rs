@@ -200,6 +200,15 @@ impl Server {
             .wait_for(&format!("Device '{device}' is ready"));
     }
 
+    /// Sets how fast an axis of a simulated device moves, as `head`, `pan.speed`, 0.1: ten times slower than usual.
+    #[track_caller]
+    pub fn set_speed(&self, device: &str, parameter: &str, factor: f32) {
+        let (factor, port) = (factor.to_string(), self.port.to_string());
+        let words = ["param", "set", device, parameter, &factor, "-p", &port];
+        let ended = Process::run(ztl().args(words));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+    }
+
     /// What `ztl describe` prints, once it has each of these texts: devices describe themselves after they are ready.
     #[track_caller]
     pub fn wait_described(&self, texts: &[&str]) -> String {
