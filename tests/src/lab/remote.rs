@@ -12,16 +12,17 @@ use super::{PATIENCE, SCOPE};
 /// The limit of a wait that is not itself measured.
 pub const LIMIT: Option<Duration> = Some(PATIENCE);
 
-/// A client of [`SCOPE`] at this ZeroMQ address.
+/// A client of [`SCOPE`] at this ZeroMQ address. It waits for each answer, which a busy machine may delay.
 #[track_caller]
 pub fn connect(endpoint: &str) -> RemoteTask {
     connect_to(endpoint, SCOPE)
 }
 
-/// A client of a scope at this ZeroMQ address.
+/// The same, of another scope.
 #[track_caller]
 pub fn connect_to(endpoint: &str, scope: &str) -> RemoteTask {
     let remote = RemoteTask::connect(endpoint, scope).expect("an address");
+    let remote = remote.with_timeout(PATIENCE);
     remote.with_transport(transport()).expect("a socket")
 }
 
