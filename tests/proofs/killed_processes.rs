@@ -140,10 +140,13 @@ fn a_task_running_when_its_server_is_killed_has_an_unknown_outcome() {
     let port = reserve_port();
     let mut server = serve(port);
     let endpoint = format!("tcp://127.0.0.1:{port}");
-    let mut remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    let remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    let mut remote = remote.with_timeout(PATIENCE);
     let task = remote.trigger("test", "sleep", "60").expect("taken");
     server.kill();
     let _next = serve(port);
+    // A STATUS that the killed server took is repeated.
+    let mut remote = remote.with_timeout(Duration::from_secs(2));
     let error = remote
         .wait(&task.id, Some(PATIENCE))
         .expect_err("nobody knows");

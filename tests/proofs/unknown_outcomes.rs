@@ -163,7 +163,8 @@ fn start_nap(server: &Server, timeout: &str) -> Process {
 }
 
 fn runs_nothing(server: &Server) {
-    let mut remote = RemoteTask::connect(&server.endpoint(), "$ztl").expect("an address");
+    let remote = RemoteTask::connect(&server.endpoint(), "$ztl").expect("an address");
+    let mut remote = remote.with_timeout(PATIENCE);
     until("no task runs", PATIENCE, || {
         let told = remote.describe().ok()??;
         told.running
@@ -175,7 +176,8 @@ fn runs_nothing(server: &Server) {
 #[test]
 fn a_task_over_its_time_limit_is_aborted_after_its_server_hung() {
     let server = Server::naps();
-    let client = start_nap(&server, "1");
+    // Long enough to stop the server first.
+    let client = start_nap(&server, "5");
     server.process.signal("STOP");
     client.wait_for(r#""event":"aborting""#);
     let tries = || client.stderr().matches("disconnecting: no answer").count();
@@ -193,9 +195,11 @@ fn a_task_over_its_time_limit_is_aborted_after_its_server_hung() {
 #[test]
 fn a_task_with_an_unanswered_abort_is_reported_as_possibly_running() {
     let server = Server::naps();
-    let client = start_nap(&server, "1");
+    // Long enough to start the second client and stop the server first.
+    let limit = "10";
+    let client = start_nap(&server, limit);
     let mut words = our_client();
-    words.args(["--exit-status", "-t", "1"]);
+    words.args(["--exit-status", "-t", limit]);
     let words = server.start_client(words, &["nap:for:60"]);
     words.wait_for("Initialised task");
     server.process.signal("STOP");
