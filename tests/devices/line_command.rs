@@ -30,14 +30,22 @@ fn between(options: &str) -> (Process, TcpStream, TcpStream) {
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
     }
     let mut both = (process, near, far);
-    // Bytes are lost while an end is missing: both ends are connected once a byte arrives.
-    let mut byte = [0xA5];
-    until("a byte comes through", PATIENCE, || {
-        both.1.write_all(&[0]).unwrap();
-        both.2
-            .set_read_timeout(Some(Duration::from_millis(200)))
-            .unwrap();
-        both.2.read_exact(&mut byte).ok()
+    // Bytes are lost while an end is missing: both ends are connected once a byte arrives. Reads up to the last one that was
+    // written, so that none arrives later.
+    both.2
+        .set_read_timeout(Some(Duration::from_millis(200)))
+        .unwrap();
+    let mut number = 0_u8;
+    until("the last byte comes through", PATIENCE, || {
+        number = number.wrapping_add(1);
+        both.1.write_all(&[number]).unwrap();
+        let mut byte = [0xA5];
+        while both.2.read_exact(&mut byte).is_ok() {
+            if byte == [number] {
+                return Some(());
+            }
+        }
+        None
     });
     both.2.set_read_timeout(Some(PATIENCE)).unwrap();
     both
@@ -124,7 +132,8 @@ fn the_same_seed_corrupts_the_same_bytes() {
 #[test]
 fn a_cut_in_one_direction_spares_the_other_and_ends() {
     let start = Instant::now();
-    let (line, mut near, mut far) = between("--cut to-a --cut-for 2s");
+    // Long enough to write the first bytes during the cut.
+    let (line, mut near, mut far) = between("--cut to-a --cut-for 10s");
     far.write_all(b"lost").unwrap();
     near.write_all(b"heard").unwrap();
     let mut heard = [0; 5];
@@ -138,7 +147,7 @@ fn a_cut_in_one_direction_spares_the_other_and_ends() {
         near.read_exact(&mut byte).ok()
     });
     assert_eq!(&byte, b"x");
-    assert!(start.elapsed() >= Duration::from_secs(2));
+    assert!(start.elapsed() >= Duration::from_secs(10));
     line.signal("USR1");
     let counts = line.wait_for("B to A: ");
     assert!(!counts.contains(" 0 cut off"), "{counts}");
@@ -169,6 +178,34 @@ fn a_usage_error_is_one_line_with_the_expected_form() {
     assert_eq!(ended.code, Some(0), "{ended:?}");
 }
 
+/// Reads until this many bytes have arrived.
+#[track_caller]
+fn hears(line: &mut Line, count: usize) -> Vec<u8> {
+    let mut all = Vec::new();
+    until("all bytes", PATIENCE, || {
+        let mut piece = [0xA5; 4096];
+        // Times out after some milliseconds.
+        if let Ok(some) = line.reader.read(&mut piece) {
+            all.extend_from_slice(&piece[..some]);
+        }
+        (all.len() >= count).then_some(())
+    });
+    all
+}
+
+/// How many bytes have collided so far.
+#[track_caller]
+fn collided(line: &Process) -> u32 {
+    let before = line.stdout().len();
+    line.signal("USR1");
+    until("the counts", PATIENCE, || {
+        let printed = line.stdout();
+        let mut lines = printed[before..].lines();
+        let count = lines.find_map(|line| line.strip_suffix(" bytes collided"))?;
+        count.parse().ok()
+    })
+}
+
 /// Reads until nothing has arrived for a while.
 fn heard(line: &mut Line) -> Vec<u8> {
     let mut all = Vec::new();
@@ -194,39 +231,42 @@ fn ends_of_a_half_duplex_line_that_send_at_once_damage_each_other() {
         let end: Endpoint = format!("serial:{link}").parse().unwrap();
         end.open().unwrap()
     });
-    // What goes to an end that is not known to be there is lost.
+    // Bytes to an end that the line has not opened yet are lost. Reads up to the last one that was written, so that none arrives
+    // later.
+    let mut number = 0_u8;
     until("each end hears the first one", PATIENCE, || {
-        ports[0].writer.write_all(b"?").unwrap();
+        number = number.wrapping_add(1);
+        ports[0].writer.write_all(&[number]).unwrap();
         let heard = [heard(&mut ports[1]), heard(&mut ports[2])];
-        (heard == [b"?", b"?"]).then_some(())
+        let has_last = |heard: &Vec<u8>| heard.last() == Some(&number);
+        heard.iter().all(has_last).then_some(())
     });
     let bytes = pattern(200);
     ports[0].writer.write_all(&bytes).unwrap();
-    assert_eq!(heard(&mut ports[1]), bytes);
-    assert_eq!(heard(&mut ports[2]), bytes);
-    assert_eq!(heard(&mut ports[0]), b"", "an end hears itself");
-    // Each takes 0.4 s, so that they overlap.
+    assert_eq!(hears(&mut ports[1], bytes.len()), bytes);
+    assert_eq!(hears(&mut ports[2], bytes.len()), bytes);
+    for port in &mut ports {
+        assert_eq!(heard(port), b"", "an end hears itself, or too much");
+    }
+    // Each takes 0.4 s, so that they overlap unless the machine stalls between them.
     let bytes = pattern(400);
-    ports[1].writer.write_all(&bytes).unwrap();
-    ports[2].writer.write_all(&bytes).unwrap();
-    let noise = heard(&mut ports[0]);
-    let intact = noise
-        .iter()
-        .zip(&bytes)
-        .filter(|(heard, sent)| heard == sent);
-    assert!((1..600).contains(&noise.len()), "{} bytes", noise.len());
-    assert!(intact.count() < 200, "{noise:?}");
+    until("they damage each other", PATIENCE, || {
+        ports[1].writer.write_all(&bytes).unwrap();
+        ports[2].writer.write_all(&bytes).unwrap();
+        let noise = heard(&mut ports[0]);
+        let both = noise.iter().zip(&bytes);
+        let intact = both.filter(|(heard, sent)| heard == sent).count();
+        let collided = collided(&process);
+        println!(
+            "{} bytes, {intact} intact, {collided} collided so far",
+            noise.len()
+        );
+        ((1..600).contains(&noise.len()) && intact < 200 && collided > 400).then_some(())
+    });
     process.signal("TERM");
     let ended = process.end(PATIENCE);
-    let collided = ended
-        .stdout
-        .lines()
-        .find_map(|line| line.strip_suffix(" bytes collided"));
-    let collided: u32 = collided
-        .and_then(|count| count.parse().ok())
-        .unwrap_or_default();
-    assert!(collided > 400, "{ended:?}");
     assert!(ended.stdout.contains("\nto C: "), "{ended:?}");
+    assert!(ended.stdout.ends_with(" bytes collided\n"), "{ended:?}");
 }
 
 #[test]
