@@ -7,6 +7,8 @@
 //!
 //!     ztl task-client -r 127.0.0.1 -p 7002 -s /desk desk:slide:80
 //!
+//! The arguments `127.0.0.1:7002 20` are another address and another speed.
+//!
 //! A client that was switched off keeps its slot: the standard library cannot enable TCP's keep-alive.
 
 use std::io::{Read, Write};
@@ -27,8 +29,9 @@ const SECOND: Duration = Duration::from_secs(1);
 const TAKE: Duration = Duration::from_millis(50);
 
 /// Moves to a position between 0 and 100 mm.
-#[derive(Default)]
 struct Slide {
+    /// In mm per second.
+    speed: f32,
     from: f32,
     to: f32,
     start: Instant,
@@ -36,8 +39,18 @@ struct Slide {
 }
 
 impl Slide {
+    const fn new(speed: f32) -> Self {
+        Self {
+            speed,
+            from: 0.0,
+            to: 0.0,
+            start: Instant::ZERO,
+            stopped: false,
+        }
+    }
+
     fn position(&self, now: Instant) -> f32 {
-        let way = now.since(self.start).as_secs_f32() * 100.0;
+        let way = now.since(self.start).as_secs_f32() * self.speed;
         self.from + (self.to - self.from).clamp(-way, way)
     }
 }
@@ -201,8 +214,17 @@ fn accept(listener: &TcpListener) -> std::io::Result<(TcpStream, TcpStream)> {
 }
 
 fn main() -> std::io::Result<ExitCode> {
-    let address = std::env::args().nth(1);
+    let mut words = std::env::args().skip(1);
+    let address = words.next();
     let address = address.as_deref().unwrap_or("127.0.0.1:7002");
+    let speed = words.next().unwrap_or_else(|| "100".to_owned());
+    let speed = match speed.parse::<f32>() {
+        Ok(speed) if (0.1..=1000.0).contains(&speed) => speed,
+        _ => {
+            eprintln!("invalid speed '{speed}': expected 0.1 to 1000 mm per second");
+            return Ok(ExitCode::FAILURE);
+        }
+    };
     let listener = match TcpListener::bind(address) {
         Ok(listener) => listener,
         Err(error) => {
@@ -216,7 +238,7 @@ fn main() -> std::io::Result<ExitCode> {
     let identity = Identity::new("desk", "1.0.0", std::process::id());
     let shared = Shared {
         device: Mutex::new(Device {
-            server: Server::new("/desk", identity, [Slide::default()]),
+            server: Server::new("/desk", identity, [Slide::new(speed)]),
             streams: [const { None }; PEERS],
             wake: Instant::ZERO,
         }),
