@@ -26,6 +26,12 @@ impl Device {
         Self::of(example("zmtp").arg("127.0.0.1:0"))
     }
 
+    /// The same with a slide that needs 20 s for its whole way: a task still runs when a busy machine asks about it.
+    #[track_caller]
+    pub(super) fn slow() -> Self {
+        Self::of(example("zmtp").args(["127.0.0.1:0", "5"]))
+    }
+
     #[track_caller]
     pub(super) fn of(command: &mut Command) -> Self {
         let process = Process::start(command);
