@@ -101,7 +101,7 @@ fn a_gateway_answers_malformed_messages_and_continues() {
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");
     answers_what_is_malformed(&gateway.endpoint());
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "100.0"));
+    assert_eq!(client.wait(id, 60.0), (COMPLETED, "100.0"));
 
     // A payload that no controller can read.
     let req = Socket::req(&gateway.endpoint());
@@ -116,8 +116,10 @@ fn a_gateway_answers_malformed_messages_and_continues() {
         let thrown = format!("{SCOPE};3;-1;Controller threw exception: ");
         assert!(answer.starts_with(&thrown), "{payload}: {answer}");
     }
+    // It takes 20 s then, so it still runs when it is aborted.
+    gateway.set_speed("gripper", "speed", 0.1);
     let id = client.start("gripper", "finger", "0");
-    assert_eq!(client.abort(id).number, ABORTED);
+    assert_eq!(client.stop(id), ABORTED);
 }
 
 #[test]
@@ -184,7 +186,8 @@ fn gateway_endpoint() -> Endpoint {
 #[test]
 fn a_long_goal_is_returned_whole_and_a_longer_one_affects_nobody() {
     let server = in_process();
-    let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    let remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_timeout(PATIENCE);
     let goal = "long ".repeat(100_000);
     let id = remote.trigger("any", "echo", &goal).expect("taken").id;
     let end = remote.wait(id, Some(PATIENCE)).expect("its end");
@@ -192,7 +195,6 @@ fn a_long_goal_is_returned_whole_and_a_longer_one_affects_nobody() {
 
     let req = Socket::req(server.endpoint());
     req.send(&[vec![b'x'; 2 << 20]]);
-    let answer = req.0.recv_multipart(0);
-    assert_eq!(answer, Err(zmq::Error::EAGAIN));
+    req.assert_silent("a message of 2 MiB");
     assert_serves(server.endpoint(), "a message of 2 MiB");
 }
