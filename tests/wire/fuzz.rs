@@ -10,7 +10,7 @@ use ztl_tests::lab::{Keys, Random, Server, connect, gateway, process_status, see
 use ztl_zmtp::session::{Inbound, Outbound, Security, Step};
 use ztl_zmtp::{Dealer, curve};
 
-/// How long each server is attacked.
+/// How long each server is attacked at least.
 const LONG: Duration = Duration::from_secs(4);
 
 /// The most memory that a server ever takes, in KiB.
@@ -160,12 +160,11 @@ fn survives(server: &Server, security: &Security, client: &dyn Fn() -> RemoteTas
     };
     let start = Instant::now();
     let mut rounds = 0;
-    while start.elapsed() < LONG {
+    while start.elapsed() < LONG || rounds <= 10 {
         attack(server.port, security, &mut random);
         rounds += 1;
         assert_served(rounds % 20 == 0);
     }
-    assert!(rounds > 10, "only {rounds} rounds");
     let most = process_status(server.process.id(), "VmHWM:");
     assert!(most < MEMORY, "{most} KiB after {rounds} rounds");
 }
