@@ -7,22 +7,30 @@ use super::rig::{Rig, STEPS};
 pub(crate) fn completes(board: &str) {
     let mut rig = Rig::start(board);
     assert_eq!(rig.board.read(Pin::Pulse), 0, "nobody has moved it");
-    let id = rig.client.start("desk", "gripper", "90");
-    let mut way = Vec::new();
-    let end = until("its end", PATIENCE, || {
-        let answer = rig.client.status(id);
-        if answer.number != ACCEPTED {
-            return Some(answer);
+    // It takes less than a second. If a busy machine sees too little of it, once more.
+    until("the gripper on its way", PATIENCE, || {
+        let id = rig.client.start("desk", "gripper", "90");
+        let mut way = Vec::new();
+        let end = until("its end", PATIENCE, || {
+            let answer = rig.client.status(id);
+            if answer.number != ACCEPTED {
+                return Some(answer);
+            }
+            way.extend(answer.text.parse::<f32>());
+            None
+        });
+        assert_eq!(end, (COMPLETED, "90.0"));
+        println!("{way:?}");
+        assert!(way.is_sorted(), "{way:?}");
+        assert_eq!(rig.board.read(Pin::Pulse), 2000);
+        // At the start, the firmware assumes it at 45 degrees.
+        let between = way.iter().filter(|&&at| at > 45.0 && at < 90.0).count();
+        if between < 3 {
+            let back = rig.client.start("desk", "gripper", "45");
+            assert_eq!(rig.client.wait(back, 60.0), (COMPLETED, "45.0"));
         }
-        way.extend(answer.text.parse::<f32>());
-        None
+        (between >= 3).then_some(())
     });
-    assert_eq!(end, (COMPLETED, "90.0"));
-    assert!(way.is_sorted(), "{way:?}");
-    // From 45 degrees, where the firmware assumes it at the start.
-    let between = way.iter().filter(|&&at| at > 45.0 && at < 90.0).count();
-    assert!(between >= 3, "{way:?}");
-    assert_eq!(rig.board.read(Pin::Pulse), 2000);
 
     let id = rig.client.start("desk", "lamp", "pulse 300");
     until("light", PATIENCE, || {
@@ -70,11 +78,11 @@ pub(crate) fn refuses(board: &str) {
     assert_eq!(rig.board.read(Pin::Pulse), 0, "nothing has moved");
 
     // A busy component continues its task; the others are free.
-    let id = rig.start_stage("20", 10);
+    let id = rig.start_stage("200", 10);
     let reason = "'desk:stage:30' refused: busy with another task";
     assert_eq!(rig.client.trigger("desk", "stage", "30"), (-1, reason));
     rig.assert_serves();
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "20.00"));
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "200.00"));
 }
 
 pub(crate) fn reaches_its_limit(board: &str) {
@@ -84,9 +92,9 @@ pub(crate) fn reaches_its_limit(board: &str) {
     assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "0.00"));
     assert_eq!(rig.place(), 0);
 
-    let id = rig.client.start("desk", "stage", "25");
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "25.00"));
-    assert_eq!(rig.place(), 1000);
+    let id = rig.client.start("desk", "stage", "190");
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "190.00"));
+    assert_eq!(rig.place(), 7600);
     // Something is in the way, and presses the switch.
     let id = rig.start_stage("0", 100);
     rig.board.write(Pin::Limit, 1);
@@ -95,7 +103,7 @@ pub(crate) fn reaches_its_limit(board: &str) {
     assert!(end.text.starts_with("limit switch at "), "{end:?}");
     rig.assert_rests();
     // Away from the switch it may go.
-    let id = rig.client.start("desk", "stage", "30");
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "30.00"));
-    assert_eq!(rig.place(), 1200);
+    let id = rig.client.start("desk", "stage", "200");
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "200.00"));
+    assert_eq!(rig.place(), 8000);
 }

@@ -56,6 +56,9 @@ fn do_all(image: &str, mut rig: Rig) {
     assert_eq!(rig.client.trigger("desk", "stage", "9999").number, -1);
     let id = rig.start_stage("200", 100);
     assert_eq!(rig.client.stop(id), ABORTED);
+    // The way back then takes 5 s, in which the button is pressed.
+    let id = rig.client.start("desk", "stage", "200");
+    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "200.00"));
     let id = rig.start_stage("0", 10);
     rig.board.write(Pin::Stop, 1);
     assert_eq!(rig.client.wait(id, 60.0), (ABORTED, "emergency stop"));
