@@ -29,11 +29,11 @@ fn a_long_task_stays_accepted_until_it_ends() {
     let server = Server::ours();
     let mut client = server.original_client();
     let asked = std::time::Instant::now();
-    let id = client.start("test", "sleep", "3");
+    let id = client.start("test", "sleep", "5");
     assert_eq!(client.status(id), (ACCEPTED, "None"));
     assert_eq!(client.wait(id, 0.2), (ACCEPTED, "None"));
     assert_eq!(client.wait(id, -1.0), (COMPLETED, "True"));
-    assert!(asked.elapsed() >= Duration::from_secs(3));
+    assert!(asked.elapsed() >= Duration::from_secs(5));
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn an_impossible_task_fails_with_the_reason() {
 fn a_rejected_abort_changes_nothing() {
     let server = Server::ours();
     let mut client = server.original_client();
-    let id = client.start("test", "sleep", "3");
+    let id = client.start("test", "sleep", "5");
     assert_eq!(client.abort(id), (ACCEPTED, "False"));
     assert_eq!(client.wait(id, 20.0), (COMPLETED, "True"));
 }
@@ -176,15 +176,15 @@ fn a_client_survives_a_restart_of_its_server() {
     let mut client = server.original_client();
     let id = client.start("test", "echo", "hi");
     server.process.kill();
-    // The original's client has no unknown outcome; it reports FAILED.
-    let lost = client.status(id);
+    // The original's client has no unknown outcome; after 2 s it reports FAILED.
+    let lost = client.wait(id, 2.0);
     let reason = "Again('Resource temporarily unavailable')";
     assert_eq!(lost, (FAILED, reason));
 
     let _again = Server::ours_at(server.port);
     let text = format!("Invalid ID '{id}'");
     let found = until("the client is back", PATIENCE, || {
-        Some(client.status(id)).filter(|answer| answer.number != FAILED)
+        Some(client.wait(id, 2.0)).filter(|answer| answer.number != FAILED)
     });
     assert_eq!(found, (REJECTED, text.as_str()));
     let id = client.start("test", "echo", "again");

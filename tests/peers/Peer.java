@@ -64,15 +64,15 @@ public final class Peer {
         socket.send(new Message(scope, code, id, payload).encode(), 0);
         byte[] answer = socket.recv(0);
         if (answer == null) {
-            throw new IllegalStateException("no answer within 2 s");
+            throw new IllegalStateException("no answer within 60 s");
         }
         return Message.parse(answer);
     }
 
     static void client(ZMQ.Context context, String host, String port, String scope) throws Exception {
         ZMQ.Socket socket = context.socket(ZMQ.REQ);
-        socket.setReceiveTimeOut(2000);
-        socket.setSendTimeOut(2000);
+        socket.setReceiveTimeOut(60000);
+        socket.setSendTimeOut(60000);
         socket.setLinger(0);
         String address = "tcp://" + host + ":" + port;
         socket.connect(address);

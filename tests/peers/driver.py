@@ -2,8 +2,12 @@
 import binascii
 import sys
 
+import zmq
 from ztl.core.client import RemoteTask
 from ztl.core.protocol import Task
+
+# How long a request waits for its answer, in seconds: on a busy machine, the original's 2 s may be too short.
+PATIENCE = 60
 
 
 def text(word):
@@ -12,8 +16,15 @@ def text(word):
     return decoded if sys.version_info[0] > 2 else decoded.encode("utf-8")
 
 
+def set_timeout(seconds):
+    remote.timeout = int(1000 * seconds)
+    if remote.socket is not None:
+        remote.socket.setsockopt(zmq.RCVTIMEO, remote.timeout)
+        remote.socket.setsockopt(zmq.SNDTIMEO, remote.timeout)
+
+
 host, port, scope = sys.argv[-3:]
-remote = RemoteTask(host, int(port), scope)
+remote = RemoteTask(host, int(port), scope, timeout=1000 * PATIENCE)
 # Not `for line in sys.stdin`: Python 2 reads ahead.
 for line in iter(sys.stdin.readline, ""):
     words = line.rstrip("\n").split(" ")
@@ -25,7 +36,11 @@ for line in iter(sys.stdin.readline, ""):
     elif verb == "abort":
         number, reply = remote.abort(int(words[0]))
     elif verb == "wait":
-        number, reply = remote.wait(int(words[0]), timeout=float(words[1]))
+        limit = float(words[1])
+        # Without an answer, it ends at its limit.
+        set_timeout(limit if limit >= 2 else PATIENCE)
+        number, reply = remote.wait(int(words[0]), timeout=limit)
+        set_timeout(PATIENCE)
     reply = reply if isinstance(reply, type(u"")) else str(reply)
     shown = binascii.hexlify(reply.encode("utf-8")).decode("ascii")
     sys.stdout.write("%d %s\n" % (number, shown))

@@ -17,7 +17,7 @@ function parts(message) {
 }
 
 async function client(host, port, scope) {
-  const server = new Request({ linger: 0, sendTimeout: 2000, receiveTimeout: 2000 })
+  const server = new Request({ linger: 0, sendTimeout: 60000, receiveTimeout: 60000 })
   server.connect(`tcp://${host}:${port}`)
   console.error(`Remote task interface initialised at 'tcp://${host}:${port}'.`)
 

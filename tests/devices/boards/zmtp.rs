@@ -149,15 +149,16 @@ fn over_ethernet_a_third_client_waits_until_one_of_two_disconnects() {
     assert_eq!(one.wait(gripper, 60.0), (COMPLETED, "90.0"));
     assert_eq!(two.status(gripper), (COMPLETED, "90.0"));
 
+    // The original's client gives up after 2 s.
     let mut three = OriginalClient::connect(board.network, SCOPE);
     assert_eq!(
-        three.status(stage).text,
+        three.wait(stage, 2.0).text,
         "Again('Resource temporarily unavailable')"
     );
     assert_eq!(one.status(stage), (COMPLETED, "0.00"));
     drop(two);
     until("a place for the third", PATIENCE, || {
-        (three.status(stage) == (COMPLETED, "0.00")).then_some(())
+        (three.wait(stage, 2.0) == (COMPLETED, "0.00")).then_some(())
     });
     assert_eq!(one.status(stage), (COMPLETED, "0.00"));
 }
@@ -185,7 +186,7 @@ fn over_ethernet_connections_that_do_not_speak_zmtp_affect_no_client() {
     }
     until("a place for another", PATIENCE, || {
         let mut other = OriginalClient::connect(board.network, SCOPE);
-        (other.status(id) == (COMPLETED, "90.0")).then_some(())
+        (other.wait(id, 2.0) == (COMPLETED, "90.0")).then_some(())
     });
 }
 
@@ -209,7 +210,7 @@ fn over_ethernet_idle_connections_are_closed_to_free_their_slots() {
     // 20 s of the board's time: 5 for the greeting, 15 for the end. Its clock is slow if the machine is busy.
     until("a place for a client", 9 * PATIENCE, || {
         let mut other = OriginalClient::connect(board.network, SCOPE);
-        (other.status(id) == (COMPLETED, "on")).then_some(())
+        (other.wait(id, 2.0) == (COMPLETED, "on")).then_some(())
     });
 }
 
