@@ -27,7 +27,7 @@ fn a_task_is_accepted_and_completes() {
 fn wait_returns_when_the_task_has_ended() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
-    let id = start(&mut remote, "test", "sleep", "3");
+    let id = start(&mut remote, "test", "sleep", "5");
     let mut seen = Vec::new();
     let end = remote.wait_with(id, LIMIT, |answer| {
         seen.push(answer.clone().expect("an answer").state);
@@ -43,7 +43,7 @@ fn wait_returns_when_the_task_has_ended() {
 fn a_wait_that_times_out_returns_no_final_state() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
-    let id = start(&mut remote, "test", "sleep", "3");
+    let id = start(&mut remote, "test", "sleep", "5");
     let error = remote.wait(id, Some(Duration::from_millis(300)));
     let error = error.expect_err("it still runs");
     assert_eq!(error.last, Ok(status(State::Accepted, "None")));
@@ -84,7 +84,7 @@ fn a_rejected_init_creates_no_task() {
 fn a_rejected_abort_reports_that_the_task_continues() {
     let server = Server::original();
     let mut remote = connect(&server.endpoint());
-    let id = start(&mut remote, "test", "sleep", "3");
+    let id = start(&mut remote, "test", "sleep", "5");
     assert_eq!(remote.abort(id), Ok(status(State::Accepted, "False")));
     let end = status(State::Completed, "True");
     assert_eq!(remote.wait(id, LIMIT), Ok(end.clone()));
@@ -108,8 +108,8 @@ fn an_unknown_id_or_scope_is_refused() {
         id: (-1).into(),
         reason: "No controller for scope: /elsewhere".to_owned(),
     };
-    let answer = stranger.expect("an address").trigger("test", "echo", "hi");
-    assert_eq!(answer, Err(refused));
+    let mut stranger = stranger.expect("an address").with_timeout(PATIENCE);
+    assert_eq!(stranger.trigger("test", "echo", "hi"), Err(refused));
 }
 
 #[test]
@@ -117,6 +117,7 @@ fn a_lost_server_gives_an_unknown_outcome_and_never_failed() {
     let mut server = Server::original();
     let mut remote = connect(&server.endpoint());
     let id = start(&mut remote, "test", "sleep", "60");
+    let mut remote = remote.with_timeout(Duration::from_secs(2));
     server.process.kill();
 
     let lost = |error: &RequestError| {

@@ -26,7 +26,7 @@ fn each_peers_client_runs_tasks_on_our_server() {
         let long = "long ".repeat(20_000);
         let id = client.start("test", "echo", &long);
         assert_eq!(client.wait(id, 20.0), (COMPLETED, long.as_str()));
-        let id = client.start("test", "sleep", "3");
+        let id = client.start("test", "sleep", "5");
         assert_eq!(client.status(id), (ACCEPTED, "None"));
         assert_eq!(client.abort(id).number, ACCEPTED);
         assert_eq!(client.wait(id, 20.0), (COMPLETED, "True"));
@@ -39,15 +39,17 @@ fn each_peers_client_runs_tasks_on_our_server() {
 fn each_peers_client_drives_a_device_through_the_gateway() {
     let gateway = Server::gateway(&["gripper=sim:gripper"]);
     gateway.wait_ready("gripper");
+    // A task of 20 s then still runs when it is aborted.
+    gateway.set_speed("gripper", "speed", 0.1);
     with_each(|peer| {
         let mut client = peer.client(gateway.port, SCOPE);
         let id = client.start("gripper", "finger", "3");
-        let end = client.wait(id, 20.0);
+        let end = client.wait(id, 60.0);
         assert_eq!(end.number, COMPLETED, "{end:?}");
         let id = client.start("gripper", "finger", "100");
-        assert_eq!(client.abort(id).number, ABORTED);
+        assert_eq!(client.stop(id), ABORTED);
         let id = client.start("gripper", "finger", "0");
-        assert_eq!(client.wait(id, 20.0).number, COMPLETED);
+        assert_eq!(client.wait(id, 60.0).number, COMPLETED);
     });
 }
 
@@ -55,14 +57,15 @@ fn each_peers_client_drives_a_device_through_the_gateway() {
 fn our_client_runs_tasks_on_each_peers_server() {
     with_each(|peer| {
         let server = peer.server();
-        let mut remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+        let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+        let mut remote = remote.with_timeout(PATIENCE);
         let long = "long ".repeat(20_000);
         for goal in ["with : and ; in it", &long] {
             let id = remote.trigger("test", "echo", goal).expect("taken").id;
             let end = remote.wait(id, Some(PATIENCE)).expect("its end");
             assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));
         }
-        let id = remote.trigger("test", "sleep", "3").expect("taken").id;
+        let id = remote.trigger("test", "sleep", "5").expect("taken").id;
         until("the task to run", PATIENCE, || {
             let now = remote.status(&id).expect("an answer").state;
             assert!(!now.is_final(), "{now:?}");

@@ -92,7 +92,8 @@ fn the_suites_abort_test_passes_with_a_running_task() {
 fn our_client_meets_the_originals_suite_at_the_originals_servers() {
     let tests = Server::original();
     for scope in ["/no", "/none"] {
-        let mut remote = RemoteTask::connect(&tests.endpoint(), scope).expect("an address");
+        let remote = RemoteTask::connect(&tests.endpoint(), scope).expect("an address");
+        let mut remote = remote.with_timeout(PATIENCE);
         let refused = remote.trigger_payload("does not matter");
         assert!(
             matches!(&refused, Err(ztl_std::TriggerError::Rejected { id, .. }) if id.as_str() == "-1"),
@@ -100,7 +101,8 @@ fn our_client_meets_the_originals_suite_at_the_originals_servers() {
         );
     }
     let server = Server::simple_original();
-    let mut remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    let mut remote = remote.with_timeout(PATIENCE);
     let refused = remote.trigger_payload("illegal payload");
     assert!(
         matches!(&refused, Err(ztl_std::TriggerError::Rejected { id, .. }) if !id.names_task()),
