@@ -8,7 +8,7 @@ use ztl_tests::lab::{
     our_client, ours_named, until,
 };
 
-use crate::same_output;
+use crate::{Clients, same_output, same_output_in_time};
 
 #[track_caller]
 fn servers() -> [Server; 2] {
@@ -19,15 +19,21 @@ fn servers() -> [Server; 2] {
 /// same, which ends with `last`.
 #[track_caller]
 fn same(servers: &[Server; 2], args: &[&str], last: &str) -> String {
-    same_by(our_client, servers, args, last)
+    same_by(same_output, &our_client, servers, args, last)
 }
 
-/// The same with this client of this project.
+/// The same with this check, and this client of this project.
 #[track_caller]
-fn same_by(ours: impl Fn() -> Command, servers: &[Server; 2], args: &[&str], last: &str) -> String {
+fn same_by(
+    check: fn(&[Server; 2], Clients<'_>, &str) -> String,
+    ours: &dyn Fn() -> Command,
+    servers: &[Server; 2],
+    args: &[&str],
+    last: &str,
+) -> String {
     let original = |server: &Server| server.start_client(original_client(), args);
     let ours = |server: &Server| server.start_client(ours(), args);
-    same_output(servers, [&original, &ours], last)
+    check(servers, [&original, &ours], last)
 }
 
 #[test]
@@ -65,7 +71,8 @@ fn long_tasks_are_reported_identically() {
 #[test]
 fn a_rejected_abort_is_reported_identically() {
     let last = "finished in state 'COMPLETED' after unsuccessful abort signal. Reply is 'True'.";
-    let text = same(&servers(), &["-t", "1", "test:sleep:3"], last);
+    let args = ["-t", "1", "test:sleep:3"];
+    let text = same_by(same_output_in_time, &our_client, &servers(), &args, last);
     assert!(text.contains("\nAborting task with ID 'ID'...\n"), "{text}");
 }
 
@@ -76,7 +83,8 @@ fn a_task_beyond_its_clients_timeout_is_reported_identically() {
     let files = Scratch::new();
     let ours = || ours_named(&files, "ztl_task_client");
     let last = "finished in state 'ACCEPTED' after unsuccessful abort signal. Reply is 'None'.";
-    same_by(ours, &servers(), &["-t", "1", "test:sleep:9"], last);
+    let args = ["-t", "1", "test:sleep:9"];
+    same_by(same_output_in_time, &ours, &servers(), &args, last);
 }
 
 #[test]
@@ -113,33 +121,40 @@ fn an_incomplete_task_is_rejected_before_anything_is_sent() {
 fn both_clients_report_a_gateway_identically() {
     let gateway = Server::simulated();
     let run = |client, args: &[&str]| gateway.start_client(client, args).end(PATIENCE);
-    let clients: [fn() -> Command; 2] = [original_client, our_client];
-    for (args, last) in [
-        (
-            &["gripper:finger:40"][..],
-            "finished in state 'COMPLETED' while waiting. Result is '40.0'.",
-        ),
-        (
-            &["gripper:finger:140"],
-            "'gripper:finger:140' refused: finger takes 0 to 100 percent'.",
-        ),
-        (
-            &["arm:finger:40"],
-            "'no device 'arm'; there are: gripper, head'.",
-        ),
-        (&["-t", "1", "head:pan:left"], "aborted. Reply is 'True'."),
-    ] {
-        let [original, ours] = clients.map(|client| {
+    let both_tell = |args: &[&str]| {
+        let clients: [fn() -> Command; 2] = [original_client, our_client];
+        clients.map(|client| {
             // From the same place each time.
             for home in ["gripper:finger:0", "head:pan:right"] {
                 let there = run(our_client(), &["--exit-status", home]);
                 assert_eq!(there.code, Some(0), "{there:?}");
             }
             ClientOutput::of(&run(client(), args), gateway.port)
-        });
+        })
+    };
+    for (args, last) in [
+        (
+            ["gripper:finger:40"],
+            "finished in state 'COMPLETED' while waiting. Result is '40.0'.",
+        ),
+        (
+            ["gripper:finger:140"],
+            "'gripper:finger:140' refused: finger takes 0 to 100 percent'.",
+        ),
+        (
+            ["arm:finger:40"],
+            "'no device 'arm'; there are: gripper, head'.",
+        ),
+    ] {
+        let [original, ours] = both_tell(&args);
         original.assert_ends_with(last);
         assert_eq!(ours, original, "{args:?}");
     }
+    // It takes 20 s then, so it still runs when it is aborted.
+    gateway.set_speed("head", "speed", 0.1);
+    let [original, ours] = both_tell(&["-t", "1", "head:pan:left"]);
+    original.assert_ends_with("aborted. Reply is 'True'.");
+    assert_eq!(ours, original);
 }
 
 #[test]
