@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use ztl_std::RemoteTask;
-use ztl_tests::lab::{Process, SCOPE, Scratch, Server, number, process_status, reserve_port, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, SCOPE, Scratch, Server, number, process_status, reserve_port, ztl,
+};
 
 /// A simulated gripper behind a line.
 pub struct Branch {
@@ -68,7 +70,7 @@ impl Branch {
     pub fn unplug(&mut self) -> String {
         let line = self.line.take().expect("a line");
         line.signal("TERM");
-        let ended = line.end(ztl_tests::lab::PATIENCE);
+        let ended = line.end(PATIENCE);
         let counts: Vec<&str> = ended
             .stdout
             .lines()
@@ -114,7 +116,8 @@ impl Rig {
 
     #[track_caller]
     pub fn client(&self) -> RemoteTask {
-        RemoteTask::connect(&self.gateway.endpoint(), SCOPE).expect("an address")
+        let remote = RemoteTask::connect(&self.gateway.endpoint(), SCOPE).expect("an address");
+        remote.with_timeout(PATIENCE)
     }
 
     /// The current resources of the gateway's process.
