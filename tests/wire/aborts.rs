@@ -98,7 +98,7 @@ fn all_aborts_are_sent_before_the_first_answer() {
 #[test]
 fn a_lost_answer_concerns_only_its_task() {
     let server = server(5, 1);
-    let mut told = abort(&server.endpoint, Duration::from_secs(3), &tasks(5));
+    let mut told = abort(&server.endpoint, Duration::from_secs(5), &tasks(5));
     let lost = told.remove(&4).expect("the last");
     assert!(
         matches!(lost, Err(RequestError::NoAnswer { .. })),

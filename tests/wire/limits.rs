@@ -278,7 +278,7 @@ fn a_connection_above_the_limit_waits_for_a_slot() {
 fn probed(answers: &'static [&'static str]) -> (String, std::thread::JoinHandle<()>) {
     let context = zmq::Context::new();
     let socket = context.socket(zmq::ROUTER).expect("a socket");
-    socket.set_rcvtimeo(3000).expect("a time");
+    socket.set_rcvtimeo(5000).expect("a time");
     socket.bind("tcp://127.0.0.1:*").expect("a port");
     let endpoint = socket.get_last_endpoint().expect("it").expect("text");
     let server = std::thread::spawn(move || {
