@@ -10,6 +10,9 @@ use std::time::Duration;
 use ztl_mcu::link::{Loss, Offer};
 use ztl_mcu::{Component, Components, Identity, Instant, Node, Reading, Refused, Report, Run};
 
+/// Its link timeout: no thread of a busy machine is late for so long.
+const LINK_TIMEOUT: Duration = Duration::from_secs(5);
+
 /// Runs until it is dropped.
 pub(crate) struct Firmware {
     pub(crate) address: SocketAddr,
@@ -43,7 +46,11 @@ impl Drop for Firmware {
 }
 
 fn run(listener: &TcpListener, components: impl Components, stop: &AtomicBool) {
-    let mut node = Node::<_, 4, 700>::new(Identity::new("bench", "1.0.0", 7), components);
+    let identity = Identity {
+        link_timeout: LINK_TIMEOUT,
+        ..Identity::new("bench", "1.0.0", 7)
+    };
+    let mut node = Node::<_, 4, 700>::new(identity, components);
     let start = std::time::Instant::now();
     let mut stream = None;
     let mut buffer = [0xA5; 256];
