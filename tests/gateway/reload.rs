@@ -1,10 +1,13 @@
 //! SIGHUP: the gateway reads its configuration again, and tasks continue.
 
+use std::time::Duration;
+
 use ztl_mcu::link::Loss;
 use ztl_std::{RemoteId, RemoteTask, State};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Terminal, connect_to, port_of, until, ztl};
 
 use crate::firmware::{Endless, Firmware};
+use crate::lines::complete;
 
 /// A gateway with a file that can be changed.
 struct ReloadRig {
@@ -63,8 +66,15 @@ impl ReloadRig {
 
     #[track_caller]
     fn remote(&self) -> RemoteTask {
-        RemoteTask::connect(&self.endpoint, "/lab").expect("an address")
+        connect_to(&self.endpoint, "/lab")
     }
+}
+
+/// A device with this component, whose tasks `go` last until they are aborted, and its URL.
+fn endless(component: &'static str) -> (Firmware, String) {
+    let firmware = Firmware::start((Endless::new(component, Loss::Abort),));
+    let url = format!("tcp:{}", firmware.address);
+    (firmware, url)
 }
 
 fn file_of(text: &str) -> String {
@@ -88,6 +98,12 @@ fn a_reload_removes_a_shared_line_and_serves_it_again() {
     let served = format!("devices: {{arm: '{url}?wait=100', other: sim:gripper}}\n");
     let mut rig = ReloadRig::new(&served);
     let mut remote = rig.remote();
+    // It takes 10 s then, so it still runs when its line is removed.
+    let port = port_of(&rig.endpoint).to_string();
+    let words = ["param", "set", "arm.head", "speed", "0.1", "-p", &port];
+    until("it is slower", PATIENCE, || {
+        (Process::run(ztl().args(words)).code == Some(0)).then_some(())
+    });
     let head = started(&mut remote, "arm.head", "pan", "left");
     rig.reload("devices: {other: sim:gripper}\n");
     let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
@@ -106,37 +122,38 @@ fn a_reload_removes_a_shared_line_and_serves_it_again() {
 
 #[test]
 fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
-    let firmware = Firmware::start((Endless::new("arm", Loss::Abort),));
-    let bench = format!("devices:\n  bench: tcp:{}\n", firmware.address);
-    let mut rig = ReloadRig::new(&format!("{bench}  head: sim:head\n"));
+    let (_bench, bench) = endless("arm");
+    let (_head, head) = endless("pan");
+    let (_lift, lift) = endless("lift");
+    let bench = format!("devices:\n  bench: {bench}\n");
+    let mut rig = ReloadRig::new(&format!("{bench}  head: {head}\n"));
     let mut remote = rig.remote();
     let arm = started(&mut remote, "bench", "arm", "go");
-    let head = started(&mut remote, "head", "pan", "left");
-    rig.reload(&format!("{bench}  gripper: sim:gripper\n"));
+    let head = started(&mut remote, "head", "pan", "go");
+    let bench = format!("{bench}  gripper: sim:gripper\n");
+    rig.reload(&format!("{bench}  lift: {lift}\n"));
     // The task of a device that is no longer served is aborted.
     let end = remote.wait(&head, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
-    let refused = remote
-        .trigger("head", "pan", "left")
-        .expect_err("it is gone");
+    let refused = remote.trigger("head", "pan", "go").expect_err("it is gone");
     let refused = refused.to_string();
     assert!(
-        refused.contains("no device 'head'; there are: bench, gripper"),
+        refused.contains("no device 'head'; there are: bench, gripper, lift"),
         "{refused}"
     );
-    let finger = started(&mut remote, "gripper", "finger", "3");
-    let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
-    assert_eq!((end.state, end.text.as_str()), (State::Completed, "3.0"));
+    assert_eq!(complete(&mut remote, "gripper", "finger", "3"), "3.0");
 
     // Its URL changed: the running task is aborted first.
-    let finger = started(&mut remote, "gripper", "finger", "100");
-    rig.reload(&format!("{bench}  gripper: sim:head\n"));
-    let end = remote.wait(&finger, Some(PATIENCE)).expect("its end");
+    let moving = started(&mut remote, "lift", "lift", "go");
+    rig.reload(&format!("{bench}  lift: sim:head\n"));
+    let end = remote.wait(&moving, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Aborted);
-    let pan = started(&mut remote, "gripper", "pan", "left");
+    let pan = started(&mut remote, "lift", "pan", "left");
     remote.abort(&pan).expect("an answer");
     assert_eq!(remote.status(&arm).expect("known").state, State::Accepted);
-    assert_eq!(remote.abort(&arm).expect("an answer").state, State::Aborted);
+    remote.abort(&arm).expect("an answer");
+    let end = remote.wait(&arm, Some(PATIENCE)).expect("its end");
+    assert_eq!(end.state, State::Aborted);
     let log = rig.gateway.stderr();
     assert!(
         !log.contains("'head': device is not answering"),
@@ -146,9 +163,10 @@ fn reloads_add_and_remove_devices_without_disturbing_other_tasks() {
 
 #[test]
 fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
-    let mut rig = ReloadRig::new("devices: {head: sim:head}\n");
+    let (_bench, bench) = endless("arm");
+    let mut rig = ReloadRig::new(&format!("devices: {{bench: '{bench}'}}\n"));
     let mut remote = rig.remote();
-    let head = started(&mut remote, "head", "pan", "left");
+    let arm = started(&mut remote, "bench", "arm", "go");
     rig.reload("devices: {gripper: sim:gripper}\nprot: 1\nlog: loud\nkey: no.key_secret\n");
     for mistake in [
         "lab.yaml:4:1: unknown key 'prot'",
@@ -157,66 +175,66 @@ fn reloading_an_invalid_file_changes_nothing_and_reports_each_mistake() {
     ] {
         rig.gateway.wait_for(mistake);
     }
-    assert_eq!(remote.status(&head).expect("known").state, State::Accepted);
+    assert_eq!(remote.status(&arm).expect("known").state, State::Accepted);
     let refused = remote
         .trigger("gripper", "finger", "3")
         .expect_err("not served");
-    assert!(refused.to_string().contains("there are: head"), "{refused}");
+    let refused = refused.to_string();
+    assert!(refused.contains("there are: bench"), "{refused}");
     rig.gateway
         .wait_for("'gripper:finger:3' was refused: no such device");
 }
 
 #[test]
 fn a_reload_changes_rules_limits_and_logging_and_nothing_else() {
-    let mut rig = ReloadRig::new("allow: 127.0.0.0/8\nlog: warn\ndevices: {head: sim:head}\n");
+    let (_bench, bench) = endless("arm");
+    let devices = format!("devices: {{bench: '{bench}'}}\n");
+    let mut rig = ReloadRig::new(&format!("allow: 127.0.0.0/8\nlog: warn\n{devices}"));
     let mut remote = rig.remote();
-    let head = started(&mut remote, "head", "pan", "left");
-    rig.reload(
+    let arm = started(&mut remote, "bench", "arm", "go");
+    rig.reload(&format!(
         "allow: 127.0.0.0/8\nlog: info\nbind: 127.0.0.2\nlog-format: json\n\
-         limits: {running: 1, queue: 7}\ndevices: {head: sim:head}\n",
-    );
+         limits: {{running: 1, queue: 7}}\n{devices}",
+    ));
     for key in ["bind", "log-format", "queue"] {
         let said = format!("'{key}' has changed; restart to apply it.");
         rig.gateway.wait_for(&said);
     }
     assert!(!rig.gateway.stderr().contains("'limits'"));
-    let refused = remote
-        .trigger("head", "pan", "right")
-        .expect_err("one runs");
+    let refused = remote.trigger("bench", "arm", "go").expect_err("one runs");
     assert!(
         refused.to_string().contains("too many tasks are running"),
         "{refused}"
     );
     rig.gateway
         .wait_for("was refused: too many tasks are running");
-    assert_eq!(
-        remote.abort(&head).expect("an answer").state,
-        State::Aborted
-    );
-    rig.gateway.wait_for("'head:pan:left' has ended as ABORTED");
+    remote.abort(&arm).expect("an answer");
+    rig.gateway.wait_for("'bench:arm:go' has ended as ABORTED");
 
     // No client is allowed any more, not even connected ones.
-    rig.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
-    remote.status(&head).expect_err("no answer");
-    rig.reload("allow: 127.0.0.1\ndevices: {head: sim:head}\n");
-    assert_eq!(remote.status(&head).expect("known").state, State::Aborted);
+    rig.reload(&format!("allow: 192.0.2.0/24\n{devices}"));
+    let mut remote = remote.with_timeout(Duration::from_secs(2));
+    remote.status(&arm).expect_err("no answer");
+    rig.reload(&format!("allow: 127.0.0.1\n{devices}"));
+    let mut remote = remote.with_timeout(PATIENCE);
+    assert_eq!(remote.status(&arm).expect("known").state, State::Aborted);
 }
 
 #[test]
 fn a_flood_of_refused_tasks_does_not_fill_the_log() {
-    let rig = ReloadRig::new("limits: {running: 1}\ndevices: {head: sim:head}\n");
+    let (_bench, bench) = endless("arm");
+    let text = format!("limits: {{running: 1}}\ndevices: {{bench: '{bench}'}}\n");
+    let rig = ReloadRig::new(&text);
     let mut remote = rig.remote();
     for _ in 0..200 {
         remote.trigger("nobody", "x", "y").expect_err("not served");
     }
-    started(&mut remote, "head", "pan", "left");
+    let arm = started(&mut remote, "bench", "arm", "go");
     for _ in 0..200 {
-        remote
-            .trigger("head", "pan", "right")
-            .expect_err("one runs");
+        remote.trigger("bench", "arm", "go").expect_err("one runs");
     }
-    rig.gateway.signal("TERM");
-    rig.gateway.wait_for("'head:pan:left' has ended as ABORTED");
+    remote.abort(&arm).expect("an answer");
+    rig.gateway.wait_for("'bench:arm:go' has ended as ABORTED");
     let log = rig.gateway.stderr();
     for line in [
         "was refused: no such device",
@@ -233,6 +251,7 @@ fn an_open_server_is_restricted_at_once() {
     let mut remote = rig.remote();
     let head = started(&mut remote, "head", "pan", "left");
     rig.reload("allow: 192.0.2.0/24\ndevices: {head: sim:head}\n");
+    let mut remote = remote.with_timeout(Duration::from_secs(2));
     remote.status(&head).expect_err("no answer");
 }
 
