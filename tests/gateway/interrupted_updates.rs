@@ -2,8 +2,7 @@
 
 use crate::lines::complete;
 use crate::updates::{Bench, update, version};
-use ztl_std::RemoteTask;
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, reserve_port, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Server, connect, reserve_port, ztl};
 
 #[test]
 fn a_command_that_is_ended_while_the_device_verifies_says_what_is_true() {
@@ -42,8 +41,7 @@ fn a_command_that_is_ended_while_the_device_verifies_says_what_is_true() {
         let said = "ztl: hand: aborted; the device keeps 1.0.0";
         assert!(ended.stderr.contains(said), "{ended:?}");
     }
-    let mut remote = RemoteTask::connect(&gateway.endpoint(), SCOPE).expect("an address");
-    complete(&mut remote, "hand", "finger", "3");
+    complete(&mut connect(&gateway.endpoint()), "hand", "finger", "3");
     assert_eq!(version(&gateway, "hand").as_deref(), Some("1.0.0"));
 }
 
