@@ -35,6 +35,8 @@ pub(crate) struct World {
     /// Its power fails for a moment.
     pub(crate) reset: bool,
     power_off: bool,
+    /// Whether it has a connection, from which it may not have read all.
+    pub(crate) connected: bool,
     /// Frames for all nodes of a shared line, such as those of a search. Some are not counted.
     pub(crate) searched: usize,
 }
@@ -200,6 +202,7 @@ fn run<C: Components>(listener: &TcpListener, world: &Shared, mut node: Node<'_,
             if world.unplugged {
                 line = None;
             }
+            world.connected = line.is_some();
             if world.power_off || std::mem::take(&mut world.reset) {
                 return;
             }

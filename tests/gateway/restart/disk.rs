@@ -4,10 +4,9 @@ use std::process::Command;
 
 use super::device::Device;
 use super::rig::{GatewayRig, LONG, ONCE, USUAL, command, start_gateway};
-use std::time::Duration;
-use ztl_std::{RemoteTask, State, TaskId, TriggerError};
+use ztl_std::{State, TaskId, TriggerError};
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
+    LIMIT, PATIENCE, Process, Scratch, Server, connect, reserve_port, status, until,
 };
 
 /// A gateway whose files are limited to a few blocks of 512 bytes, like on a full disk.
@@ -32,7 +31,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
     let (scratch, port) = (Scratch::new(), reserve_port());
     let blocks = 4;
     let mut gateway = start_limited(&device, &scratch, port, blocks);
-    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    let mut client = connect(&gateway.endpoint());
     let refused = |refused: TriggerError| {
         let reason = refused.to_string();
         assert!(reason.contains("refused: the journal "), "{reason}");
@@ -52,19 +51,20 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
                 break;
             }
         };
-        match client.wait(&task.id, Some(Duration::from_millis(1000))) {
-            Ok(end) => ends.push((task.id, end)),
-            Err(_) => {
-                // It has ended, but the outcome is withheld until it is journaled.
-                let told = client.status(&task.id).unwrap();
-                assert_eq!(told.state, State::Accepted);
-                let why = "task ended; result withheld until journaled: the journal ";
-                assert!(told.text.starts_with(why), "{told:?}");
-                let end = status(State::Completed, &number.to_string());
-                ends.push((task.id, end));
-                refused(client.trigger("motors", "arm", "100 1").unwrap_err());
-            }
+        let why = "task ended; result withheld until journaled: the journal ";
+        let told = until("it has ended", PATIENCE, || {
+            let told = client.status(&task.id).unwrap();
+            (told.state.is_final() || told.text.starts_with(why)).then_some(told)
+        });
+        if told.state.is_final() {
+            ends.push((task.id, told));
+            continue;
         }
+        // It has ended, but the outcome is withheld until it is journaled.
+        assert_eq!(told.state, State::Accepted);
+        let end = status(State::Completed, &number.to_string());
+        ends.push((task.id, end));
+        refused(client.trigger("motors", "arm", "100 1").unwrap_err());
     }
     let len = std::fs::metadata(scratch.path("journal")).unwrap().len();
     assert!(len <= u64::from(blocks) * 512);
@@ -73,7 +73,7 @@ fn on_a_full_disk_new_tasks_are_rejected_and_running_ones_finish() {
 
     // There is room again: every outcome is the expected one.
     let gateway = start_gateway(&device, &scratch, port);
-    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    let mut client = connect(&gateway.endpoint());
     for (id, end) in ends {
         assert_eq!(client.wait(id, LIMIT), Ok(end));
     }
@@ -187,8 +187,7 @@ fn exhausted_ids_are_reported_by_the_gateway_and_to_its_clients() {
     let mut gateway = start_gateway(&device, &scratch, port);
     gateway.process.wait_for("only 1 task id is left");
     gateway.wait_ready("motors");
-    let connect = || RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
-    let mut client = connect();
+    let mut client = connect(&gateway.endpoint());
     let id = client.trigger("motors", "arm", "7 1").unwrap().id;
     assert_eq!(id, TaskId::MAX);
     let end = status(State::Completed, "7");
@@ -206,7 +205,7 @@ fn exhausted_ids_are_reported_by_the_gateway_and_to_its_clients() {
     gateway
         .process
         .wait_for("all task ids are used up. Stop the gateway, move the journal away");
-    let mut client = RemoteTask::connect(&gateway.endpoint(), SCOPE).unwrap();
+    let mut client = connect(&gateway.endpoint());
     assert_eq!(client.status(id), Ok(end));
     used_up(client.trigger("motors", "arm", "9 1").unwrap_err());
 }

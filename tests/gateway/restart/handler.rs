@@ -1,11 +1,11 @@
 //! Restored tasks of any handler, not only of the gateway.
 
 use std::sync::{Arc, Mutex};
-use ztl_tests::lab::{LIMIT, status};
+use ztl_tests::lab::{LIMIT, connect_to, status};
 
 use std::time::Duration;
 use ztl_std::server::{Restored, RestoredTask, TaskHandler, TaskReporter};
-use ztl_std::{RemoteTask, RequestError, State, TaskId};
+use ztl_std::{RequestError, State, TaskId};
 use ztl_std::{TaskRequest, TaskServer};
 
 /// Accepts tasks that never end, and tasks that it must restore.
@@ -79,7 +79,7 @@ fn tasks_are_restored_to_their_scopes_in_any_order_of_registration() {
             server.register_handler(scope, handler);
         }
         let server = server.spawn().unwrap();
-        let connect = |scope| RemoteTask::connect(server.endpoint(), scope).unwrap();
+        let connect = |scope| connect_to(server.endpoint(), scope);
         let (mut a, mut b) = (connect("/a"), connect("/b"));
         let of = |number, state| Ok(status(state, &format!("of {number}")));
         let unknown = |number: u32| {

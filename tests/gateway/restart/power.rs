@@ -8,7 +8,7 @@ use super::device::{Deed, Device};
 use super::rig::{LONG, command};
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, status, until,
+    LIMIT, PATIENCE, Process, Scratch, Server, connect, reserve_port, status, until,
 };
 
 /// A gateway whose journal is on a disk that the test controls.
@@ -63,7 +63,7 @@ impl OnDisk {
 
     #[track_caller]
     fn client(&self) -> RemoteTask {
-        RemoteTask::connect(&self.gateway.endpoint(), SCOPE).expect("an address")
+        connect(&self.gateway.endpoint())
     }
 
     #[track_caller]

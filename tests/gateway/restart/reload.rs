@@ -1,9 +1,9 @@
 //! A reload restores a device that still has tasks: they settle, and the device serves again.
 
 use super::device::Device;
-use super::rig::{ONCE, USUAL};
+use super::rig::{MEDIUM, ONCE};
 use ztl_std::{RemoteTask, State, TaskId};
-use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, Server, status, until, ztl};
+use ztl_tests::lab::{LIMIT, PATIENCE, SCOPE, Scratch, Server, connect, status, until, ztl};
 
 /// A gateway whose configuration can be changed while it serves.
 struct Reloaded {
@@ -19,7 +19,7 @@ impl Reloaded {
     #[track_caller]
     fn with_tasks() -> (Self, TaskId, TaskId) {
         let mut rig = Self {
-            device: Device::power_on(USUAL),
+            device: Device::power_on(MEDIUM),
             scratch: Scratch::new(),
             gateway: None,
             reloads: 0,
@@ -64,7 +64,7 @@ impl Reloaded {
 
     #[track_caller]
     fn client(&self) -> RemoteTask {
-        RemoteTask::connect(&self.gateway().endpoint(), SCOPE).unwrap()
+        connect(&self.gateway().endpoint())
     }
 
     /// Starts the gateway again, without the device in its configuration.
@@ -112,7 +112,8 @@ fn a_device_restored_by_a_reload_continues_its_journaled_tasks() {
     rig.reload(true);
     rig.gateway().wait_ready("motors");
     assert_eq!(client.status(belt).unwrap().state, State::Accepted);
-    assert_eq!(client.abort(belt).unwrap().state, State::Aborted);
+    client.abort(belt).unwrap();
+    assert_eq!(client.wait(belt, LIMIT).unwrap().state, State::Aborted);
     assert_eq!(rig.device.deed("8 1000000").begun, 1);
     rig.assert_serves_again();
 }

@@ -11,6 +11,8 @@ use ztl_tests::lab::{
 
 /// Long enough for a restart of the gateway on a busy machine.
 pub(super) const LONG: Duration = Duration::from_secs(8);
+/// Long enough for a client of a busy machine to see a task before it fails, which takes twice as long.
+pub(super) const MEDIUM: Duration = Duration::from_secs(4);
 /// A device's default link timeout.
 pub(super) const USUAL: Duration = Duration::from_secs(1);
 
@@ -46,13 +48,14 @@ impl GatewayRig {
         connect(&self.gateway.endpoint())
     }
 
-    /// A client, created while no command is in flight that a `Start` would have to wait for.
+    /// A client for the time when the gateway is killed, created while no command is in flight that a `Start` would have to wait
+    /// for.
     #[track_caller]
     pub(super) fn quiet_client(&self) -> RemoteTask {
         let mut client = self.client();
         let id = start(&mut client, "motors", "arm", "1 1");
         assert_eq!(client.wait(id, LIMIT), Ok(status(State::Completed, "1")));
-        client
+        client.with_timeout(Duration::from_secs(5))
     }
 
     #[track_caller]

@@ -25,14 +25,15 @@ fn a_suspended_gateway_moves_each_motor_once() {
     let mut outcomes = Vec::new();
     for point in POINTS {
         let goal = format!("{point} 2");
-        let mut client = rig.client().with_timeout(Duration::from_millis(500));
+        let mut client = rig.client();
         // The client connects first, so the moment falls within the task.
         let before = client.run("motors", "belt", "1 1", LIMIT);
         before.expect("its end");
+        let mut client = client.with_timeout(Duration::from_millis(500));
         let asked = goal.clone();
         let start = Instant::now();
         let asking = std::thread::spawn(move || {
-            let outcome = client.run("motors", "arm", &asked, Some(Duration::from_secs(3)));
+            let outcome = client.run("motors", "arm", &asked, LIMIT);
             outcome.map(|status| status.state)
         });
         wait_until(start + Duration::from_micros(point));
