@@ -2,7 +2,7 @@
 //! the true one.
 
 mod boards;
-mod device;
+pub(crate) mod device;
 mod disk;
 mod handler;
 mod kills;
