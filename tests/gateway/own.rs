@@ -86,7 +86,8 @@ fn clients_see_a_task_of_the_device_abort_it_and_learn_its_end() {
         table.contains("gripper:finger:100 (by the device)"),
         "{table}"
     );
-    let end = remote.abort(id).expect("an answer");
+    remote.abort(id).expect("an answer");
+    let end = remote.wait(id, LIMIT).expect("its end");
     assert_eq!(end.state, State::Aborted);
     // The device forgets the task when the gateway has acknowledged its end.
     until("the task is forgotten", PATIENCE, || {
@@ -124,6 +125,8 @@ fn a_restarted_gateway_keeps_the_id_and_a_reset_device_fails_the_task() {
     let (running, buttons, url) = gripper();
     let (scratch, port) = (Scratch::new(), reserve_port());
     let mut gateway = start_gateway(&url, &scratch, port);
+    // It takes 20 s then, so it still runs when it is released or the device is reset.
+    gateway.set_speed("gripper", "speed", 0.1);
     press(&buttons, "100");
     buttons.release().expect("it runs");
     let id = only_id(&gateway);
@@ -138,8 +141,6 @@ fn a_restarted_gateway_keeps_the_id_and_a_reset_device_fails_the_task() {
     });
     assert_eq!(end.state, State::Aborted, "{end:?}");
 
-    // It takes 20 s then, so it still runs when the device is reset.
-    gateway.set_speed("gripper", "speed", 0.1);
     press(&buttons, "100");
     let second = until("the next task", PATIENCE, || {
         let all = listed(&gateway);
