@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ztl_std::{RemoteTask, State};
-use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, reserve_port, until, ztl};
+use ztl_std::State;
+use ztl_tests::lab::{Ended, PATIENCE, Process, Scratch, connect_to, reserve_port, until, ztl};
 
 /// `ztl gateway` with these arguments; it must exit by itself.
 #[track_caller]
@@ -140,7 +140,7 @@ fn checking_a_running_gateways_file_does_not_disturb_it() {
     let (_, port) = line.split_once("tcp://127.0.0.1:").expect("a port");
     let (port, _) = port.split_once(',').expect("a port");
     let endpoint = format!("tcp://127.0.0.1:{port}");
-    let mut remote = RemoteTask::connect(&endpoint, "/lab").expect("an address");
+    let mut remote = connect_to(&endpoint, "/lab");
     let file = written(&scratch, &format!("{text}{port}\n"));
     let checked = run(&[&file, "--check"]);
     assert_eq!(checked.code, Some(0), "{checked:?}");
@@ -302,7 +302,7 @@ fn options_override_the_configuration_file() {
     let event: serde_json::Value = serde_json::from_str(&ready).expect("JSON");
     assert_eq!(event["level"], "INFO", "{ready}");
     assert_eq!(event["device"], "gripper", "{ready}");
-    let mut remote = RemoteTask::connect(endpoint, "/option").expect("an address");
+    let mut remote = connect_to(endpoint, "/option");
     let id = until("the gripper takes a task", PATIENCE, || {
         remote.trigger("gripper", "finger", "3").ok()
     })

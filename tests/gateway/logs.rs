@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use ztl_std::gateway::Gateway;
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, built, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, built, connect, ztl};
 
 use crate::lines::{complete, serve};
 
@@ -58,7 +58,7 @@ fn gateway(address: &str, elf: &Path, more: &[&str]) -> (Process, ztl_std::Remot
         .split([' ', ','])
         .find(|word| word.starts_with("tcp://"));
     let endpoint = endpoint.expect("it is said");
-    let remote = ztl_std::RemoteTask::connect(endpoint, SCOPE).expect("an address");
+    let remote = connect(endpoint);
     (gateway, remote)
 }
 
