@@ -95,6 +95,8 @@ fn after_a_server_restart_the_script_waits_for_a_decision() {
 #[test]
 fn ctrl_c_stops_background_tasks_and_reports_unstoppable_ones() {
     let gateway = Server::simulated();
+    // The finger takes 20 s, so that it still moves at Ctrl-C.
+    gateway.set_speed("gripper", "speed", 0.1);
     let original = Server::original();
     let files = Scratch::new();
     let script = "s: {a(wait=no): {gripper: {finger: 100}}, b: {test: {sleep: 5, echo(wait=no): x}}, c: {test: {echo: 1}}}\n";

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, Terminal, until, ztl};
@@ -19,7 +20,7 @@ close:
 
 pub struct Stage {
     pub files: Scratch,
-    _server: Option<Server>,
+    server: Option<Server>,
 }
 
 impl Stage {
@@ -29,7 +30,7 @@ impl Stage {
         server.wait_ready("gripper");
         let port = server.port;
         Self {
-            _server: Some(server),
+            server: Some(server),
             ..Self::with(script, &[("gripper", port)])
         }
     }
@@ -46,8 +47,15 @@ impl Stage {
         fs::write(files.path("remotes.yaml"), format!("remotes:\n{entries}")).unwrap();
         Self {
             files,
-            _server: None,
+            server: None,
         }
+    }
+
+    /// Sets how fast the gripper moves: 0.1 is ten times slower than usual. The device refuses this while it moves.
+    #[track_caller]
+    pub fn set_speed(&self, factor: f32) {
+        let server = self.server.as_ref().expect("a gripper");
+        server.set_speed("gripper", "speed", factor);
     }
 
     /// The command that plays the script and records the run.
@@ -107,7 +115,8 @@ impl Stage {
     }
 }
 
-/// Presses Enter until the shown scene starts: at first the key may count as held.
+/// Presses Enter until the shown scene starts: at first the key may count as held, which ends after 700 ms. Returns as soon
+/// as the scene starts.
 pub fn start_scene(terminal: &mut Terminal, stage: &Stage) {
     let starts = || {
         let decided = stage.decided();
@@ -116,7 +125,10 @@ pub fn start_scene(terminal: &mut Terminal, stage: &Stage) {
     let before = starts();
     until("the start of the scene", PATIENCE, || {
         terminal.type_in("\r");
-        std::thread::sleep(std::time::Duration::from_millis(800));
+        let typed = Instant::now();
+        while starts() == before && typed.elapsed() < Duration::from_millis(800) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
         (starts() > before).then_some(())
     });
 }
