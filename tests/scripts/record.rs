@@ -145,9 +145,18 @@ fn run_of(read: &[Read]) -> String {
 #[test]
 fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
     let files = Scratch::new();
-    let robot = format!("port: 0\npublish: 0\nscopes:\n  {SCOPE}: {{test: {{echo: echo}}}}\n");
+    // `held` runs until there is a file with its goal as its name.
+    let held = "n=0; until test -e \"$ZTL_GOAL\"; do n=$((n+1)); echo waits $n; sleep 0.1; done";
+    let robot = format!(
+        "port: 0\npublish: 0\nscopes:\n  {SCOPE}:\n    test:\n      echo: echo\n      \
+         held: {{shell: '{held}', progress: ''}}\n"
+    );
     fs::write(files.path("robot.yaml"), robot).unwrap();
-    let server = Server::start(ztl().arg("serve").arg(files.path("robot.yaml")));
+    let mut serve = ztl();
+    serve
+        .current_dir(files.path(""))
+        .args(["serve", "robot.yaml"]);
+    let server = Server::start(&mut serve);
     let announced = "Publishing events of tasks at tcp://127.0.0.1:";
     let (port, events) = (server.port, server.process.wait_for_port(announced));
     let sensor = Publisher::bind("tcp://127.0.0.1:*", "/sensor").unwrap();
@@ -159,14 +168,33 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
          sensor: {{host: localhost, port: {sensors}, scope: /sensor}}\n"
     );
     fs::write(files.path("remotes.yaml"), remotes).unwrap();
-    // Time to connect to the publishers, as much as they need: the run waits for a task.
-    let script = "one:\n  first: {test: {echo: hello}}\n  second(delay=1): {test: {echo: again}}\n";
+    // The run does not wait for the publishers, so it waits for tasks until both are connected, and until what became of the
+    // second task is recorded.
+    let script = "one:\n  first: {test: {held: connected}}\n  second: {test: {echo: again}}\n  \
+                  third: {test: {held: recorded}}\n";
     fs::write(files.path("one.yaml"), script).unwrap();
     let play = PLAY.replace("one.jsonl", "one.mcap");
-    let ended = Process::run(ztl().current_dir(files.path("")).args(play.split(' ')));
+    let run = Process::start(ztl().current_dir(files.path("")).args(play.split(' ')));
+    let file = files.path("one.mcap");
+    let has = |is_it: &dyn Fn(&Read) -> bool| {
+        Reader::open(&file).is_ok_and(|mut reader| reader.any(|read| is_it(&read)))
+    };
+    let is_value = |read: &Read| matches!(&read.content, Content::Value(value) if value.value().as_f64() == Some(12.5));
+    let is_told =
+        |read: &Read| matches!(&read.content, Content::Task(..)) && read.source.name == "robot";
+    let is_again = |read: &Read| matches!(&read.content, Content::Task(event, _) if event.text == "again" && read.source.name == "robot");
+    until("both publishers to be recorded", PATIENCE, || {
+        (has(&is_value) && has(&is_told)).then_some(())
+    });
+    fs::write(files.path("connected"), "").unwrap();
+    until("the second task to be recorded", PATIENCE, || {
+        has(&is_again).then_some(())
+    });
+    fs::write(files.path("recorded"), "").unwrap();
+    let ended = run.end(PATIENCE);
     assert_eq!(ended.code, Some(0), "{ended:?}");
 
-    let read = recorded(&files.path("one.mcap"));
+    let read = recorded(&file);
     let times: Vec<u64> = read.iter().map(|read| read.log_time).collect();
     assert!(times.is_sorted(), "one clock");
     // The run's events are those of a record, at their times.
@@ -196,13 +224,8 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
         assert_eq!(read.topic, "/$run");
     }
     // Beside them are the value, and the server's events of the second task.
-    let is_value = |read: &&Read| matches!(&read.content, Content::Value(value) if value.value().as_f64() == Some(12.5));
-    assert!(read.iter().any(|read| is_value(&read)), "{read:?}");
-    let told = read.iter().any(|read| match &read.content {
-        Content::Task(event, _) => event.text == "again" && read.source.name == "robot",
-        _ => false,
-    });
-    assert!(told, "{read:?}");
+    assert!(read.iter().any(is_value), "{read:?}");
+    assert!(read.iter().any(is_again), "{read:?}");
 
     let mut report = ztl();
     report
@@ -215,7 +238,7 @@ fn a_run_is_recorded_beside_the_streams_and_tasks_of_its_servers() {
         "{ended:?}"
     );
     let tasks = fs::read_to_string(files.path("one.tasks.csv")).unwrap();
-    assert_eq!(tasks.lines().count(), 3, "{tasks}");
+    assert_eq!(tasks.lines().count(), 4, "{tasks}");
     // It says the same of the run as the report of a record.
     fs::write(files.path("lines.jsonl"), run).unwrap();
     let mut report = ztl();
