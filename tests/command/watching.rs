@@ -30,7 +30,8 @@ fn json(text: &str) -> serde_json::Value {
 }
 
 fn client(server: &Server) -> RemoteTask {
-    RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address")
+    let remote = RemoteTask::connect(&server.endpoint(), SCOPE).expect("an address");
+    remote.with_timeout(PATIENCE)
 }
 
 #[test]
@@ -83,6 +84,8 @@ fn another_clients_task_is_listed_and_aborted() {
     assert_eq!(tell(&gateway, "ps"), "No task is running.\n");
     assert_eq!(tell(&gateway, "abort --all"), "No task is running.\n");
 
+    // It takes 20 s then, so it still runs when it is aborted.
+    gateway.set_speed("gripper", "speed", 0.1);
     let mut other = client(&gateway);
     let task = other.trigger("gripper", "finger", "100").expect("accepted");
     let listed = tell(&gateway, "ps");
@@ -118,6 +121,9 @@ fn another_clients_task_is_listed_and_aborted() {
 #[test]
 fn abort_all_stops_every_task() {
     let gateway = Server::simulated();
+    // They take 20 s and 10 s then, so both still run when they are aborted.
+    gateway.set_speed("gripper", "speed", 0.1);
+    gateway.set_speed("head", "speed", 0.1);
     let mut other = client(&gateway);
     let finger = other.trigger("gripper", "finger", "100").expect("accepted");
     let pan = other.trigger("head", "pan", "left").expect("accepted");
@@ -386,7 +392,8 @@ fn describe_and_abort_work_on_a_device_that_speaks_zeromq() {
         "{told}"
     );
     assert_eq!(tell(&device, "ps"), "No task is running.\n");
-    let mut other = RemoteTask::connect(&device.endpoint(), "/desk").expect("an address");
+    let other = RemoteTask::connect(&device.endpoint(), "/desk").expect("an address");
+    let mut other = other.with_timeout(PATIENCE);
     let mut goals = ["100", "0"].into_iter().cycle();
     // The motion takes a second and may be over before the request.
     let mut start = || {

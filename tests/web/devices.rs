@@ -135,6 +135,8 @@ fn a_device_that_does_not_answer_is_not_called_stopped() {
     let on = format!("pty:{link}");
     let mut device = simulated_gripper(&on);
     let gateway = gateway(reserve_port(), &link, &[]);
+    // It takes 20 s to open then, and is unplugged on its way.
+    gateway.set_speed("arm", "speed", 0.1);
     let (_process, url) = web(0, &[("lab", gateway.port)], &[]);
     let mut client = Client::open(port(&url));
     client.subscribe("/ztl/robots");

@@ -102,12 +102,13 @@ fn is(list: &Value, name: &str, state: &str) -> bool {
 #[test]
 fn no_step_starts_after_stop_and_the_show_stays() {
     let _busy = busy();
-    let stage = Stage::new(SCRIPT, &[]);
+    // The first step must still run when Stop is pressed.
+    let stage = Stage::new(&SCRIPT.replace("{sleep: 1}", "{sleep: 5}"), &[]);
     let mut client = stage.client();
     let question = asked(&mut client, 0);
     assert!(command(&mut client, "start", &question).0);
     client.subscribe("/ztl/tasks");
-    let by = |task: &Value| task["task"] == "test:sleep:1" && task["by"] == "the show";
+    let by = |task: &Value| task["task"] == "test:sleep:5" && task["by"] == "the show";
     client.task(by);
     let stopped = client.call("/ztl/stop", &json!({}));
     assert_eq!(stopped["robots"][0]["confirmed"], true, "{stopped}");

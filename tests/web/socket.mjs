@@ -177,8 +177,8 @@ const scenarios = {
   // A server of the original lists nothing: its goals are known, and Stop does not call it confirmed.
   async original() {
     const client = await new Client().open();
-    client.goal('g', 'test/sleep', '2');
-    const told = await client.task((task) => task.task === 'test:sleep:2');
+    client.goal('g', 'test/sleep', '10');
+    const told = await client.task((task) => task.task === 'test:sleep:10');
     assert.match(told.msg.gaps[0].text, /does not list its tasks/);
     const [robot] = (await client.call('/ztl/stop')).values.robots;
     assert.equal(robot.confirmed, false);
