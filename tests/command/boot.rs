@@ -25,7 +25,9 @@ fn robot() -> (Scratch, u16) {
 #[track_caller]
 fn assert_serves(port: u16) {
     let endpoint = format!("tcp://127.0.0.1:{port}");
-    let mut remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    let remote = RemoteTask::connect(&endpoint, SCOPE).expect("an address");
+    // It may listen only after the command has returned.
+    let mut remote = remote.with_timeout(PATIENCE);
     let id = remote.trigger("test", "echo", "hi").expect("taken").id;
     let end = remote.wait(id, Some(PATIENCE)).expect("its end");
     assert_eq!(end.state, State::Completed);

@@ -18,17 +18,20 @@ fn handler() -> (Process, String) {
 #[test]
 fn the_client_drives_the_handler_and_prints_the_documented_output() {
     let (_handler, endpoint) = handler();
-    let start = Instant::now();
-    let ended = Process::run(example("client").arg(&endpoint));
-    assert_eq!(ended.code, Some(0), "{ended:?}");
+    // A busy machine shows less of the way.
+    let ended = until("more than five lines of the way", PATIENCE, || {
+        let start = Instant::now();
+        let ended = Process::run(example("client").arg(&endpoint));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        // It drives for two seconds and reports its progress.
+        assert!(start.elapsed() > Duration::from_secs(2));
+        (ended.stdout.lines().count() > 2 + 5).then_some(ended)
+    });
     let lines: Vec<&str> = ended.stdout.lines().collect();
     let [first, way @ .., last] = lines.as_slice() else {
         panic!("{ended:?}");
     };
     assert_eq!((*first, *last), ("started", "COMPLETED: arrived"));
-    // It drives for two seconds and reports its progress.
-    assert!(start.elapsed() > Duration::from_secs(2));
-    assert!(way.len() > 5, "{way:?}");
     let percent: Vec<u32> = way
         .iter()
         .filter_map(|line| {
@@ -46,7 +49,8 @@ fn the_client_drives_the_handler_and_prints_the_documented_output() {
 #[test]
 fn the_handler_rejects_unsupported_tasks_and_stops_on_request() {
     let (_handler, endpoint) = handler();
-    let mut remote = RemoteTask::connect(&endpoint, "/robot").expect("an address");
+    let remote = RemoteTask::connect(&endpoint, "/robot").expect("an address");
+    let mut remote = remote.with_timeout(PATIENCE);
     for (component, goal, reason) in [
         ("base", "up", "no goal 'up'; base takes: forward"),
         ("arm", "up", "no component 'arm'; it has: base"),
@@ -57,16 +61,21 @@ fn the_handler_rejects_unsupported_tasks_and_stops_on_request() {
         };
         assert_eq!(remote.trigger("robot", component, goal), Err(refused));
     }
-    let id = remote
-        .trigger("robot", "base", "forward")
-        .expect("taken")
-        .id;
-    until("it has come some way", PATIENCE, || {
-        let status = remote.status(&id).expect("an answer");
-        (status.text.ends_with(" percent") && status.text != "0 percent").then_some(())
+    // A busy machine may be so late that it has arrived.
+    let end = until("it is stopped on its way", PATIENCE, || {
+        let id = remote
+            .trigger("robot", "base", "forward")
+            .expect("taken")
+            .id;
+        until("it has come some way", PATIENCE, || {
+            let status = remote.status(&id).expect("an answer");
+            let is_on_its_way = status.text.ends_with(" percent") && status.text != "0 percent";
+            (is_on_its_way || status.state.is_final()).then_some(())
+        });
+        remote.abort(&id).expect("an answer");
+        let end = remote.wait(&id, Some(PATIENCE)).expect("its end");
+        (end.state == State::Aborted).then_some(end)
     });
-    let end = remote.abort(&id).expect("an answer");
-    assert_eq!(end.state, State::Aborted);
     assert!(end.text.starts_with("stopped at "), "{end:?}");
 }
 

@@ -22,20 +22,24 @@ fn sigterm_sends_the_abort_at_once_to_a_server_that_does_not_answer() {
     ours.args(at);
     originals.args(at);
     for command in [&mut ours, &mut originals, remote.arg("robot")] {
-        let client = Process::start(command.arg("nap:for:600"));
-        client.wait_for("Initialised task with ID");
-        server.process.signal("STOP");
-        let start = Instant::now();
-        client.signal("TERM");
-        let ended = client.end(PATIENCE);
-        let took = start.elapsed();
-        server.process.signal("CONT");
-        assert_eq!(ended.code, Some(143), "{ended:?}");
-        assert!(ended.stdout.contains("may still run"), "{ended:?}");
-        assert!(took < LIMIT, "{took:?}: {ended:?}");
-        // The server finds the ABORT when it goes on, although the client is gone.
-        until("the end of the task", PATIENCE, || {
-            (tasks() == "No task is running.\n").then_some(())
+        command.arg("nap:for:600");
+        // A busy machine delays some attempts, a defect delays all.
+        until("SIGTERM ends the client in time", PATIENCE, || {
+            let client = Process::start(command);
+            client.wait_for("Initialised task with ID");
+            server.process.signal("STOP");
+            let start = Instant::now();
+            client.signal("TERM");
+            let ended = client.end(PATIENCE);
+            let took = start.elapsed();
+            server.process.signal("CONT");
+            assert_eq!(ended.code, Some(143), "{ended:?}");
+            assert!(ended.stdout.contains("may still run"), "{ended:?}");
+            // The server finds the ABORT when it goes on, although the client is gone.
+            until("the end of the task", PATIENCE, || {
+                (tasks() == "No task is running.\n").then_some(())
+            });
+            (took < LIMIT).then_some(())
         });
     }
 }

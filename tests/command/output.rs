@@ -165,6 +165,8 @@ fn json_reports_each_outcome_with_its_exit_code() {
 #[test]
 fn progress_is_reported_when_it_changes() {
     let gateway = Server::simulated();
+    // It takes 6 s then.
+    gateway.set_speed("gripper", "speed", 0.1);
     let line = format!(
         "task-client -r localhost -p {} -s {SCOPE} gripper:finger:30",
         gateway.port
@@ -211,11 +213,12 @@ impl TaskController for Slow {
 }
 
 struct SlowServer {
-    server: RunningServer,
     asked: Receiver<()>,
+    /// Dropped before the server, whose controller may wait for it.
     decide: Sender<()>,
     /// For each task whether it was aborted.
     ended: Receiver<bool>,
+    server: RunningServer,
 }
 
 fn slow() -> SlowServer {
@@ -228,12 +231,15 @@ fn slow() -> SlowServer {
         ended,
     };
     SlowServer {
-        server: serve(controller),
         asked: was_asked,
         decide,
         ended: ends,
+        server: serve(controller),
     }
 }
+
+/// A server holds its answers about an undecided task for this time, so a shorter attempt gets none that says so.
+const HELD: Duration = Duration::from_millis(1500);
 
 impl SlowServer {
     fn client(&self, options: &[&str]) -> Process {
@@ -242,19 +248,31 @@ impl SlowServer {
     }
 }
 
+/// Waits until a client has said one of these.
+#[track_caller]
+fn wait_for_any(client: &Process, parts: &[&str]) {
+    until(&parts.join(", "), PATIENCE, || {
+        let said = client.stdout();
+        parts.iter().any(|part| said.contains(part)).then_some(())
+    });
+}
+
 #[test]
 fn ctrl_c_before_the_answer_finds_the_task_and_aborts_it() {
     for (options, code) in [(&[][..], 130), (&["--json", "--exit-status"], 4)] {
-        let lab = slow();
-        let client = lab.client(options);
-        lab.asked.recv_timeout(PATIENCE).expect("its INIT");
-        client.signal("INT");
-        until("a word about it", PATIENCE, || {
-            let said = client.stdout();
-            (said.contains("Interrupted") || said.contains("interrupted")).then_some(())
+        let (lab, ended) = in_time(HELD, || {
+            let lab = slow();
+            let client = lab.client(options);
+            lab.asked.recv_timeout(PATIENCE).expect("its INIT");
+            client.signal("INT");
+            wait_for_any(
+                &client,
+                &["Interrupted", "interrupted", "Initialised", "started"],
+            );
+            lab.decide.send(()).expect("it waits");
+            let ended = client.end(PATIENCE);
+            (lab, ended)
         });
-        lab.decide.send(()).expect("it waits");
-        let ended = client.end(PATIENCE);
         assert_eq!(ended.code, Some(code), "{ended:?}");
         assert_eq!(lab.ended.recv_timeout(PATIENCE), Ok(true), "it was aborted");
         if options.is_empty() {
@@ -294,15 +312,17 @@ fn ctrl_c_without_a_server_exits_at_once() {
 
 #[test]
 fn a_second_ctrl_c_leaves_at_once() {
-    let lab = slow();
-    let client = lab.client(&[]);
-    lab.asked.recv_timeout(PATIENCE).expect("its INIT");
-    client.signal("INT");
-    client.wait_for("Interrupted");
-    let ended = client.signal_until_end("INT", PATIENCE);
+    let (_lab, ended) = in_time(HELD, || {
+        let lab = slow();
+        let client = lab.client(&[]);
+        lab.asked.recv_timeout(PATIENCE).expect("its INIT");
+        client.signal("INT");
+        wait_for_any(&client, &["Interrupted", "Initialised"]);
+        let ended = client.signal_until_end("INT", PATIENCE);
+        (lab, ended)
+    });
     assert_eq!(ended.code, Some(130));
     assert!(!ended.stdout.contains("Aborting"), "{ended:?}");
-    drop(lab.decide);
 }
 
 #[test]
@@ -473,8 +493,12 @@ fn a_log_event_is_one_line_without_control_characters() {
 #[test]
 fn a_person_sees_progress_and_colours_unless_declined() {
     let gateway = Server::simulated();
-    let seen = on_a_terminal(&gateway, &[], "gripper:finger:30");
-    assert!(seen.contains("\r\x1b[KACCEPTED 0 s: "), "{seen:?}");
+    let mut goals = ["100", "0"].into_iter().cycle();
+    let seen = until("progress in the first second", PATIENCE, || {
+        let goal = goals.next().expect("one after the other");
+        let seen = on_a_terminal(&gateway, &[], &format!("gripper:finger:{goal}"));
+        seen.contains("\r\x1b[KACCEPTED 0 s: ").then_some(seen)
+    });
     assert!(
         seen.contains("finished in state '\x1b[32mCOMPLETED\x1b[0m'"),
         "{seen:?}"
