@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use ztl_std::{Access, RemoteTask, TaskServer};
 use ztl_tests::lab::{
-    Keys, PATIENCE, Process, SCOPE, Scratch, Server, connect, in_time, port_of, process_status,
+    Keys, PATIENCE, Process, SCOPE, Scratch, Server, connect, port_of, process_status,
     reserve_port, serve, until, ztl,
 };
 
@@ -36,6 +36,16 @@ fn console(robot: u16) -> (Process, Client) {
     let mut client = Client::open(port(&url));
     client.subscribe("/ztl/tasks");
     (process, client)
+}
+
+/// Repeats an attempt until it sends exactly so many ABORTs. One is sent again after 1.7 s, so a busy machine sends more.
+#[track_caller]
+fn sends_aborts(count: usize, mut attempt: impl FnMut() -> Option<usize>) {
+    until(&format!("{count} ABORTs"), PATIENCE, || {
+        let sent = attempt()?;
+        assert!(sent >= count, "{sent}");
+        (sent == count).then_some(())
+    });
 }
 
 #[test]
@@ -79,26 +89,29 @@ fn five_tasks_that_are_slow_to_stop_hear_of_it_within_100_ms() {
 
 #[test]
 fn a_lost_abort_is_sent_again() {
-    let aborts = Arc::new(AtomicUsize::new(0));
-    let seen = Arc::clone(&aborts);
-    let robot = Scripted::start(move |request| {
-        let running: &[u32] = if seen.load(Ordering::SeqCst) < 2 {
-            &[5]
-        } else {
-            &[]
-        };
-        match request {
-            "$ztl;2;-1;probe" => Some(probed(running)),
-            "$ztl;2;-1;tasks" => Some(listed()),
-            "/test;3;5;abort command" if seen.fetch_add(1, Ordering::SeqCst) == 0 => None,
-            _ => Some("/test;4;5;True".to_owned()),
-        }
+    sends_aborts(2, || {
+        let aborts = Arc::new(AtomicUsize::new(0));
+        let seen = Arc::clone(&aborts);
+        let robot = Scripted::start(move |request| {
+            let running: &[u32] = if seen.load(Ordering::SeqCst) < 2 {
+                &[5]
+            } else {
+                &[]
+            };
+            match request {
+                "$ztl;2;-1;probe" => Some(probed(running)),
+                "$ztl;2;-1;tasks" => Some(listed()),
+                "/test;3;5;abort command" if seen.fetch_add(1, Ordering::SeqCst) == 0 => None,
+                _ => Some("/test;4;5;True".to_owned()),
+            }
+        });
+        let (_console, mut client) = console(robot.port);
+        client.task(|task| task["id"] == 5);
+        let stop = client.call("/ztl/stop", &json!({}));
+        // On a busy machine the second ABORT may have ended the task after the 4 s of a Stop.
+        let is_told = told(&stop) == [(true, "1 task has ended".to_owned())];
+        is_told.then(|| aborts.load(Ordering::SeqCst))
     });
-    let (_console, mut client) = console(robot.port);
-    client.task(|task| task["id"] == 5);
-    let stop = client.call("/ztl/stop", &json!({}));
-    assert_eq!(told(&stop), [(true, "1 task has ended".to_owned())]);
-    assert_eq!(aborts.load(Ordering::SeqCst), 2);
 }
 
 #[test]
@@ -109,18 +122,22 @@ fn a_server_without_an_answer_is_named_in_time_and_delays_no_other() {
     let (_console, url) = web(0, &[("ours", ours), ("silent", silent.port)], &[]);
     let mut client = Client::open(port(&url));
     client.subscribe("/ztl/tasks");
-    client.subscribe("/ztl/stop");
     client.goal("g", "ours:/test/arm/left", &json!({ "goal": "up" }));
     client.task(|task| task["runs"] == true);
-    in_time(Duration::from_secs(6), || {
+    // A busy machine delays some attempts, a defect delays all.
+    until("a Stop in time", PATIENCE, || {
+        let mut client = Client::open(port(&url));
+        client.subscribe("/ztl/stop");
         let pressed = Instant::now();
         client.ask("stop", "/ztl/stop", &json!({}));
         client.topic("/ztl/stop", |stop| {
             stop["robots"][0]["confirmed"] == true && stop["robots"][1]["confirmed"].is_null()
         });
-        assert!(pressed.elapsed() < Duration::from_secs(3));
+        let confirmed = pressed.elapsed();
         let stop = told(&client.answer("stop")["values"]);
         assert!(!stop[1].0 && stop[1].1.contains("no answer"), "{stop:?}");
+        let [soon, late] = [3, 6].map(Duration::from_secs);
+        (confirmed < soon && pressed.elapsed() < late).then_some(())
     });
     assert_eq!(robot.running.load(Ordering::SeqCst), 0);
 }
@@ -249,6 +266,7 @@ fn a_task_in_a_scope_that_the_key_may_not_use_is_not_called_stopped() {
     let other = other.with_keys(keys.pair("all"), keys.pair("robot").public());
     other
         .expect("encryption")
+        .with_timeout(PATIENCE)
         .trigger("arm", "left", "up")
         .expect("it is accepted");
     let stop = client.call("/ztl/stop", &json!({}));
@@ -341,25 +359,27 @@ fn an_abort_is_answered_with_what_became_of_it_and_never_waits_behind_goals() {
 
 #[test]
 fn a_cancel_is_repeated_until_it_is_answered() {
-    let aborts = Arc::new(AtomicUsize::new(0));
-    let seen = Arc::clone(&aborts);
-    let robot = Scripted::start(move |request| match request {
-        "$ztl;2;-1;probe" => Some(probed(&[5])),
-        "$ztl;2;-1;tasks" => Some(listed()),
-        "/test;3;5;abort command" => {
-            (seen.fetch_add(1, Ordering::SeqCst) >= 1).then(|| "/test;4;5;True".to_owned())
-        }
-        init if init.starts_with("/test;1;") => Some("/test;1;5;moving".to_owned()),
-        _ if seen.load(Ordering::SeqCst) >= 2 => Some("/test;4;5;stopped".to_owned()),
-        _ => Some("/test;1;5;None".to_owned()),
+    sends_aborts(2, || {
+        let aborts = Arc::new(AtomicUsize::new(0));
+        let seen = Arc::clone(&aborts);
+        let robot = Scripted::start(move |request| match request {
+            "$ztl;2;-1;probe" => Some(probed(&[5])),
+            "$ztl;2;-1;tasks" => Some(listed()),
+            "/test;3;5;abort command" => {
+                (seen.fetch_add(1, Ordering::SeqCst) >= 1).then(|| "/test;4;5;True".to_owned())
+            }
+            init if init.starts_with("/test;1;") => Some("/test;1;5;moving".to_owned()),
+            _ if seen.load(Ordering::SeqCst) >= 2 => Some("/test;4;5;stopped".to_owned()),
+            _ => Some("/test;1;5;None".to_owned()),
+        });
+        let (_console, mut client) = console(robot.port);
+        client.goal("g", "/test/arm/left", &json!({ "goal": "up" }));
+        client.next(|message| message["op"] == "action_feedback");
+        client.send(&json!({ "op": "cancel_action_goal", "id": "g", "action": "/test/arm/left" }));
+        let result = client.result("g");
+        assert_eq!(result["values"]["state"], "ABORTED", "{result}");
+        Some(aborts.load(Ordering::SeqCst))
     });
-    let (_console, mut client) = console(robot.port);
-    client.goal("g", "/test/arm/left", &json!({ "goal": "up" }));
-    client.next(|message| message["op"] == "action_feedback");
-    client.send(&json!({ "op": "cancel_action_goal", "id": "g", "action": "/test/arm/left" }));
-    let result = client.result("g");
-    assert_eq!(result["values"]["state"], "ABORTED", "{result}");
-    assert_eq!(aborts.load(Ordering::SeqCst), 2);
 }
 
 #[test]
@@ -405,32 +425,34 @@ fn a_task_of_the_original_whose_state_cannot_be_learnt_is_shown_and_stopped() {
 
 #[test]
 fn a_task_whose_state_cannot_be_learnt_is_stopped_before_its_server_is_known_to_list_none() {
-    let lists = Arc::new(AtomicBool::new(false));
-    let answers = Arc::clone(&lists);
-    let aborts = Arc::new(AtomicUsize::new(0));
-    let seen = Arc::clone(&aborts);
-    let robot = Scripted::start(move |request| match request {
-        "$ztl;2;-1;tasks" if !answers.load(Ordering::SeqCst) => None,
-        "/test;3;5;abort command" => {
-            seen.fetch_add(1, Ordering::SeqCst);
-            Some("/test;4;5;True".to_owned())
-        }
-        _ if request.starts_with("/test;1;") => Some("/test;1;5;Initiated task '5'".to_owned()),
-        _ if request.starts_with("/test;2;") => {
-            Some("/test;2;-1;Controller threw exception: no sensor".to_owned())
-        }
-        _ => Some("$ztl;2;-1;No controller for scope: $ztl".to_owned()),
+    sends_aborts(1, || {
+        let lists = Arc::new(AtomicBool::new(false));
+        let answers = Arc::clone(&lists);
+        let aborts = Arc::new(AtomicUsize::new(0));
+        let seen = Arc::clone(&aborts);
+        let robot = Scripted::start(move |request| match request {
+            "$ztl;2;-1;tasks" if !answers.load(Ordering::SeqCst) => None,
+            "/test;3;5;abort command" => {
+                seen.fetch_add(1, Ordering::SeqCst);
+                Some("/test;4;5;True".to_owned())
+            }
+            _ if request.starts_with("/test;1;") => Some("/test;1;5;Initiated task '5'".to_owned()),
+            _ if request.starts_with("/test;2;") => {
+                Some("/test;2;-1;Controller threw exception: no sensor".to_owned())
+            }
+            _ => Some("$ztl;2;-1;No controller for scope: $ztl".to_owned()),
+        });
+        let (_console, mut client) = console(robot.port);
+        client.subscribe("/ztl/stop");
+        client.goal("g", "/test/nap/for", &json!({ "goal": "mute" }));
+        let result = client.result("g");
+        assert_eq!(result["values"]["state"], "UNKNOWN", "{result}");
+        client.ask("stop", "/ztl/stop", &json!({}));
+        client.topic("/ztl/stop", |stop| stop["robots"][0]["confirmed"].is_null());
+        lists.store(true, Ordering::SeqCst);
+        let told = told(&client.answer("stop")["values"]);
+        let asked = "1 of this console were asked to stop, 1 of them have ended";
+        assert!(!told[0].0 && told[0].1.contains(asked), "{told:?}");
+        Some(aborts.load(Ordering::SeqCst))
     });
-    let (_console, mut client) = console(robot.port);
-    client.subscribe("/ztl/stop");
-    client.goal("g", "/test/nap/for", &json!({ "goal": "mute" }));
-    let result = client.result("g");
-    assert_eq!(result["values"]["state"], "UNKNOWN", "{result}");
-    client.ask("stop", "/ztl/stop", &json!({}));
-    client.topic("/ztl/stop", |stop| stop["robots"][0]["confirmed"].is_null());
-    lists.store(true, Ordering::SeqCst);
-    let told = told(&client.answer("stop")["values"]);
-    let asked = "1 of this console were asked to stop, 1 of them have ended";
-    assert!(!told[0].0 && told[0].1.contains(asked), "{told:?}");
-    assert_eq!(aborts.load(Ordering::SeqCst), 1);
 }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, until};
 
-use super::{console, told};
+use super::{console, sends_aborts, told};
 use crate::client::Client;
 use crate::console::{port, web};
 use crate::robot::{Scripted, listed, probed};
@@ -246,22 +246,24 @@ fn a_goal_without_an_answer_is_forgotten_when_its_server_lists_its_tasks() {
 
 #[test]
 fn a_task_that_its_server_does_not_know_is_not_counted_as_ended() {
-    let aborts = Arc::new(AtomicUsize::new(0));
-    let seen = Arc::clone(&aborts);
-    let robot = Scripted::start(move |request| match request {
-        "$ztl;2;-1;probe" if seen.load(Ordering::SeqCst) == 0 => Some(probed(&[5])),
-        "$ztl;2;-1;probe" => Some(probed(&[])),
-        "$ztl;2;-1;tasks" => Some(listed()),
-        // It was restarted.
-        _ => {
-            seen.fetch_add(1, Ordering::SeqCst);
-            Some("/test;2;5;Invalid ID '5'".to_owned())
-        }
+    sends_aborts(1, || {
+        let aborts = Arc::new(AtomicUsize::new(0));
+        let seen = Arc::clone(&aborts);
+        let robot = Scripted::start(move |request| match request {
+            "$ztl;2;-1;probe" if seen.load(Ordering::SeqCst) == 0 => Some(probed(&[5])),
+            "$ztl;2;-1;probe" => Some(probed(&[])),
+            "$ztl;2;-1;tasks" => Some(listed()),
+            // It was restarted.
+            _ => {
+                seen.fetch_add(1, Ordering::SeqCst);
+                Some("/test;2;5;Invalid ID '5'".to_owned())
+            }
+        });
+        let (_console, mut client) = console(robot.port);
+        client.task(|task| task["id"] == 5);
+        let stop = client.call("/ztl/stop", &json!({}));
+        let counts = "nothing runs; 0 of 1 tasks are known to have ended";
+        assert_eq!(told(&stop), [(true, counts.to_owned())]);
+        Some(aborts.load(Ordering::SeqCst))
     });
-    let (_console, mut client) = console(robot.port);
-    client.task(|task| task["id"] == 5);
-    let stop = client.call("/ztl/stop", &json!({}));
-    let counts = "nothing runs; 0 of 1 tasks are known to have ended";
-    assert_eq!(told(&stop), [(true, counts.to_owned())]);
-    assert_eq!(aborts.load(Ordering::SeqCst), 1);
 }
