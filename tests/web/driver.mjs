@@ -72,6 +72,20 @@ const ready = (page) => page.locator('#start[aria-disabled=false]').waitFor();
 // Waits until a press on the show counts again: one within 0.6 s of another counts as the same, and the page does not show for
 // how long.
 const settle = (page) => page.waitForTimeout(700);
+// A click or a key within so many ms of the one before belongs to it. The page's own limits are 100 ms longer.
+const SAME_CLICK = 500;
+const SAME_KEY = 1000;
+// Notes when the page hears of clicks and keys.
+const notePresses = (page) => page.evaluate(() => {
+  window.presses = { click: [], keydown: [] };
+  for (const [name, times] of Object.entries(window.presses)) addEventListener(name, () => times.push(performance.now()), true);
+});
+// Whether each click or key since the last call came within the limit after the one before. A busy machine may delay one.
+const belongTogether = (page, name, limit) => page.evaluate(([event, most]) => {
+  const times = [...window.presses[event]];
+  for (const all of Object.values(window.presses)) all.length = 0;
+  return times.every((time, nth) => nth === 0 || time - times[nth - 1] < most);
+}, [name, limit]);
 const isOff = async (page) => await page.locator('#start').getAttribute('aria-disabled') === 'true';
 
 // Waits until the show says this of itself.
@@ -215,13 +229,18 @@ const scenarios = {
       if (name === 'desk') {
         // As a remote desktop repeats a held key: each time pressed and let go.
         const cues = () => page.sent.filter((message) => message.service === '/ztl/show/cue').length;
-        await settle(page);
-        const before = cues();
-        for (let repeat = 0; repeat < 10; repeat += 1) {
-          await page.keyboard.press('s');
-          await page.waitForTimeout(repeat === 0 ? 660 : 33);
+        await notePresses(page);
+        for (let isOne = false; !isOne;) {
+          // After this time a key counts as a new press.
+          await page.waitForTimeout(1200);
+          const before = cues();
+          for (let repeat = 0; repeat < 10; repeat += 1) {
+            await page.keyboard.press('s');
+            await page.waitForTimeout(repeat === 0 ? 660 : 33);
+          }
+          isOne = await belongTogether(page, 'keydown', SAME_KEY);
+          if (isOne) assert.equal(cues(), before + 1);
         }
-        assert.equal(cues(), before + 1);
       }
       await page.locator('#show-note-text').fill(`<b>note</b> of the ${name}`);
       await page.locator('#show-note-text').press('Enter');
@@ -239,10 +258,18 @@ const scenarios = {
       await settle(page);
       // A double tap pauses, and does not go on at once.
       const pauses = page.locator('#show-commands [data-do=pause]');
-      await pauses.click();
-      await pauses.getByText('Go on after pause').waitFor();
-      await pauses.click();
-      await page.getByText('NOT SENT: the show changed as you pressed').waitFor();
+      const refused = page.getByText('NOT SENT: the show changed as you pressed');
+      for (;;) {
+        const begun = performance.now();
+        await pauses.click();
+        await pauses.getByText('Go on after pause').waitFor();
+        await pauses.click();
+        if (await refused.isVisible()) break;
+        // On a busy machine the second tap may come so late that it counts.
+        assert.ok(performance.now() - begun > 600, 'a double tap went on');
+        await pauses.getByText('Pause after step').waitFor();
+        await settle(page);
+      }
       await showState(page, 'a pause follows this step');
       await page.keyboard.press('Escape');
       await page.getByText('Stopped: every robot has confirmed').waitFor();
@@ -537,20 +564,27 @@ const scenarios = {
     const page = await open();
     await choose(page, 'another of');
     await page.locator('#other').fill('test/mark');
-    const goals = async (count) => {
+    await notePresses(page);
+    // Checks the number of goals. A press that came late may have started one more: then the test begins again.
+    const goals = async (count, name = 'click', limit = Infinity) => {
       await page.locator('#running .card').nth(count - 1).waitFor();
       await ready(page);
+      if (!await belongTogether(page, name, limit)) {
+        console.log('a press came late');
+        return false;
+      }
       assert.equal(await page.locator('#goals .card').count(), count);
+      return true;
     };
     const goal = (text) => page.locator('#goal').fill(text);
     await goal('click');
     await page.locator('#start').dblclick();
+    if (!await goals(1, 'click', SAME_CLICK)) return;
     await page.getByText('Presses that follow at once do not count').waitFor();
-    await goals(1);
     await goal('tap');
     const box = await page.locator('#start').boundingBox();
     for (let tap = 0; tap < 3; tap += 1) await page.touchscreen.tap(box.x + 20, box.y + 20);
-    await goals(2);
+    if (!await goals(2, 'click', SAME_CLICK)) return;
     for (const [count, where] of [[3, '#goal'], [4, '#start']]) {
       await goal(where);
       await page.locator(where).focus();
@@ -568,7 +602,7 @@ const scenarios = {
       await page.keyboard.press('Enter');
       await page.waitForTimeout(repeat === 0 ? 660 : 33);
     }
-    await goals(5);
+    if (!await goals(5, 'keydown', SAME_KEY)) return;
     // The same goal twice, by two presses.
     await page.locator('#start').click();
     await goals(6);

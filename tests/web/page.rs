@@ -2,7 +2,7 @@
 
 use ztl_pickle::{DType, Pickle};
 use ztl_std::Publisher;
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, busy, reserve_port, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, busy, reserve_port, until, ztl};
 
 use crate::console::{
     Console, DESCRIBED, ROBOT, certificate_and_key, drive, from_port, marks, node, passes, port,
@@ -58,9 +58,17 @@ fn two_pages_see_and_stop_the_same_tasks() {
 #[test]
 fn one_press_starts_one_task() {
     let _busy = busy();
-    let console = Console::of_one();
-    passes("presses", &console.url, &console);
-    assert_eq!(console.marks(), 6);
+    until("presses that follow each other", PATIENCE * 3, || {
+        let console = Console::of_one();
+        let ended = drive("presses", &console.url, &console).end(PATIENCE * 3);
+        // On a busy machine a press may come so late that it counts.
+        if ended.stdout.contains("a press came late") {
+            return None;
+        }
+        assert!(ended.stdout.contains("passed"), "{ended:?}");
+        assert_eq!(console.marks(), 6);
+        Some(())
+    });
 }
 
 #[test]
@@ -96,16 +104,18 @@ fn the_demo_has_a_console() {
     let demo = Process::start(ztl().args(["demo", "--web", "--port", "0"]));
     let line = demo.wait_for("console  at");
     let url = format!("http://127.0.0.1{}", from_port(&line));
-    let gateway = port(&demo.wait_for("gateway  at")).to_string();
+    let gateway = port(&demo.wait_for("gateway  at"));
     demo.wait_for("The gateway goes on serving");
+    let demo = Server {
+        process: demo,
+        port: gateway,
+    };
     let mut command = node("driver.mjs");
     command.args(["demo", &url]).arg(files.path(""));
     let mut driver = Process::start(&mut command);
     // Its next task must still run when Stop is pressed.
     driver.wait_for("do: slow the gripper");
-    let set = ["param", "set", "gripper", "speed", "0.1", "-p", &gateway];
-    let set = Process::run(ztl().args(set));
-    assert_eq!(set.code, Some(0), "{set:?}");
+    demo.set_speed("gripper", "speed", 0.1);
     driver.write_line("done");
     let ended = driver.end(PATIENCE * 3);
     assert!(ended.stdout.contains("passed"), "{ended:?}");
