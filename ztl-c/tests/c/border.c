@@ -307,7 +307,6 @@ static void polled(void)
     int state, starts = 0;
     ztl_server *server = ztl_server_new();
     ztl_client *client = ztl_client_new();
-    ztl_client *hasty = ztl_client_new();
 
     CHECK(ztl_server_set(server, ZTL_POLL_MS, 1) == ZTL_OK);
     CHECK(ztl_server_add_handler(server, "/x", count_up, NULL, end_it, &starts) == ZTL_OK);
@@ -321,13 +320,11 @@ static void polled(void)
     CHECK(ztl_server_poll(server, 0) == ZTL_OK && starts == 0);
     CHECK(ztl_client_wait(client, task, PATIENCE, &state) == ZTL_OK && state == ZTL_ABORTED);
     CHECK(strcmp(ztl_client_text(client), "stopped before it had begun") == 0);
-    CHECK(ztl_client_set_timeout(hasty, 200) == ZTL_OK && ztl_client_connect(hasty, text, "/x") == ZTL_OK);
-    CHECK(ztl_client_trigger(hasty, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
+    CHECK(ztl_client_trigger(client, "a", "b", "c", NULL) == ZTL_OK);
     CHECK(ztl_server_poll(server, PATIENCE) == ZTL_OK && starts == 1);
-    CHECK(ztl_client_trigger(hasty, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
+    CHECK(ztl_client_trigger(client, "a", "b", "c", NULL) == ZTL_OK);
     CHECK(ztl_server_free(server) == ZTL_OK && starts == 1);
     ztl_client_free(client);
-    ztl_client_free(hasty);
 }
 
 /* Runs the other server for a while, in whose callback this one is freed, or not. */
@@ -358,8 +355,9 @@ static void nested(void)
     for (i = 0; i < 2; i++) {
         client = ztl_client_new();
         ztl_server_endpoint(i == 0 ? outer : inner, text, sizeof text);
-        CHECK(ztl_client_set_timeout(client, 200) == ZTL_OK && ztl_client_connect(client, text, "/x") == ZTL_OK);
-        CHECK(ztl_client_trigger(client, "a", "b", "c", NULL) == ZTL_E_NO_ANSWER);
+        CHECK(ztl_client_set_timeout(client, PATIENCE) == ZTL_OK && ztl_client_connect(client, text, "/x") == ZTL_OK);
+        /* Nobody polls: the server itself answers after 1.5 s. */
+        CHECK(ztl_client_trigger(client, "a", "b", "c", NULL) == ZTL_OK);
         ztl_client_free(client);
     }
     CHECK(ztl_server_poll(outer, PATIENCE) == ZTL_OK);

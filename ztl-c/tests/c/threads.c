@@ -32,7 +32,8 @@ static void *ask(void *argument)
             abort();
     }
     if (ztl_client_trigger(client, "a", "long", "x", &task) != ZTL_OK
-        || ztl_client_abort(client, task, &state) != ZTL_OK || state != ZTL_ABORTED
+        || ztl_client_abort(client, task, &state) != ZTL_OK
+        || ztl_client_wait(client, task, 20000, &state) != ZTL_OK || state != ZTL_ABORTED
         || ztl_client_trigger(client, "a", "long", "x", &task) != ZTL_OK)
         abort();
     ztl_client_free(client);
