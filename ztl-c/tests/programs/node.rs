@@ -95,8 +95,8 @@ fn c_firmware_drives_the_boards_pins_for_the_originals_client() {
     assert_eq!(board.read(Pin::Lamp), 1);
     assert!(board.read(Pin::Place) > 125);
 
-    // An emergency stop stays until the firmware ends it.
-    let id = client.start("desk", "stage", "0");
+    // An emergency stop stays until the firmware ends it. The way takes 4 s, so the stop comes before its end.
+    let id = client.start("desk", "stage", "100");
     wait_moving(&mut client, id);
     board.write(Pin::Stop, 1);
     let answer = client.wait(id, 20.0);
