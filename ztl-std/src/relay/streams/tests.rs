@@ -1,5 +1,7 @@
 use std::sync::mpsc::{Receiver, channel};
 
+use ztl_tests::lab::until;
+
 use super::*;
 use crate::Publisher;
 
@@ -125,29 +127,30 @@ fn bound() -> (RelayPublisher, Receiver<Vec<WantedTopic>>) {
     (bound.unwrap(), wanted)
 }
 
+/// Whether these topics are wanted.
+fn are(wanted: &[WantedTopic], topics: &[&str]) -> bool {
+    let mut begins: Vec<_> = wanted.iter().map(|one| one.begin.clone()).collect();
+    begins.sort();
+    begins == topics.iter().map(|t| t.as_bytes()).collect::<Vec<_>>()
+}
+
 /// Waits until these topics are wanted.
 #[track_caller]
 fn wait_for(wanted: &Receiver<Vec<WantedTopic>>, topics: &[&str]) {
-    loop {
-        let all = wanted.recv_timeout(LIMIT).unwrap();
-        let mut begins: Vec<_> = all.iter().map(|one| one.begin.clone()).collect();
-        begins.sort();
-        if begins == topics.iter().map(|t| t.as_bytes()).collect::<Vec<_>>() {
-            return;
-        }
-    }
+    while !are(&wanted.recv_timeout(LIMIT).unwrap(), topics) {}
 }
 
 #[test]
 fn a_relay_tells_what_is_wanted_and_forgets_what_nobody_keeps_up_to_date() {
     let (publisher, wanted) = bound();
     let mut first = Subscriber::connect(publisher.endpoint(), "/arm/lab").unwrap();
-    let turn = |subscriber: &mut Subscriber| {
-        let heard = subscriber.next_within(Duration::from_millis(100)).unwrap();
-        heard.map(|heard| (heard.topic, heard.body))
-    };
-    turn(&mut first);
-    wait_for(&wanted, &["/arm/lab"]);
+    // A subscriber connects while it is waited for.
+    until("its topic is wanted", LIMIT, || {
+        let turn = first.next_within(Duration::from_millis(100));
+        assert_eq!(turn.unwrap().map(|heard| heard.topic), None);
+        let mut told = wanted.try_iter();
+        told.any(|wanted| are(&wanted, &["/arm/lab"])).then_some(())
+    });
     assert!(publisher.publish("/arm", "/arm/lab", "/pose", b"1", true));
     assert!(publisher.publish("/arm", "/arm/lab", "/door", b"2", true));
     publisher.forget(|topic| topic == b"/arm/lab/pose");
