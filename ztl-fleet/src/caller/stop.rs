@@ -60,11 +60,16 @@ impl Told {
             }
             Verdict::Answer(body) => match serde_json::from_slice::<Stopped>(&body) {
                 Ok(mut told) => {
-                    let (_, before) = self.machines.entry(told.boot).or_default();
-                    // What ended before it was told again.
-                    let ended = before.take().map(|before| before.stopped);
-                    told.stopped.extend(ended.unwrap_or_default());
-                    *before = Some(told);
+                    let (_, last) = self.machines.entry(told.boot).or_default();
+                    if let Some(before) = last.take() {
+                        // What ended before it was told again.
+                        told.stopped.extend(before.stopped);
+                        // A server that has fallen silent has not stopped what it was running.
+                        if told.again && told.running.is_empty() {
+                            told.running = before.running;
+                        }
+                    }
+                    *last = Some(told);
                 }
                 Err(error) => {
                     self.is_unclear = true;
@@ -208,5 +213,32 @@ impl Caller {
             Ok(()) => told.open += 1,
             Err(error) => told.reason = Some(error.to_string()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What still runs and what has stopped of a robot that gave these answers in turn.
+    fn known(answers: &[&str]) -> [Vec<String>; 2] {
+        let mut told = Told::default();
+        for answer in answers {
+            let verdict = Verdict::Answer(answer.as_bytes().to_vec());
+            assert_eq!(told.on_verdict(7, verdict), None);
+        }
+        let machine = told.answer().machines.remove(0);
+        [machine.running, machine.stopped]
+    }
+
+    #[test]
+    fn tasks_of_a_server_that_falls_silent_still_run() {
+        let runs =
+            r#"{"boot":7,"stopped":["/lab 4"],"running":["/lab 5"],"unknown":null,"again":true}"#;
+        let silent =
+            r#"{"boot":7,"stopped":[],"running":[],"unknown":"it is silent","again":true}"#;
+        assert_eq!(known(&[runs, silent]), [["/lab 5"], ["/lab 4"]]);
+        let ended = r#"{"boot":7,"stopped":[],"running":[],"unknown":null}"#;
+        assert_eq!(known(&[runs, silent, ended]), [vec![], vec!["/lab 4"]]);
     }
 }

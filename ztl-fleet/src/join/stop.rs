@@ -12,10 +12,12 @@ use super::Shared;
 use super::asked::Asked;
 use crate::wire::{Stopped, Verdict};
 
-/// How long the server's tasks may take to stop.
-const STOPPING: Duration = Duration::from_secs(5);
+/// How long this may take, also if the server falls silent: `stop-all` waits 10 s for the answer.
+const STOPPING: Duration = Duration::from_secs(8);
 const LIMIT: Duration = Duration::from_secs(2);
 const PAUSE: Duration = Duration::from_millis(50);
+/// Longest time for ABORTs and the question what still runs.
+const ROUND: Duration = LIMIT.saturating_mul(2).saturating_add(PAUSE);
 /// Most tasks that are remembered of a server that cannot list them.
 const MOST: usize = 1000;
 
@@ -101,7 +103,7 @@ impl Shared {
                 Err(error) => (Some(error), true),
             };
             all.extend(running.iter().cloned());
-            if running.is_empty() && !is_silent || Instant::now() >= end {
+            if running.is_empty() && !is_silent || Instant::now() + ROUND > end {
                 let name = |(scope, id): &(String, String)| format!("{scope} {id}");
                 let stopped = all.difference(&running);
                 return Stopped {
