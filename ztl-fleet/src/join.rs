@@ -39,8 +39,10 @@ use threads::Job;
 const TOO_MANY: &str = "too many requests are waiting, try again";
 /// How often deadlines are checked.
 const TICK: Duration = Duration::from_millis(100);
-/// How long the fleet is asked who has the name.
+/// How long others with this name or id may take to answer.
 const CLAIM: Duration = Duration::from_secs(1);
+/// The same before this agent joins. Routers end the question at once if nobody is there.
+const JOINING: Duration = Duration::from_secs(5);
 /// Longest request in bytes, as on ZeroMQ.
 const LONGEST: usize = ztl_std::server::MAX_MESSAGE;
 
@@ -181,7 +183,7 @@ impl Joined {
             config,
         });
         let id = &shared.id;
-        let present = session::present(&session, &robot, CLAIM)?;
+        let present = session::present(&session, &robot, JOINING)?;
         // With a key, others cannot take the name: endpoints know whose it is.
         let has_key = shared.config.identity.is_some();
         let mut others = present.into_iter().filter(|(_, agent)| agent != id);
@@ -189,7 +191,7 @@ impl Joined {
             shared.tell_refused(&session, &other)?;
             return Err(JoinEnd::NameTaken { robot, by: other }.into());
         }
-        if shared.others_with_id().is_some() {
+        if shared.others_with_id(JOINING).is_some() {
             shared.tell_refused(&session, id)?;
             return Err(JoinEnd::Copied { robot }.into());
         }

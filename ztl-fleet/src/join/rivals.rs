@@ -22,14 +22,14 @@ const KEEP: Duration = Duration::from_secs(60);
 pub(super) const COPY: &str = "another machine has answered as this robot within the last minute";
 
 impl Shared {
-    /// The boot of another agent that has the same name and id: with a key, one that has this key.
-    pub(super) fn others_with_id(&self) -> Option<u32> {
+    /// The boot of another agent that has the same name and id, if it answers within `limit`: with a key, one that has this key.
+    pub(super) fn others_with_id(&self, limit: Duration) -> Option<u32> {
         let (robot, session) = (&self.config.name, self.session.clone());
         let caller = match &self.config.identity {
             None => Caller::plain(session),
             Some(identity) => Caller::of_itself(session, robot, &identity.own),
         };
-        let infos = caller.infos(&[(robot.clone(), self.id.clone())], CLAIM);
+        let infos = caller.infos(&[(robot.clone(), self.id.clone())], limit);
         infos.into_iter().flatten().map(|info| info.boot).next()
     }
 
@@ -47,7 +47,7 @@ impl Shared {
     /// Tells that another agent has the same id, as a copy of an SD card. Both stay, so that both can be stopped.
     pub(super) fn look_for_copy(&self) {
         let robot = &self.config.name;
-        let other = self.others_with_id();
+        let other = self.others_with_id(CLAIM);
         if other.is_none_or(|boot| boot == self.rules().agent.boot()) {
             return;
         }

@@ -124,6 +124,8 @@ fn a_second_robot_with_another_key_is_never_asked_and_both_are_told() {
 #[test]
 fn a_copy_of_a_robot_with_its_key_does_not_join() {
     let guarded = Guarded::new(ARM, "");
+    // The router knows it then.
+    guarded.fleet.wait_there();
     let copy = guarded.fleet.start_agent("copy", &guarded.server, ARM);
     let copy = copy.end(PATIENCE);
     assert_eq!(copy.code, Some(1), "{copy:?}");
