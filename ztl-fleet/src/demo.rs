@@ -19,7 +19,7 @@ use ztl_std::keys::KeyPair;
 use ztl_std::listen::Listen;
 use ztl_std::{
     Access, ExecutableTask, RemoteId, RemoteTask, RequestError, RunningServer, State, TaskContext,
-    TaskController, TaskError, TaskRequest, TaskServer,
+    TaskController, TaskError, TaskRequest, TaskServer, TriggerError, Triggered,
 };
 
 use self::line::Line;
@@ -249,7 +249,7 @@ impl<S: Fn() -> Option<u8>> Scene<S> {
         say("all five wave, and arm-5 is cut off meanwhile")?;
         let mut tasks = Vec::new();
         for (name, mut robot) in robots {
-            let task = robot.trigger("arm", "hand", "wave")?;
+            let task = self.start(name, &mut robot)?;
             say(format_args!("  {name}  {}", task.reply))?;
             tasks.push((name, robot, task.id));
         }
@@ -282,8 +282,33 @@ impl<S: Fn() -> Option<u8>> Scene<S> {
         say("arm-5 comes back; it has gone on alone")?;
         line.join();
         all &= self.end(name, robot, task)?;
-        let known = robot.tasks()?.map_or(0, |list| list.tasks.len());
+        let mut known = 0;
+        self.until("the lists of all robots", || {
+            // A list lacks a robot that does not answer in time.
+            let list = robot.tasks().ok().flatten();
+            known = list.map_or(0, |list| list.tasks.len());
+            known >= ROBOTS.len()
+        })?;
         Ok(all && known == ROBOTS.len())
+    }
+
+    /// Starts a robot's task. Repeats an INIT only if it did nothing, as one that came too late on a busy machine.
+    fn start(&self, name: &str, robot: &mut RemoteTask) -> Result<Triggered, Interrupted> {
+        let wave = |robot: &mut RemoteTask| robot.trigger("arm", "hand", "wave");
+        let mut told = wave(robot);
+        self.until(name, || {
+            told = match &told {
+                Ok(_) => return true,
+                Err(TriggerError::Rejected { .. } | TriggerError::NeverCame) => wave(robot),
+                Err(TriggerError::Request(error)) if error.nothing_was_sent() => wave(robot),
+                Err(_) => match robot.ask_outcome() {
+                    Some(outcome) => outcome,
+                    None => return true,
+                },
+            };
+            told.is_ok()
+        })?;
+        Ok(told?)
     }
 
     /// Waits for the end of a task. Returns whether it completed.
