@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 
 use ztl_std::RemoteTask;
 use ztl_std::keys::KeyPair;
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, reserve_port, until};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, until};
+
+use crate::requests::client;
 
 pub(crate) fn fleet(words: &[&str], file: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ztl-fleet"));
@@ -114,7 +116,7 @@ impl Pair {
         let agent = start(scratch, "join", &format!("{name}-agent.yaml"), &agent);
         let endpoint = start(scratch, "endpoint", &format!("{name}.yaml"), &endpoint);
         let port = endpoint.wait_for_port("Serving ");
-        let mut remote = connect_to(&format!("tcp://127.0.0.1:{port}"), "/arm/test");
+        let mut remote = client(port, "/arm/test");
         until("the robot is served", PATIENCE, || {
             let scopes = remote.describe().ok()??.scopes;
             scopes.contains_key("/arm/test").then_some(())
@@ -131,7 +133,7 @@ impl Pair {
 
     /// A client of the robot.
     pub(crate) fn client(&self) -> RemoteTask {
-        connect_to(&format!("tcp://127.0.0.1:{}", self.port), "/arm/test")
+        client(self.port, "/arm/test")
     }
 }
 
@@ -187,14 +189,9 @@ impl Hall {
         start(&self.scratch, "join", &format!("{name}.yaml"), &text)
     }
 
-    /// The address of the endpoint.
-    pub(crate) fn address(&self) -> String {
-        format!("tcp://127.0.0.1:{}", self.port)
-    }
-
     /// Which robots the endpoint serves.
     pub(crate) fn served(&self) -> BTreeSet<String> {
-        let mut remote = connect_to(&self.address(), "/none");
+        let mut remote = client(self.port, "/none");
         let told = remote.describe().ok().flatten();
         let scopes = told.into_iter().flat_map(|told| told.scopes.into_keys());
         scopes.collect()

@@ -20,6 +20,9 @@ mod line;
 mod many;
 mod memory;
 mod reconnects;
+#[expect(dead_code, reason = "the tests use the rest")]
+#[path = "../../tests/processes/requests.rs"]
+mod requests;
 mod routed;
 mod streams;
 

@@ -3,10 +3,11 @@
 use std::time::{Duration, Instant};
 
 use ztl_std::{RemoteTask, TaskId};
-use ztl_tests::lab::{LIMIT, PATIENCE, Process, SCOPE, Server, connect, connect_to, number, start};
+use ztl_tests::lab::{LIMIT, PATIENCE, Process, SCOPE, Server, connect, number, start};
 
 use crate::hall::{Hall, fleet, name};
 use crate::memory::{self, Memory};
+use crate::requests::client;
 use crate::{ms, quantile};
 
 /// Devices of a gateway, and agents beside it: ten simulated devices take one per cent of a core, so that two cores do not
@@ -105,10 +106,9 @@ fn directly(hall: &Hall) -> Vec<RemoteTask> {
 fn loss(hall: &mut Hall, router: usize) {
     let mut directly = directly(hall);
     let before: Vec<usize> = directly.iter_mut().map(tasks).collect();
-    let address = hall.address();
     let mut routed: Vec<(RemoteTask, TaskId)> = (0..hall.robots)
         .map(|robot| {
-            let mut remote = connect_to(&address, &format!("/{}{SCOPE}", name(robot)));
+            let mut remote = client(hall.port, &format!("/{}{SCOPE}", name(robot)));
             let id = start(&mut remote, "nap", "for", "15");
             (remote, id)
         })

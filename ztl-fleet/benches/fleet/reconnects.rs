@@ -7,11 +7,12 @@ use std::time::{Duration, Instant};
 use ztl_fleet::config::Links;
 use ztl_fleet::session;
 use ztl_std::State;
-use ztl_tests::lab::{LIMIT, PATIENCE, Scratch, Server, connect_to, number, until};
+use ztl_tests::lab::{LIMIT, PATIENCE, Scratch, Server, number, until};
 
 use crate::hall::{Routers, start};
 use crate::line::{Line, Mode};
 use crate::memory::Memory;
+use crate::requests::client;
 
 /// Robots whose connections are cut together.
 const ROBOTS: usize = 5;
@@ -38,7 +39,7 @@ pub(crate) fn measure() {
         })
         .collect();
     let port = endpoint.wait_for_port("Serving ");
-    let mut remote = connect_to(&format!("tcp://127.0.0.1:{port}"), "/arm-0/test");
+    let mut remote = client(port, "/arm-0/test");
     until("all robots are served", PATIENCE, || {
         (remote.describe().ok()??.scopes.len() == ROBOTS).then_some(())
     });

@@ -13,11 +13,12 @@ use ztl_std::{
     TriggerError,
 };
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, Random, Scratch, connect_to, number, reserve_port, seed, serve, until,
+    LIMIT, PATIENCE, Process, Random, Scratch, number, reserve_port, seed, serve, until,
 };
 
 use crate::fleet;
 use crate::line::{Line, Mode};
+use crate::requests::client;
 
 const ROUTERS: usize = 3;
 const ROBOTS: usize = 8;
@@ -163,7 +164,7 @@ impl Fleet {
 /// A task of a client, until it is told something. An INIT that was rejected is sent again as another one.
 fn task(port: u16, robot: usize, goal: &str, rejected: &AtomicUsize) -> Told {
     let scope = format!("/arm-{robot}/test");
-    let mut remote = connect_to(&format!("tcp://127.0.0.1:{port}"), &scope);
+    let mut remote = client(port, &scope);
     let start = Instant::now();
     let mut started = remote.trigger("do", "it", goal);
     let id = loop {
@@ -202,7 +203,7 @@ fn each_task_acts_at_most_once_and_is_told_truly_while_routers_agents_and_lines_
     let done = Done::default();
     let mut fleet = Fleet::new(&done);
     let port = fleet.endpoint.wait_for_port("Serving ");
-    let mut remote = connect_to(&format!("tcp://127.0.0.1:{port}"), "/arm-0/test");
+    let mut remote = client(port, "/arm-0/test");
     until("all robots are served", PATIENCE, || {
         let told = remote.describe().ok()??;
         (told.scopes.len() == ROBOTS).then_some(())

@@ -3,8 +3,9 @@
 use ztl_fleet::seal::agent_of;
 use ztl_std::keys::KeyPair;
 use ztl_std::{RemoteTask, State, TriggerError};
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, end, start, until, ztl};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, connect_to, end, until, ztl};
 
+use crate::requests::{TIMEOUT, abort, start, status, trigger};
 use crate::{Fleet, fleet, python, tasks};
 
 /// A fleet whose robot `arm` has a key.
@@ -70,7 +71,7 @@ fn neither_a_forged_name_nor_an_answer_for_another_nor_a_recording_does_anything
     // The endpoint meets the hostile one first, and believes the robot only.
     let mut remote = guarded.client();
     let aborted = start(&mut remote, "nap", "for", "60");
-    remote.abort(aborted).unwrap();
+    abort(&mut remote, aborted);
     assert_eq!(end(&mut remote, aborted).0, State::Aborted);
     let file = guarded.fleet.scratch.path("endpoint.yaml");
     start(&mut remote, "nap", "for", "61");
@@ -84,7 +85,7 @@ fn neither_a_forged_name_nor_an_answer_for_another_nor_a_recording_does_anything
 
     hostile.write_line("again");
     hostile.wait_for("replayed");
-    assert_eq!(remote.status(running).unwrap().state, State::Accepted);
+    assert_eq!(status(&mut remote, running).state, State::Accepted);
     assert_eq!(tasks(&guarded.server), 3);
     assert!(!hostile.stdout().contains("asked"), "{}", hostile.stdout());
     let told = guarded.fleet.endpoint.stderr();
@@ -159,7 +160,7 @@ fn rules_of_the_robot_and_of_the_endpoint_name_robot_scope_and_client() {
     let at = format!("tcp://127.0.0.1:{}", guarded.fleet.port);
     let client = |name: &str, scope: &str| {
         let own = guarded.fleet.scratch.path(format!("{name}.key_secret"));
-        let remote = connect_to(&at, scope);
+        let remote = connect_to(&at, scope).with_timeout(TIMEOUT);
         let own = KeyPair::read(&own).unwrap();
         remote.with_keys(own, guarded.desk.public()).unwrap()
     };
@@ -175,7 +176,7 @@ fn rules_of_the_robot_and_of_the_endpoint_name_robot_scope_and_client() {
     guarded
         .agent
         .wait_for(&format!("for '/test' by {desk} for {anna}"));
-    let reason = |client: &mut RemoteTask| match client.trigger("nap", "for", "0") {
+    let reason = |client: &mut RemoteTask| match trigger(client, "nap", "for", "0") {
         Err(TriggerError::Rejected { reason, .. }) => reason,
         other => panic!("{other:?}"),
     };

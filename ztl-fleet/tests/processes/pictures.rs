@@ -5,10 +5,9 @@ use std::process::Command;
 
 use ztl_std::State;
 use ztl_std::keys::KeyPair;
-use ztl_tests::lab::{
-    PATIENCE, Process, Scratch, Server, connect_to, end, reserve_port, start, until, ztl,
-};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, end, reserve_port, until, ztl};
 
+use crate::requests::{client, start};
 use crate::{fleet, python};
 
 /// A fleet as in a picture: its files with the addresses of this machine.
@@ -96,7 +95,7 @@ impl Picture {
     fn assert_served(&self, robots: &[&str]) {
         for robot in robots {
             let scope = format!("/{robot}/test");
-            let mut remote = connect_to(&format!("tcp://127.0.0.1:{}", self.port), &scope);
+            let mut remote = client(self.port, &scope);
             until("the robot is served", PATIENCE, || {
                 let scopes = remote.describe().ok()??.scopes;
                 scopes.contains_key(&scope).then_some(())

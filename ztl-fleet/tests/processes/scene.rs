@@ -4,10 +4,10 @@ use std::process::Command;
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    LIMIT, PATIENCE, Process, Scratch, Server, Terminal, connect_to, end, original_tool, start,
-    until, ztl,
+    LIMIT, PATIENCE, Process, Scratch, Server, Terminal, connect_to, end, original_tool, until, ztl,
 };
 
+use crate::requests::{client, start, status};
 use crate::{Fleet, fleet};
 
 const ROBOTS: [&str; 5] = ["arm-1", "arm-2", "arm-3", "arm-4", "arm-5"];
@@ -26,7 +26,7 @@ impl Stage {
         let (mut servers, mut agents) = (Vec::new(), Vec::new());
         let mut remotes = "remotes:\n".to_owned();
         let mut steps =
-            [("wave", 4), ("bow", 0)].map(|(step, time)| (format!("  {step}:\n"), time));
+            [("wave", 8), ("bow", 0)].map(|(step, time)| (format!("  {step}:\n"), time));
         for robot in ROBOTS {
             let server = Server::naps();
             let file = fleet.scratch.path(format!("{robot}.yaml"));
@@ -58,8 +58,7 @@ impl Stage {
 
     /// A client of this robot through the endpoint.
     fn remote(&self, robot: &str) -> RemoteTask {
-        let endpoint = format!("tcp://127.0.0.1:{}", self.fleet.port);
-        connect_to(&endpoint, &format!("/{robot}/test"))
+        client(self.fleet.port, &format!("/{robot}/test"))
     }
 
     fn wait_there(&self, robot: &str) {
@@ -84,7 +83,8 @@ impl Stage {
         let id = until("the first step", PATIENCE, || {
             Some(direct.tasks().ok()??.tasks.first()?.id.clone())
         });
-        let status = self.remote("arm-5").status(id).unwrap();
+        let id = id.number().expect("a number");
+        let status = status(&mut self.remote("arm-5"), id);
         assert_eq!(status.state, State::Accepted);
         self.agents[4].signal("STOP");
     }

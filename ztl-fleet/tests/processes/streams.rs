@@ -8,11 +8,11 @@ use ztl_std::keys::KeyPair;
 use ztl_std::publish::Heard;
 use ztl_std::{Publisher, State, Subscriber};
 use ztl_tests::lab::{
-    PATIENCE, Process, Scratch, Server, end, in_time, original_tool, reserve_port, start, until,
-    ztl,
+    PATIENCE, Process, Scratch, Server, end, in_time, original_tool, reserve_port, until, ztl,
 };
 
 use crate::line::{Line, Mode};
+use crate::requests::{abort, start, status};
 use crate::web_client::Client;
 use crate::{Fleet, fleet, python};
 
@@ -477,10 +477,10 @@ fn assert_flood_is_bounded(streaming: &Streaming) {
             next_within(&mut quick, TURN).filter(|heard| heard.topic == "/arm/test/image")
         });
         let id = start(&mut remote, "nap", "for", "60");
-        in_time(SOON, || remote.status(id).unwrap());
+        in_time(SOON, || status(&mut remote, id));
         let id = in_time(2 * SOON, || {
             let id = start(&mut remote, "nap", "for", "60");
-            remote.abort(id).unwrap();
+            abort(&mut remote, id);
             id
         });
         assert_eq!(end(&mut remote, id).0, State::Aborted);
@@ -526,7 +526,11 @@ fn readings_of_a_gateway_are_heard_and_the_tasks_of_a_robot_are_recorded_and_rep
             .then_some(())
     });
     let recorder = recorder.signal_until_end("INT", PATIENCE);
-    assert!(!recorder.stderr.contains("warning"), "{recorder:?}");
+    // On a busy machine, it may connect late.
+    let mut warnings = recorder.stderr.lines().filter(|line| {
+        line.contains("warning") && !line.contains("not connected; it is recorded as soon as")
+    });
+    assert_eq!(warnings.next(), None, "{recorder:?}");
     let reported = Process::run(ztl().arg("report").arg(&file));
     assert_eq!(reported.code, Some(0), "{reported:?}");
     let page = std::fs::read_to_string(fleet.scratch.path("run.html")).unwrap();
