@@ -12,9 +12,10 @@ use ztl_fleet::wire::{AgentQuery, Verdict};
 use ztl_std::State;
 use ztl_tests::lab::{
     ACCEPTED, Ended, OriginalClient, PATIENCE, Process, Scratch, Server, connect_to, end,
-    reserve_port, start, until, ztl,
+    reserve_port, until, ztl,
 };
 
+use crate::requests::start;
 use crate::{Fleet, fleet};
 
 /// Ends a process by one signal.
@@ -64,10 +65,13 @@ fn watch_tells_who_comes_and_what_starts_and_ends_and_abort_ends_a_task() {
     }
     // A group that is misspelled is not a group that has stopped.
     std::fs::write(&file, text.replace("robots: [arm, leg]\n", "")).unwrap();
-    let stopped = Process::run(self::fleet(&["stop-all"], &file).args(["--group", "flor"]));
-    assert_eq!(stopped.code, Some(1), "{stopped:?}");
     let told = "no robot is known to belong to group 'flor'";
-    assert!(stopped.stderr.contains(told), "{stopped:?}");
+    // It asks for groups once, and a robot may be too late.
+    until(told, PATIENCE, || {
+        let stopped = Process::run(self::fleet(&["stop-all"], &file).args(["--group", "flor"]));
+        assert_eq!(stopped.code, Some(1), "{stopped:?}");
+        stopped.stderr.contains(told).then_some(())
+    });
     let agent = ended(agent, "TERM");
     assert_eq!(agent.code, Some(143), "{agent:?}");
     let stopped = Process::run(&mut self::fleet(&["stop-all"], &file));
@@ -215,10 +219,15 @@ fn stop_all_asks_nothing_before_it_stops() {
     let asked = asked.unwrap();
     let alive = robot.liveliness().declare_token(key("leg", AGENT, "alive"));
     let _alive = alive.wait().unwrap();
+    let other = session(&address);
+    until("the robot is there", PATIENCE, || {
+        let present = session::present(&other, "*", PATIENCE).unwrap();
+        (!present.is_empty()).then_some(())
+    });
     let file = scratch.path("endpoint.yaml");
     std::fs::write(&file, format!("routers: {address}\n")).unwrap();
     let stop = Process::start(&mut fleet(&["stop-all"], &file));
-    let query = asked.recv().unwrap();
+    let query = asked.recv_timeout(PATIENCE).unwrap().expect("a query");
     assert_eq!(query.key_expr().as_str(), key("leg", AGENT, "stop"));
     let told = r#"{"stopped":[],"running":[],"unknown":null}"#;
     query.reply(query.key_expr().clone(), told).wait().unwrap();

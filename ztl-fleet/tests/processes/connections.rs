@@ -14,9 +14,10 @@ use ztl_fleet::seal::agent_of;
 use ztl_fleet::session::{self, key};
 use ztl_std::State;
 use ztl_std::keys::KeyPair;
-use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, start, until};
+use ztl_tests::lab::{PATIENCE, Process, Scratch, Server, reserve_port, until};
 
 use crate::line::{Line, Mode};
+use crate::requests::{start, status};
 use crate::{Fleet, fleet, kill};
 
 /// A router's address where connections are accepted and nothing is said.
@@ -130,6 +131,16 @@ fn a_router_tells_which_routers_it_waits_for_and_when_they_are_there() {
     });
 }
 
+/// Waits until the router tells others that a robot is there.
+#[track_caller]
+fn wait_there(links: &Links) {
+    let other = session::open(links).unwrap();
+    until("the robot is there", PATIENCE, || {
+        let present = session::present(&other, "*", PATIENCE).unwrap();
+        (!present.is_empty()).then_some(())
+    });
+}
+
 fn links_to(router: &str) -> Links {
     Links {
         routers: vec![router.to_owned()],
@@ -168,11 +179,7 @@ fn a_list_asks_a_robot_again_whose_questions_are_lost() {
     let alive = robot.liveliness();
     let alive = alive.declare_token(key("arm", &agent, "alive"));
     let _alive = alive.wait().unwrap();
-    let other = session::open(&links).unwrap();
-    until("the robot is there", PATIENCE, || {
-        let present = session::present(&other, "*", PATIENCE).unwrap();
-        (!present.is_empty()).then_some(())
-    });
+    wait_there(&links);
     let file = scratch.path("endpoint.yaml");
     std::fs::write(&file, format!("routers: {address}\n")).unwrap();
     let listed = Process::run(&mut fleet(&["ls"], &file));
@@ -202,6 +209,7 @@ fn a_robot_that_is_late_does_not_refuse_a_request() {
         .liveliness()
         .declare_token(key("arm", &agent, "alive"));
     let _alive = alive.wait().unwrap();
+    wait_there(&links);
     let file = scratch.path("endpoint.yaml");
     let keys = "fleet-key: desk.key_secret\nrobots: {arm: {key: arm.key}}\n";
     std::fs::write(&file, format!("routers: {address}\n{keys}")).unwrap();
@@ -231,5 +239,5 @@ fn a_command_whose_output_nobody_reads_ends_quietly_and_stops_all_the_same() {
         assert_eq!(ended.status.code(), Some(1), "{ended:?}");
         assert!(ended.stderr.is_empty(), "{ended:?}");
     }
-    assert_eq!(remote.status(id).unwrap().state, State::Aborted);
+    assert_eq!(status(&mut remote, id).state, State::Aborted);
 }
