@@ -24,16 +24,23 @@ def ask():
     """Once a second, or nothing comes any more after 5 s."""
     global session_id, heard
     want = {"id": own, "session": session_id, "topics": [topic], "heard": heard}
-    reply = next(iter(session.get(f"{base}/streams", payload=json.dumps(want), timeout=2)))
-    granted = json.loads(reply.ok.payload.to_bytes())
+    told = []
+    # An agent on a busy machine may be too late.
+    while not told:
+        replies = session.get(f"{base}/streams", payload=json.dumps(want), timeout=2)
+        told = [reply.ok for reply in replies if reply.ok]
+    granted = json.loads(told[0].payload.to_bytes())
     if granted["session"] != session_id:
         session_id, heard = granted["session"], 0
         ask()
 
 
 with zenoh.open(config) as session:
-    alive = session.liveliness().get(f"ztl/{robot}/*/alive", timeout=5)
-    base = str(next(iter(alive)).ok.key_expr).removesuffix("/alive")
+    alive = []
+    while not alive:
+        replies = session.liveliness().get(f"ztl/{robot}/*/alive", timeout=5)
+        alive = [reply.ok for reply in replies if reply.ok]
+    base = str(alive[0].key_expr).removesuffix("/alive")
     arrived = queue.Queue()
     subscriber = session.declare_subscriber(f"{base}/streams/{own}", lambda sample: arrived.put(sample.payload.to_bytes()))
     left = int(count)
