@@ -22,7 +22,8 @@ const KEEP: Duration = Duration::from_secs(60);
 pub(super) const COPY: &str = "another machine has answered as this robot within the last minute";
 
 impl Shared {
-    /// The boot of another agent that has the same name and id, if it answers within `limit`: with a key, one that has this key.
+    /// The boot of another agent with the same name and id that answers within `limit`: with a key, one that has this
+    /// key.
     pub(super) fn others_with_id(&self, limit: Duration) -> Option<u32> {
         let (robot, session) = (&self.config.name, self.session.clone());
         let caller = match &self.config.identity {
