@@ -116,8 +116,10 @@ fn redirects_endless_answers_and_closed_connections_are_bounded_and_clear() {
     });
     let served = Served::new(
         &web,
-        "get: {http: {get: 'http://{robot}/{goal}', limit: 500 ms}},
-         post: {http: {post: 'http://{robot}/{goal}', limit: 500 ms}},
+        "get: {http: {get: 'http://{robot}/{goal}'}},
+         short-get: {http: {get: 'http://{robot}/{goal}', limit: 4 s}},
+         post: {http: {post: 'http://{robot}/{goal}'}},
+         short-post: {http: {post: 'http://{robot}/{goal}', limit: 4 s}},
          gone: {http: {post: 'http://127.0.0.1:1/x'}}",
     );
     assert_eq!(
@@ -132,13 +134,17 @@ fn redirects_endless_answers_and_closed_connections_are_bounded_and_clear() {
     for (component, goal, part) in [
         ("get", "far", "leads to 'http://127.0.0.1:"),
         ("get", "round", "it was redirected more than 3 times"),
-        ("get", "drip", "unknown: whether GET http://127.0.0.1:"),
+        (
+            "short-get",
+            "drip",
+            "unknown: whether GET http://127.0.0.1:",
+        ),
         (
             "post",
             "moved",
             "status 302, which leads to '/there' and is not followed: ",
         ),
-        ("post", "silent", "was done: no answer in time"),
+        ("short-post", "silent", "was done: no answer in time"),
         ("post", "half", "unknown: whether POST http://127.0.0.1:"),
         ("post", "close", "unknown: whether POST http://127.0.0.1:"),
         ("post", "garbage", "unknown: whether POST http://127.0.0.1:"),
@@ -190,8 +196,8 @@ fn what_may_be_repeated_is_and_progress_is_asked_until_it_is_over() {
         "shaky: {http: {post: 'http://{robot}/shaky', repeat: 5, done: [200, 201], result: id}},
          begin: {http: {post: 'http://{robot}/begin', done: 202, result: percent,
                         progress: {get: 'http://{robot}/state', every: 10 ms, until: {field: state, is: idle}, show: percent}}},
-         never: {http: {post: 'http://{robot}/begin', limit: 300 ms, abort: {post: 'http://{robot}/halt'},
-                        progress: {get: 'http://{robot}/never', every: 10 ms, until: {field: state, is: idle}}}},
+         never: {http: {post: 'http://{robot}/begin', limit: 4 s, abort: {post: 'http://{robot}/halt'},
+                        progress: {get: 'http://{robot}/never', every: 50 ms, until: {field: state, is: idle}}}},
          wrong: {http: {post: 'http://{robot}/begin', done: 200}},
          lacks: {http: {get: 'http://{robot}/never', result: stat}}",
     );
@@ -201,7 +207,7 @@ fn what_may_be_repeated_is_and_progress_is_asked_until_it_is_over() {
     assert_eq!(served.run("p", "shaky", ""), (Completed, "7".to_owned()));
     assert_eq!(web.asked("POST /shaky").len(), 3);
     assert_eq!(served.run("p", "begin", ""), (Completed, "100".to_owned()));
-    let late = "not over within 300 ms; it was aborted";
+    let late = "not over within 4 s; it was aborted";
     assert_eq!(served.run("p", "never", ""), (Failed, late.to_owned()));
     assert_eq!(web.asked("POST /halt").len(), 1);
     assert_eq!(
@@ -266,7 +272,7 @@ fn a_robot_that_is_idle_since_it_was_aborted_has_not_completed_its_task() {
         &web,
         "move: {http: {post: 'http://{robot}/move', abort: {post: 'http://{robot}/halt'},
                        progress: {get: 'http://{robot}/state', every: 1 ms, until: {field: state, is: idle}}}},
-         nap: {http: {post: 'http://{robot}/nap', for: 3 s, abort: {post: 'http://{robot}/mute'}}}",
+         nap: {http: {post: 'http://{robot}/nap', for: 6 s, abort: {post: 'http://{robot}/mute'}}}",
     );
     let (mut remote, task) = served.trigger("p", "move", "");
     web.wait_for("GET /state");

@@ -5,9 +5,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ztl_std::State::{Aborted, Completed, Failed, Rejected};
+use ztl_std::Subscriber;
 use ztl_tests::lab::{PATIENCE, end, until};
 
-use super::web::{Served, Socket, Web, Wire, next, say};
+use super::web::{Served, Socket, Web, Wire, say};
 
 /// How often a server looks whether it is to send something.
 const TICK: Duration = Duration::from_millis(20);
@@ -31,9 +32,9 @@ impl News {
         news.get(start..).unwrap_or_default().to_vec()
     }
 
-    /// Tells a WebSocket the news, from now on, until the client goes away.
-    fn tell(&self, socket: &mut Socket<'_>) {
-        let mut told = self.count();
+    /// Tells a WebSocket the news after the first `told`, until the client goes away. Count them before the client learns that
+    /// somebody listens: it may then do what makes news.
+    fn tell(&self, socket: &mut Socket<'_>, mut told: usize) {
         while socket.next(TICK).is_ok() {
             for text in self.from(told) {
                 told += 1;
@@ -60,8 +61,9 @@ fn an_event_ends_a_task_also_one_that_comes_before_the_answer() {
                 socket.next(PATIENCE).expect("a client")
             });
             assert!(wish.starts_with(r#"{"subscribe":"moves-"#), "{wish}");
+            let count = told.count();
             assert!(socket.send(r#"{"confirmed": true}"#));
-            told.tell(&mut socket);
+            told.tell(&mut socket, count);
         }
         "POST /move" => {
             let mut id = moves.lock().expect("a number");
@@ -122,7 +124,7 @@ fn an_event_from_before_the_answer_ends_no_task_that_it_does_not_name() {
             // What it does when somebody begins to listen.
             assert!(socket.send(r#"{"state": "idle"}"#));
             *read.lock().expect("a truth value") = socket.wait_until_read();
-            told.tell(&mut socket);
+            told.tell(&mut socket, told.count());
         }
         "POST /drive" => {
             until("the event is read", PATIENCE, || {
@@ -189,7 +191,7 @@ fn a_task_whose_events_are_lost_or_never_come_says_so() {
     });
     let component = |name: &str, rest: &str| {
         format!(
-            "{name}: {{http: {{post: 'http://{{robot}}/go', limit: 1 s, abort: {{post: 'http://{{robot}}/halt'}},
+            "{name}: {{http: {{post: 'http://{{robot}}/go', abort: {{post: 'http://{{robot}}/halt'}},
                       event: {{get: 'ws://{{robot}}/{name}', {rest}}}}}}}"
         )
     };
@@ -197,13 +199,14 @@ fn a_task_whose_events_are_lost_or_never_come_says_so() {
     let components = [
         component("closes", until_done),
         component("vanishes", until_done),
-        component("silent", until_done),
+        component("silent", until_done).replacen("{post", "{limit: 4 s, post", 1),
         component("huge", until_done),
         component("flood", until_done),
         component("none", until_done),
         component("sse", "until: {event: end}").replace("ws://", "http://"),
         component("text", "until: {event: end}").replace("ws://", "http://"),
-        format!("wait: {{http: {{limit: 500 ms, event: {{get: 'ws://{{robot}}/silent', {until_done}}}}}}}"),
+        format!("wait: {{http: {{limit: 4 s, event: {{get: 'ws://{{robot}}/silent', {until_done}}}}}}}"),
+        format!("aborted: {{http: {{limit: 1 min, event: {{get: 'ws://{{robot}}/silent', {until_done}}}}}}}"),
         "unready: {http: {post: 'http://{robot}/never', event: {get: 'ws://{robot}/silent', ready: {has: x}, until: {has: y}}, limit: 1 s}}".to_owned(),
         "gone: {http: {post: 'http://{robot}/never', event: {get: 'ws://127.0.0.1:1/', until: {has: y}}}}".to_owned(),
     ];
@@ -225,7 +228,7 @@ fn a_task_whose_events_are_lost_or_never_come_says_so() {
         (
             "silent",
             Failed,
-            "not over within 1 s; it was aborted".to_owned(),
+            "not over within 4 s; it was aborted".to_owned(),
         ),
         ("huge", Failed, "a message is longer than 64 KiB".to_owned()),
         ("flood", Completed, "{'done': True}".to_owned()),
@@ -240,7 +243,7 @@ fn a_task_whose_events_are_lost_or_never_come_says_so() {
             Rejected,
             "no events: expected text/event-stream".to_owned(),
         ),
-        ("wait", Failed, "no such event within 500 ms".to_owned()),
+        ("wait", Failed, "no such event within 4 s".to_owned()),
         (
             "unready",
             Failed,
@@ -259,7 +262,7 @@ fn a_task_whose_events_are_lost_or_never_come_says_so() {
         );
     }
     assert!(web.asked("POST /never").is_empty());
-    let (mut remote, task) = served.trigger("p", "wait", "");
+    let (mut remote, task) = served.trigger("p", "aborted", "");
     remote.abort(task).expect("an answer");
     assert_eq!(end(&mut remote, task).0, Aborted);
 }
@@ -269,7 +272,10 @@ fn streams_of_events_are_picked_from_and_connect_again() {
     let news = News::default();
     let told = news.clone();
     let web = Web::start(move |request, wire| match request.0.as_str() {
-        "GET /ws" => told.tell(&mut Socket::accept(request, wire)),
+        "GET /ws" => {
+            let count = told.count();
+            told.tell(&mut Socket::accept(request, wire), count);
+        }
         // It answers no ping, since it never reads.
         "GET /dead" => {
             let mut socket = Socket::accept(request, wire);
@@ -341,15 +347,24 @@ streams: {{/test: {{
             web.port
         ));
     }
+    is_told(&news, "1", &mut small, "1");
     // All connect again after the server has closed; what is not JSON is a text.
     let count = web.asked("GET /ws").len();
     news.add("close");
     until("new connections", PATIENCE, || {
         (web.asked("GET /ws").len() >= count + 3).then_some(())
     });
-    until("the text", PATIENCE, || {
-        news.add("plain words");
-        (next(&mut all) == "'plain words'").then_some(())
+    is_told(&news, "plain words", &mut all, "'plain words'");
+}
+
+/// Adds this to the news until a subscriber is told it. What is added before its stream is connected is lost.
+#[track_caller]
+fn is_told(news: &News, text: &str, values: &mut Subscriber, shown: &str) {
+    until(shown, PATIENCE, || {
+        news.add(text);
+        let heard = values.next_within(Duration::from_millis(100));
+        let value = heard.expect("it can wait")?.value().expect("plain data");
+        (value.value().repr().to_string() == shown).then_some(())
     });
 }
 

@@ -43,7 +43,7 @@ fn a_request_without_an_answer_is_aborted() {
     });
     let served = Served::new(
         &web,
-        "drive: {http: {post: 'http://{robot}/drive', limit: 300 ms, abort: {post: 'http://{robot}/halt'}}}",
+        "drive: {http: {post: 'http://{robot}/drive', limit: 4 s, abort: {post: 'http://{robot}/halt'}}}",
     );
     let (state, text) = served.run("p", "drive", "");
     let expected = "unknown: an abort was sent, but whether POST http://127.0.0.1:";

@@ -204,7 +204,9 @@ fn the_example_for_misty_shows_moves_drives_and_halts() {
     );
 
     let (mut remote, task) = misty.trigger("base", "drive", "{speed: 10, ms: 10000}");
-    web.wait_for("POST /api/drive/time");
+    until("the second drive", PATIENCE, || {
+        web.asked("POST /api/drive/time").get(1).cloned()
+    });
     remote.abort(task).expect("an answer");
     assert_eq!(end(&mut remote, task), (Aborted, "aborted".to_owned()));
     assert!(!web.asked("POST /api/halt").is_empty());
@@ -246,14 +248,23 @@ fn misty_has_spoken_when_its_event_says_so_and_its_events_are_streams() {
         assert_eq!(value.value().repr().to_string(), shown);
         Some(())
     });
+    // The task may have subscribed later than the stream.
+    until("a touch ends the task", PATIENCE, || {
+        robot.raise("TouchSensor", message.clone());
+        waits.status(touch).ok()?.state.is_final().then_some(())
+    });
     assert_eq!(end(&mut waits, touch), (Completed, "Chin".to_owned()));
-    robot.raise(
-        "BatteryCharge",
-        json!({"chargePercent": 0.5, "state": "Charging"}),
-    );
-    // The newest value also reaches who subscribes late.
-    let level = next(&mut misty.subscribe("/misty/battery"));
-    assert_eq!(level, "{'chargePercent': 0.5, 'state': 'Charging'}");
+    until("the level", PATIENCE, || {
+        let message = json!({"chargePercent": 0.5, "state": "Charging"});
+        robot.raise("BatteryCharge", message);
+        // The newest value also reaches who subscribes late.
+        let mut level = misty.subscribe("/misty/battery");
+        let heard = level.next_within(Duration::from_secs(1));
+        let value = heard.expect("it can wait")?.value().expect("plain data");
+        let shown = "{'chargePercent': 0.5, 'state': 'Charging'}";
+        assert_eq!(value.value().repr().to_string(), shown);
+        Some(())
+    });
     robot.raise("FaceRecognition", json!({"label": "Ada", "trackId": 0}));
 }
 
@@ -301,8 +312,9 @@ fn reachy() -> (Web, Arc<Mutex<Vec<Value>>>) {
         let body: Value = serde_json::from_str(&request.2).unwrap_or_default();
         match request.0.as_str() {
             "GET /api/move/ws/updates" => {
-                let mut socket = Socket::accept(request, wire);
+                // A move may begin as soon as the client is accepted.
                 let mut count = told.lock().expect("updates").len();
+                let mut socket = Socket::accept(request, wire);
                 while socket.next(TICK).is_ok() {
                     let new: Vec<_> = told.lock().expect("updates")[count..].to_vec();
                     count += new.len();
