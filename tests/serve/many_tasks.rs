@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use ztl_std::{
-    ExecutableTask, Limits, RemoteTask, State, TaskContext, TaskController, TaskError, TaskRequest,
-    TaskServer, TaskSpec,
+    ExecutableTask, Limits, State, TaskContext, TaskController, TaskError, TaskRequest, TaskServer,
+    TaskSpec,
 };
 use ztl_tests::lab::{
     ACCEPTED, OriginalClient, PATIENCE, SCOPE, Server, busy, connect, number, port_of, serve, until,
@@ -85,7 +85,7 @@ fn running_tasks_goals_that_fill_the_memory_are_rejected() {
     let mut server = server.expect("a port");
     server.register(SCOPE, gate.clone());
     let server = server.spawn().expect("a thread");
-    let mut remote = RemoteTask::connect(server.endpoint(), SCOPE).expect("an address");
+    let mut remote = connect(server.endpoint());
     let goal = "x".repeat(50_000);
     let mut taken = Vec::new();
     let rejected = loop {

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use ztl_std::{RequestError, State};
-use ztl_tests::lab::{PATIENCE, built, busy, process_status};
+use ztl_std::{RequestError, State, TaskId};
+use ztl_tests::lab::{built, busy, process_status};
 
-use crate::rig::Rig;
+use crate::rig::{Rig, end, trigger};
 
 /// The memory of a process, in KiB: in total, and without program and libraries.
 fn resident(process: u32) -> [u64; 2] {
@@ -80,13 +80,13 @@ fn long_results_take_no_more_memory_than_the_limit() {
          runs: {run: [sleep, '3600']}",
     );
     let mut remote = rig.remote();
-    let running = remote.trigger("p", "runs", "").expect("taken").id;
+    let running = trigger(&mut remote, "runs", "");
     let [at_start, _] = resident(rig.server.process.id());
     let ids: Vec<_> = (0..300)
         .map(|_| {
-            let id = remote.trigger("p", "long", "").expect("taken").id;
-            let end = remote.wait(&id, Some(PATIENCE)).expect("its end");
-            assert_eq!((end.state, end.text.len()), (State::Completed, 700_000));
+            let id = trigger(&mut remote, "long", "");
+            let (state, text) = end(&mut remote, id);
+            assert_eq!((state, text.len()), (State::Completed, 700_000));
             id
         })
         .collect();
@@ -95,13 +95,13 @@ fn long_results_take_no_more_memory_than_the_limit() {
     println!("300 results of 700,000 bytes: {grown} KiB");
     // 205 MiB of results. The rest is in flight or kept by the allocator.
     assert!(grown < (64 + 32) << 10, "{grown} KiB");
-    let mut state = |id| remote.status(id).map(|status| status.state);
-    assert_eq!(state(&running), Ok(State::Accepted));
+    let mut state = |id: TaskId| remote.status(id).map(|status| status.state);
+    assert_eq!(state(running), Ok(State::Accepted));
     assert!(matches!(
-        state(&ids[0]),
+        state(ids[0]),
         Err(RequestError::UnknownTask { .. })
     ));
-    for id in ids.iter().rev().take(50) {
+    for id in ids.into_iter().rev().take(50) {
         assert_eq!(state(id), Ok(State::Completed));
     }
 }

@@ -6,7 +6,13 @@ use std::process::Command;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, RunError, State, Status, TaskId, TriggerError};
-use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, signal, until, ztl};
+use ztl_tests::lab::{
+    ABORTED, ACCEPTED, Answer, OriginalClient, PATIENCE, SCOPE, Scratch, Server, connect, signal,
+    until, ztl,
+};
+
+/// Part of the answer to an INIT that the server did not hold until the task was decided.
+const UNDECIDED: &str = "nobody has taken it yet";
 
 /// `ztl serve` with its own file, in the directory in which its programs run.
 pub struct Rig {
@@ -57,21 +63,7 @@ impl Rig {
     /// Runs a task and returns its outcome.
     #[track_caller]
     pub fn run(&self, component: &str, goal: &str) -> (State, String) {
-        let mut remote = self.remote();
-        until(
-            "a watchdog that has time to confirm",
-            PATIENCE,
-            || match remote.run("p", component, goal, Some(PATIENCE)) {
-                Ok(Status { text, .. }) if is_starved(&text) => None,
-                Err(RunError::NotStarted(TriggerError::Rejected { reason, .. }))
-                    if is_starved(&reason) =>
-                {
-                    None
-                }
-                Ok(status) => Some(told(status)),
-                Err(error) => panic!("{component}:{goal}: {error}"),
-            },
-        )
+        run_task(&mut self.remote(), ["p", component, goal])
     }
 
     /// Why a task is rejected.
@@ -165,25 +157,175 @@ pub fn told(status: Status) -> (State, String) {
     (status.state, status.text)
 }
 
+/// Runs a task to its end. Repeats it if the machine was too busy to start it.
 #[track_caller]
-pub fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
-    let task = remote.trigger("p", component, goal);
-    let task = task.unwrap_or_else(|error| panic!("{component}:{goal}: {error}"));
-    task.id.number().expect("a task id")
+pub fn run_task(remote: &mut RemoteTask, [handler, component, goal]: [&str; 3]) -> (State, String) {
+    until(
+        "a watchdog that confirms in time",
+        PATIENCE,
+        || match remote.run(handler, component, goal, Some(PATIENCE)) {
+            Ok(status) => (!is_starved(&status.text)).then(|| told(status)),
+            Err(RunError::NotStarted(TriggerError::Rejected { reason, .. }))
+                if is_starved(&reason) =>
+            {
+                None
+            }
+            Err(error) => panic!("{handler}:{component}:{goal}: {error}"),
+        },
+    )
 }
 
+/// Starts a task of the handler `p`, as [`trigger_task`] does.
+#[track_caller]
+pub fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
+    trigger_task(remote, ["p", component, goal])
+}
+
+/// Starts a task. Repeats it if the machine was too busy to start it.
+#[track_caller]
+pub fn trigger_task(remote: &mut RemoteTask, task: [&str; 3]) -> TaskId {
+    until("a watchdog that confirms in time", PATIENCE, || {
+        try_trigger(remote, task)
+    })
+}
+
+/// Starts a task. `None` if the machine was too busy to start it.
+#[track_caller]
+pub fn try_trigger(
+    remote: &mut RemoteTask,
+    [handler, component, goal]: [&str; 3],
+) -> Option<TaskId> {
+    match remote.trigger(handler, component, goal) {
+        Ok(task) => {
+            let id = task.id.number().expect("a task id");
+            is_started(remote, id, &task.reply).then_some(id)
+        }
+        Err(TriggerError::Rejected { reason, .. }) if is_starved(&reason) => None,
+        Err(error) => panic!("{handler}:{component}:{goal}: {error}"),
+    }
+}
+
+/// Whether a task with this answer to its INIT was started. On a busy machine, the answer may precede that.
+#[track_caller]
+fn is_started(remote: &mut RemoteTask, id: TaskId, reply: &str) -> bool {
+    !reply.contains(UNDECIDED) || was_started(remote, id)
+}
+
+/// Waits until a task is decided. Returns whether it was started, and not rejected because the machine was too busy.
+#[track_caller]
+pub fn was_started(remote: &mut RemoteTask, id: TaskId) -> bool {
+    until("the task is decided", PATIENCE, || {
+        let status = remote.status(id).ok()?;
+        (status.state != State::Initiated).then(|| !is_starved(&status.text))
+    })
+}
+
+/// Why a task of the handler `p` is rejected, as [`rejection_of`] returns it.
 #[track_caller]
 pub fn rejection(remote: &mut RemoteTask, component: &str, goal: &str) -> String {
-    match remote.trigger("p", component, goal) {
-        Err(TriggerError::Rejected { reason, .. }) => reason,
-        other => panic!("{component}:{goal}: {other:?}"),
+    rejection_of(remote, ["p", component, goal])
+}
+
+/// Why a task is rejected. Repeats it if the machine was too busy to decide it in time.
+#[track_caller]
+pub fn rejection_of(remote: &mut RemoteTask, task: [&str; 3]) -> String {
+    until("a rejection in time", PATIENCE, || {
+        rejected(remote, task).filter(|reason| !is_starved(reason))
+    })
+}
+
+/// Why a task is rejected. `None` if the INIT was answered before the task was decided; then its end is waited for.
+#[track_caller]
+pub fn rejected(remote: &mut RemoteTask, [handler, component, goal]: [&str; 3]) -> Option<String> {
+    match remote.trigger(handler, component, goal) {
+        Err(TriggerError::Rejected { reason, .. }) => Some(reason),
+        Ok(task) if task.reply.contains(UNDECIDED) => {
+            let _ = remote.wait(task.id, Some(PATIENCE));
+            None
+        }
+        other => panic!("{handler}:{component}:{goal}: {other:?}"),
     }
+}
+
+/// Starts a task with the original's client, which gives up after 2 s. Repeats it if the machine was too busy.
+#[track_caller]
+pub fn start_originally(
+    client: &mut OriginalClient,
+    remote: &mut RemoteTask,
+    [handler, component, goal]: [&str; 3],
+) -> i64 {
+    until("the original's client starts a task", PATIENCE, || {
+        let answer = client.trigger(handler, component, goal);
+        let id = u32::try_from(answer.number).ok().and_then(TaskId::new);
+        let Some(id) = id else {
+            // The task may run although the client has given up, and be in the way of the next.
+            let is_busy = answer.text.contains(" is busy with task ");
+            let is_late = is_given_up(&answer) || is_starved(&answer.text) || is_busy;
+            assert!(is_late, "{handler}:{component}:{goal}: {answer:?}");
+            abort_all(remote);
+            return None;
+        };
+        is_started(remote, id, &answer.text).then_some(answer.number)
+    })
+}
+
+/// Starts a task with the original's client and aborts it. Repeats that until the answer to the ABORT says that the task has
+/// ended: a busy machine may answer before. Returns the task's id.
+#[track_caller]
+pub fn abort_originally(
+    client: &mut OriginalClient,
+    remote: &mut RemoteTask,
+    task: [&str; 3],
+) -> i64 {
+    until(
+        "the answer to an ABORT comes after the end",
+        PATIENCE,
+        || {
+            let id = start_originally(client, remote, task);
+            let answer = client.abort(id);
+            if answer == (ABORTED, "True") {
+                return Some(id);
+            }
+            let is_late = answer == (ACCEPTED, "aborting") || is_given_up(&answer);
+            assert!(is_late, "{task:?}: {answer:?}");
+            abort_all(remote);
+            None
+        },
+    )
+}
+
+/// Whether the original's client has given up waiting for this answer.
+pub fn is_given_up(answer: &Answer) -> bool {
+    answer.number == -1 && answer.text.starts_with("Again(")
+}
+
+/// Aborts all tasks, and waits until none runs.
+#[track_caller]
+fn abort_all(remote: &mut RemoteTask) {
+    until("no task runs", PATIENCE, || {
+        let mut tasks = remote.tasks().ok()??.tasks;
+        tasks.retain(|task| task.may_run);
+        for task in &tasks {
+            // The next round shows whether it has ended.
+            let _ = remote.abort(&task.id);
+        }
+        tasks.is_empty().then_some(())
+    });
 }
 
 /// Waits for a task's end.
 #[track_caller]
 pub fn end(remote: &mut RemoteTask, id: TaskId) -> (State, String) {
     told(remote.wait(id, Some(PATIENCE)).expect("its end"))
+}
+
+/// Aborts a task and waits for its end, which a busy machine may reach after the answer to the ABORT. Returns its text.
+#[track_caller]
+pub fn abort(remote: &mut RemoteTask, id: TaskId) -> String {
+    remote.abort(id).expect("an answer");
+    let (state, text) = end(remote, id);
+    assert_eq!(state, State::Aborted, "{text}");
+    text
 }
 
 /// Waits until a task reports this progress. (The text of a task without progress is `None`, which

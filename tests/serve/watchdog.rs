@@ -3,10 +3,10 @@
 use std::process::Command;
 
 use ztl_serve::{Config, ProcessRegistry};
-use ztl_std::{RemoteTask, RunningServer, State, TaskServer, TriggerError};
-use ztl_tests::lab::{PATIENCE, Scratch, until};
+use ztl_std::{RunningServer, State, TaskServer};
+use ztl_tests::lab::{PATIENCE, Scratch, connect, until};
 
-use crate::rig::{end, rejection};
+use crate::rig::{end, rejected, try_trigger};
 
 const FILE: &str = "
 scopes:
@@ -43,12 +43,15 @@ fn without_the_watchdogs_confirmation_only_programs_are_rejected() {
         "echo ready >&0; exec sleep 600",
     ] {
         let (scratch, server, endpoint) = serve(watchdog);
-        let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
-        let mut other = RemoteTask::connect(&endpoint, "/test").expect("an address");
-        let rejected = std::thread::spawn(move || rejection(&mut remote, "go", ""));
+        let [mut remote, mut other] = [(); 2].map(|()| connect(&endpoint));
+        let rejection = std::thread::spawn(move || {
+            until("a rejection in time", PATIENCE, || {
+                rejected(&mut remote, ["p", "go", ""])
+            })
+        });
         let ran = other.run("p", "echo", "heard", Some(PATIENCE));
         assert_eq!(ran.expect("its end").state, State::Completed);
-        let reason = rejected.join().expect("a reason");
+        let reason = rejection.join().expect("a reason");
         assert_eq!(
             reason, "not started: the watchdog has not confirmed within 1200 ms; try again",
             "{watchdog}"
@@ -60,31 +63,29 @@ fn without_the_watchdogs_confirmation_only_programs_are_rejected() {
 
 #[test]
 fn an_abort_before_the_watchdogs_confirmation_starts_nothing() {
-    // It confirms only the first program.
-    let (scratch, _server, endpoint) = serve(
-        "echo 0 >&0; read line; echo 1 >&0
-        while read line; do case $line in *Begins*) echo > held; exec sleep 600;; esac; done",
-    );
-    let mut remote = RemoteTask::connect(&endpoint, "/test").expect("an address");
-    let mut start = || match remote.trigger("p", "go", "") {
-        Ok(task) => Ok(task.id.number().expect("a task id")),
-        Err(TriggerError::Rejected { reason, .. }) => Err(reason),
-        Err(other) => panic!("{other}"),
-    };
-    let first = start().expect("taken");
-    let second = start().expect("it waits");
-    std::fs::write(scratch.path("go"), "").expect("to write");
-    until("the watchdog hears of the second", PATIENCE, || {
-        scratch.path("held").exists().then_some(())
+    until("the first program is confirmed in time", PATIENCE, || {
+        // It confirms only the first program.
+        let (scratch, _server, endpoint) = serve(
+            "echo 0 >&0; read line; echo 1 >&0
+            while read line; do case $line in *Begins*) echo > held; exec sleep 600;; esac; done",
+        );
+        let mut remote = connect(&endpoint);
+        let first = try_trigger(&mut remote, ["p", "go", ""])?;
+        let second = try_trigger(&mut remote, ["p", "go", ""]).expect("it waits");
+        std::fs::write(scratch.path("go"), "").expect("to write");
+        until("the watchdog hears of the second", PATIENCE, || {
+            scratch.path("held").exists().then_some(())
+        });
+        remote.abort(second).expect("an answer");
+        assert_eq!(end(&mut remote, first).0, State::Completed);
+        // On a busy machine the confirmation may have timed out first.
+        let (state, text) = end(&mut remote, second);
+        if state != State::Failed {
+            let aborted = (State::Aborted, "aborted before it began");
+            assert_eq!((state, text.as_str()), aborted);
+        }
+        let begun = std::fs::read_to_string(scratch.path("begun")).expect("the first began");
+        assert_eq!(begun, "begun\n");
+        Some(())
     });
-    let aborted = remote.abort(second).expect("an answer");
-    assert_eq!(end(&mut remote, first).0, State::Completed);
-    // On a busy machine the confirmation may have timed out first.
-    let (state, text) = end(&mut remote, second);
-    if state != State::Failed {
-        assert_eq!(aborted.state, State::Aborted, "{aborted:?}");
-        assert_eq!(text, "aborted before it began");
-    }
-    let begun = std::fs::read_to_string(scratch.path("begun")).expect("the first began");
-    assert_eq!(begun, "begun\n");
 }

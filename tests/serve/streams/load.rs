@@ -159,8 +159,7 @@ fn a_flood_of_frames_leaves_room_for_other_streams_and_for_tasks() {
     let process = &robot.rig.server.process;
     let mut tick = robot.subscribe("/robot/tick");
     let mut events = robot.subscribe("/robot/$tasks");
-    let endpoint = robot.rig.server.endpoint();
-    let mut remote = ztl_std::RemoteTask::connect(&endpoint, "/robot").expect("an address");
+    let mut remote = connect_to(&robot.rig.server.endpoint(), "/robot");
     // Until its subscription has arrived.
     until("an event", PATIENCE, || {
         let ended = remote.run("h", "echo", "first", Some(PATIENCE));
