@@ -17,7 +17,7 @@ use crate::rig::{Rig, dies, end, kill, lives, progress, start, told, trigger};
 fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
     let mut rig = Rig::new(
         r#"
-        careful: {run: [sh, -c, 'trap "sleep 0.3; echo parked > parked; exit" INT; echo $$ > careful; while :; do sleep 0.02; done'], abort: INT}
+        careful: {run: [sh, -c, 'trap "sleep 0.3; echo parked > parked; exit" INT; echo $$ > careful; while :; do sleep 0.02; done'], abort: {signal: INT, grace: 20 s}}
         stubborn: {run: [sh, -c, 'trap "" TERM; (sleep 60) & echo $! > child; echo $$ > stubborn; while :; do sleep 0.02; done'], abort: {grace: 500 ms}}
         driver: {run: [sh, -c, 'echo $$ > driver; until [ -e halt ]; do sleep 0.02; done; rm driver'], abort: {run: [sh, -c, 'echo "$0 $ZTL_GOAL" > halt; sleep 0.1; echo > stopped', '{id}'], grace: 10 s}}
         stopped: {run: [sh, -c, 'echo $$ > halted; kill -STOP $$'], abort: {grace: 100 ms}}
@@ -47,11 +47,11 @@ fn every_program_gets_sigterm_and_is_killed_after_its_grace() {
         dies(process);
     }
     assert!(begun.elapsed() >= Duration::from_millis(500));
-    assert!(!rig.scratch.path("driver").exists());
     rig.server
         .process
         .wait_for("The server has ended and left programs behind. Stopping them.");
     rig.server.process.wait_for("have ended.");
+    assert!(!rig.scratch.path("driver").exists());
     // The waiting task never started, and the process that may stay still runs.
     assert_eq!(rig.written("begun").lines().count(), 1);
     assert!(lives(rig.process("left")));
@@ -180,15 +180,33 @@ fn a_watchdog_ignores_every_signal_it_can() {
     );
     trigger(&mut rig.remote(), "go", "");
     let process = rig.process("pid");
-    let first = rig.watchdog();
-    for name in [
-        "HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE", "TSTP", "TTIN", "TTOU",
-    ] {
-        signal(first, name);
-    }
-    // A signal takes effect before the watchdog confirms anything else.
-    assert_eq!(rig.run("other", ""), (Completed, String::new()));
-    assert_eq!(rig.watchdog(), first);
+    let replaced = || {
+        let log = rig.server.process.stderr();
+        let lines = log
+            .lines()
+            .filter(|line| line.contains("Replacing the watchdog"));
+        lines.map(str::to_owned).collect::<Vec<_>>()
+    };
+    until("a watchdog that answers in time", PATIENCE, || {
+        let before = replaced().len();
+        let first = rig.watchdog();
+        for name in [
+            "HUP", "INT", "TERM", "QUIT", "USR1", "USR2", "ALRM", "PIPE", "TSTP", "TTIN", "TTOU",
+        ] {
+            signal(first, name);
+        }
+        // A signal takes effect before the watchdog confirms anything else.
+        assert_eq!(rig.run("other", ""), (Completed, String::new()));
+        if rig.watchdog() == first {
+            return Some(());
+        }
+        // On a busy machine it may be silent for longer than the server waits.
+        let line = until("the log says why it was replaced", PATIENCE, || {
+            replaced().get(before).cloned()
+        });
+        assert!(line.ends_with("no answer in time"), "{line}");
+        None
+    });
     rig.server.process.kill();
     dies(process);
 }
@@ -278,9 +296,7 @@ fn a_suspended_watchdog_is_replaced_before_another_program_starts() {
     trigger(&mut remote, "go", "");
     let first = rig.watchdog();
     signal(first, "STOP");
-    until("the program is started", PATIENCE, || {
-        remote.trigger("p", "go", "").ok()
-    });
+    trigger(&mut remote, "go", "");
     assert!(!lives(first));
     rig.server.process.kill();
     rig.wait_deserted("after the kill");
@@ -362,7 +378,7 @@ fn a_resumed_server_learns_what_its_programs_did() {
     let rig = Rig::new(
         r#"
         go: {run: [sh, -c, 'echo "@ on"; until [ -e go ]; do sleep 0.01; done; echo done > done; echo done'], progress: '@ ', at-once: 2}
-        limited: {run: [sh, -c, 'echo "@ on"; exec sleep 60'], progress: '@ ', limit: 400 ms}
+        limited: {run: [sh, -c, 'echo "@ on"; exec sleep 60'], progress: '@ ', limit: 5 s, abort: {grace: 20 s}}
         "#,
     );
     let mut remote = rig.remote();
@@ -373,6 +389,7 @@ fn a_resumed_server_learns_what_its_programs_did() {
     };
     let ends = started("go");
     let limited = started("limited");
+    let begun = Instant::now();
     let mut impatient = impatient(&rig, ends);
     rig.server.process.signal("STOP");
     let silent = impatient.status(ends).expect_err("nobody answers");
@@ -383,10 +400,11 @@ fn a_resumed_server_learns_what_its_programs_did() {
     // Both end, or should end, while the server is suspended.
     std::fs::write(rig.scratch.path("go"), "").expect("to write");
     rig.written("done");
+    std::thread::sleep(Duration::from_secs(5).saturating_sub(begun.elapsed()));
     rig.server.process.signal("CONT");
     assert_eq!(end(&mut remote, ends), (Completed, "done".to_owned()));
     let (_, text) = end(&mut remote, limited);
-    assert_eq!(text, "not done within 400 ms");
+    assert_eq!(text, "not done within 5 s");
 }
 
 #[test]

@@ -16,7 +16,7 @@ fn a_program_of_another_user_has_only_that_users_rights() {
         home: {run: [sh, -c, 'echo "$HOME $USER $LOGNAME"'], user: nobody}
         secret: {run: [cat, /etc/shadow], user: nobody, result: nothing}
         mine: [sh, -c, 'echo "$(id -un) $(id -G)"']
-        stays: {run: [sh, -c, 'echo "@ $$"; trap "" TERM; while :; do sleep 0.02; done'], user: nobody, progress: '@ ', abort: {run: [sh, -c, 'id -un > aborter'], grace: 200 ms}}
+        stays: {run: [sh, -c, 'echo "@ $$"; trap "" TERM; until [ -s aborter ]; do sleep 0.02; done'], user: nobody, progress: '@ ', abort: {run: [sh, -c, 'id -un > aborter'], grace: 10 s}}
         "#,
     );
     let id = |options: &str| {
@@ -150,7 +150,7 @@ fn many_noisy_children_are_read_within_limits_and_delay_no_other() {
         remote.abort(task).expect("an answer");
         remote.wait(task, Some(PATIENCE)).expect("its end");
     }
-    assert!(rig.at_home().is_empty());
+    rig.wait_deserted("after the aborts");
 }
 
 #[test]
