@@ -7,8 +7,8 @@ use ztl_std::TaskId;
 use ztl_tests::lab::{ABORTED, ACCEPTED, PATIENCE, Process, busy, our_client, until, ztl};
 
 use crate::rig::{
-    Rig, abort, abort_originally, dies, end, is_given_up, is_starved, kill, lives, progress,
-    start_originally, told, trigger, was_started,
+    Rig, abort, abort_originally, answered, dies, end, is_given_up, is_starved, kill, lives,
+    progress, start_originally, told, trigger, was_started,
 };
 
 /// Starts `ztl task-client` with a task and waits until it prints this. Repeats it if the machine was too busy to start the
@@ -48,9 +48,7 @@ fn a_program_that_handles_the_signal_is_aborted_with_its_last_output() {
     });
     let mut client = rig.server.original_client();
     let id = abort_originally(&mut client, &mut remote, ["p", "term", ""]);
-    until("its status", PATIENCE, || {
-        (client.status(id) == (ABORTED, "aborted")).then_some(())
-    });
+    assert_eq!(answered(|| client.status(id)), (ABORTED, "aborted"));
 }
 
 #[test]
@@ -195,7 +193,7 @@ fn a_slow_abort_is_answered_before_it_completes() {
         assert_eq!(answer, (ACCEPTED, "aborting"));
         Some((id, process))
     });
-    assert_eq!(client.wait(id, 20.0).number, ABORTED);
+    assert_eq!(answered(|| client.wait(id, 20.0)).number, ABORTED);
     dies(process);
 }
 

@@ -2,10 +2,10 @@
 
 use std::process::Command;
 
-use ztl_std::State::{Aborted, Completed, Failed};
+use ztl_std::State::{Completed, Failed};
 use ztl_tests::lab::{COMPLETED, FAILED, Process, SCOPE, Scratch, built, ztl};
 
-use crate::rig::{Rig, end, trigger};
+use crate::rig::{Rig, abort, answered, end, start_originally, trigger};
 
 #[test]
 fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
@@ -112,11 +112,12 @@ fn the_result_is_the_last_line_all_json_or_nothing() {
     let (state, reason) = rig.run("bad", "{a: 1}");
     assert_eq!(state, Failed);
     assert!(reason.starts_with("its output is not JSON: "), "{reason}");
-    let mut client = rig.server.original_client();
-    let id = client.start("p", "json", "");
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "[1, True, {'a': None}]"));
-    let id = client.start("p", "bad", "{");
-    assert_eq!(client.wait(id, 20.0).number, FAILED);
+    let (mut client, mut remote) = (rig.server.original_client(), rig.remote());
+    let id = start_originally(&mut client, &mut remote, ["p", "json", ""]);
+    let json = answered(|| client.wait(id, 20.0));
+    assert_eq!(json, (COMPLETED, "[1, True, {'a': None}]"));
+    let id = start_originally(&mut client, &mut remote, ["p", "bad", "{"]);
+    assert_eq!(answered(|| client.wait(id, 20.0)).number, FAILED);
 }
 
 #[test]
@@ -150,7 +151,7 @@ fn endless_and_non_utf8_output_is_handled() {
         line: {run: [sh, -c, 'head -c 5000000 /dev/zero | tr "\0" x'], output: 100 bytes}
         noise: {run: [sh, -c, 'head -c 100000 /dev/urandom; printf "\nb\377\000end\n"']}
         errors: {run: [sh, -c, 'head -c 5000000 /dev/urandom >&2; printf "\nlast\n" >&2; exit 1']}
-        endless: {run: [yes], limit: 300 ms}
+        endless: {run: [yes], limit: 300 ms, abort: {grace: 20 s}}
         "#,
     );
     assert_eq!(rig.run("flood", ""), (Completed, "the end".to_owned()));
@@ -185,7 +186,7 @@ fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
         reads: [sh, -c, 'cat; echo read']
         ignored: [sh, -c, 'grep SigIgn /proc/self/status | cut -f 2']
         pipe: [sh, -c, 'yes | head -n 1']
-        quit: {run: [sh, -c, 'trap "echo heard; exit 0" QUIT; echo $$ > pid; while :; do sleep 0.01; done'], abort: QUIT}
+        quit: {run: [sh, -c, 'trap "echo heard; exit 0" QUIT; echo $$ > pid; while :; do sleep 0.01; done'], abort: {signal: QUIT, grace: 20 s}}
         "#;
     let rig = Rig::of_command(ztl_in_background, components);
     assert_eq!(rig.run("reads", ""), (Completed, "read".to_owned()));
@@ -197,8 +198,7 @@ fn stdin_is_empty_and_signals_are_as_a_program_expects_them() {
     let mut remote = rig.remote();
     let id = trigger(&mut remote, "quit", "");
     rig.process("pid");
-    assert_eq!(remote.abort(id).expect("an answer").state, Aborted);
-    assert_eq!(end(&mut remote, id), (Aborted, "heard".to_owned()));
+    assert_eq!(abort(&mut remote, id), "heard");
     // The server itself still ignores them, as configured at its start.
     rig.server.process.signal("QUIT");
     assert_eq!(rig.run("reads", ""), (Completed, "read".to_owned()));

@@ -296,7 +296,15 @@ pub fn abort_originally(
 
 /// Whether the original's client has given up waiting for this answer.
 pub fn is_given_up(answer: &Answer) -> bool {
-    answer.number == -1 && answer.text.starts_with("Again(")
+    answer.text.starts_with("Again(")
+}
+
+/// Repeats a question of the original's client until there is an answer within its 2 s.
+#[track_caller]
+pub fn answered(mut ask: impl FnMut() -> Answer) -> Answer {
+    until("an answer before the client gives up", PATIENCE, || {
+        Some(ask()).filter(|answer| !is_given_up(answer))
+    })
 }
 
 /// Aborts all tasks, and waits until none runs.
@@ -359,9 +367,10 @@ pub fn dies(process: u32) {
     });
 }
 
-/// Whether a task was not started because the machine is busy.
+/// Whether a task was not started because the machine is busy. A task is not forwarded to a server that does not answer within
+/// 2 s.
 pub fn is_starved(text: &str) -> bool {
-    text.contains("the watchdog has not confirmed within")
+    text.contains("the watchdog has not confirmed within") || text.contains("; nothing was sent")
 }
 
 /// Ends a process.

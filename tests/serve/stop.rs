@@ -12,7 +12,7 @@ use crate::rig::{Rig, dies, end, lives, trigger};
 const CAREFUL: &str = r#"
     careful: {run: [sh, -c, 'trap "sleep 0.5; echo parked > parked; exit" TERM; echo $$ > careful; while :; do sleep 0.02; done'], abort: {grace: 5 s}}
     stubborn: {run: [sh, -c, 'trap "" TERM; echo $$ > stubborn; while :; do sleep 0.02; done'], abort: {grace: 2500 ms}}
-    waits: {run: [sleep, '60'], busy: queue 1}
+    waits: {run: [sleep, '60'], busy: queue 1, abort: {grace: 20 s}}
     sleep: sleep
     "#;
 
