@@ -111,14 +111,20 @@ fn only_the_subscriber_that_the_file_names_counts() {
     let node = publisher_of(&asker, &topic);
     let _echo = listen(&asker, &node, &topic, "/rostopic");
     assert!(robot.run("any", "").is_ok());
+    // A busy machine may find out less at first.
+    let is_rejected = |component: &str, goal: &str, expected: &str| {
+        until(expected, PATIENCE, || {
+            let reason = robot.run_once(component, goal).expect_err("no base");
+            println!("{reason}");
+            (reason == expected).then_some(())
+        });
+    };
     // The master does not know the one that only connects.
-    let reason = robot.run_once("other", "").expect_err("no base");
     let expected = format!("/base does not subscribe to {topic}, and no other node does");
-    assert_eq!(reason, expected);
-    let reason = robot.run_once("pose", "home").expect_err("no base");
+    is_rejected("other", "", &expected);
     let name = &robot.name;
     let expected = format!("/base does not subscribe to /{name}/command; there are: /{name}");
-    assert_eq!(reason, expected);
+    is_rejected("pose", "home", &expected);
 }
 
 #[test]
@@ -127,11 +133,11 @@ fn a_motion_without_joint_states_says_why() {
         "scopes: {/test: {p: {
             pose: {ros1-trajectory: /NAME/command, joint-states: /NAME/joint_stats, joints: [elbow], poses: {home: [0]}}}}}",
     );
-    let reason = until("it says why", PATIENCE, || {
+    let part = format!(": no node publishes /{}/joint_stats", robot.name);
+    until("it says why", PATIENCE, || {
         let reason = robot.run_once("pose", "home").expect_err("no joint states");
         println!("{reason}");
-        reason.contains("so nothing was moved").then_some(reason)
+        let is_it = reason.contains("so nothing was moved") && reason.ends_with(&part);
+        is_it.then_some(())
     });
-    let part = format!(": no node publishes /{}/joint_stats", robot.name);
-    assert!(reason.ends_with(&part), "{reason}");
 }

@@ -120,7 +120,7 @@ fn trigger(remote: &mut RemoteTask, component: &str, goal: &str) -> TaskId {
 const DRIVE: &str = "scopes: {/test: {p: {
     drive: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, for: '{goal.seconds}', dead-man: 20 s,
             message: {linear: {x: '{goal.speed}'}}, stop: {}},
-    whole: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, for: '{goal.seconds}'},
+    whole: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, for: '{goal.seconds}', dead-man: 20 s},
     nowhere: {ros1-publish: /NAME/nowhere, type: geometry_msgs/Twist, message: {}}}}}";
 
 const GO: &str = "twist 0.5 0.0";
@@ -180,7 +180,7 @@ fn a_drive_ends_with_stop_messages_after_its_time_an_abort_and_sigterm() {
 #[test]
 fn a_base_stops_when_its_client_is_gone_and_gets_nothing_more_from_a_killed_server() {
     let bound = "bound: {ros1-publish: /NAME/cmd_vel, type: geometry_msgs/Twist, rate: 20 Hz, dead-man: 20 s,
-            message: {linear: {x: 0.5}}, stop: {}, needs-client: 2 s},
+            message: {linear: {x: 0.5}}, stop: {}, needs-client: 6 s},
     drive: {";
     let robot = Robot::new(&DRIVE.replacen("drive: {", bound, 1));
     let drives = || robot.twists().last().is_some_and(|line| line == GO);
@@ -333,8 +333,12 @@ fn an_action_runs_with_progress_and_ends_in_the_states_of_its_server() {
         (end.state, end.text),
         (Aborted, "stopped; {'result': -1}".to_owned())
     );
-    let reason = robot.run_once("lost", "1").expect_err("no such action");
-    assert!(reason.contains(&name), "it says what exists: {reason}");
+    // A busy machine may find out less at first.
+    until("it says what exists", PATIENCE, || {
+        let reason = robot.run_once("lost", "1").expect_err("no such action");
+        println!("{reason}");
+        reason.contains(&name).then_some(())
+    });
 }
 
 #[test]
