@@ -26,9 +26,12 @@ class ALTextToSpeech:
 
     @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
     def say(self, text):
-        said("say " + text)
-        if text == "a long story":
+        is_long = text == "a long story"
+        if is_long:
+            # A stop may follow as soon as it is printed.
             self.stopped.clear()
+        said("say " + text)
+        if is_long:
             self.stopped.wait(60)
             said("silent")
 
@@ -54,11 +57,11 @@ class ALMotion:
 
     @qi.bind(returnType=qi.Bool, paramsType=(qi.Float, qi.Float, qi.Float))
     def moveTo(self, x, y, theta):
-        said("move %s %s %s" % (x, y, theta))
-        if x == 2.0:
+        is_far = x == 2.0
+        if is_far:
             self.stopped.clear()
-            return not self.stopped.wait(60)
-        return True
+        said("move %s %s %s" % (x, y, theta))
+        return not is_far or not self.stopped.wait(60)
 
     @qi.bind(returnType=qi.Void, paramsType=())
     def stopMove(self):
@@ -170,8 +173,8 @@ class ALBehaviorManager:
 
     @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
     def runBehavior(self, name):
-        said("behavior " + name)
         self.stopped.clear()
+        said("behavior " + name)
         self.stopped.wait(60)
 
     @qi.bind(returnType=qi.Void, paramsType=(qi.String,))
