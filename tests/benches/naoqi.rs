@@ -38,7 +38,7 @@ fn main() {
     );
     std::fs::write(&file, text).expect("to write");
     let server = Server::start(ztl().arg("serve").arg(&file).args(["-p", "0"]));
-    let mut remote = connect_to(&server.endpoint(), "/nao").with_timeout(PATIENCE);
+    let mut remote = connect_to(&server.endpoint(), "/nao");
     let mut task = |component: &str| outcome(&mut remote, "p", component, "").0;
     until("the service is found", PATIENCE, || {
         (task("color") == State::Completed).then_some(())

@@ -56,7 +56,7 @@ fn a_wait_that_times_out_returns_no_final_state() {
 fn a_goal_of_any_length_is_accepted() {
     let server = Server::original();
     // On a busy machine the original may need more than the usual 2 s for such a goal.
-    let mut remote = connect(&server.endpoint()).with_timeout(PATIENCE);
+    let mut remote = connect(&server.endpoint());
     for goal in ["x".repeat(1_000_000), "\u{1}".repeat(1_500_000)] {
         let end = remote.run("test", "echo", &goal, LIMIT);
         let end = end.expect("its end");
@@ -195,7 +195,7 @@ fn an_unanswered_init_is_not_resent() {
 #[test]
 fn tasks_that_are_aborted_together_are_aborted_once_each() {
     let server = Server::original_with_patient_tasks();
-    let mut remote = connect(&server.endpoint()).with_timeout(PATIENCE);
+    let mut remote = connect(&server.endpoint());
     let ids = [1, 2, 3, 4, 5].map(|goal: u8| start(&mut remote, "nap", "for", &goal.to_string()));
     let tasks = ids.map(|id| (SCOPE.to_owned(), id.into()));
     let mut told = BTreeMap::new();

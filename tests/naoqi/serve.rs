@@ -56,7 +56,7 @@ impl Served {
 
     #[track_caller]
     fn remote(&self) -> RemoteTask {
-        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
+        connect_to(&self.server.endpoint(), self.scope)
     }
 
     /// Runs a task and returns its outcome, or why it was rejected; not before the service is found, which may take longer

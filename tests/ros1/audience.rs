@@ -35,7 +35,7 @@ impl Served {
         let mut last = None;
         let is_it = |reason: &String| parts.iter().all(|part| reason.contains(part));
         until(&format!("{component} {parts:?}"), PATIENCE, || {
-            let mut remote = connect(&self.server.endpoint()).with_timeout(PATIENCE);
+            let mut remote = connect(&self.server.endpoint());
             let ended = run_once(&mut remote, "p", component, goal);
             println!("{ended:?}");
             last = ended.err();

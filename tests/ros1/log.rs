@@ -29,7 +29,7 @@ scopes: {{/test: {{p: {{
 #[track_caller]
 fn let_time_pass(server: &Server) {
     for _ in 0..2 {
-        let mut remote = connect(&server.endpoint()).with_timeout(PATIENCE);
+        let mut remote = connect(&server.endpoint());
         run_once(&mut remote, "p", "nowhere", "").expect_err("nobody receives it");
     }
 }

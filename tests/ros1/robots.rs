@@ -63,7 +63,7 @@ impl Robot {
     }
 
     fn remote(&self) -> RemoteTask {
-        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
+        connect_to(&self.server.endpoint(), self.scope)
     }
 
     /// Runs `handler:component:goal`, which completes, and waits until the robot prints this.

@@ -51,7 +51,7 @@ impl Robot {
 
     #[track_caller]
     pub(crate) fn remote(&self) -> RemoteTask {
-        connect(&self.server.endpoint()).with_timeout(PATIENCE)
+        connect(&self.server.endpoint())
     }
 
     /// [`run`] of the handler `p`.

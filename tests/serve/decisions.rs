@@ -6,9 +6,7 @@ use ztl_std::State::{Completed, Failed};
 use ztl_std::TriggerError;
 use ztl_tests::lab::{COMPLETED, PATIENCE, in_time, until};
 
-use crate::rig::{
-    Rig, abort, abort_originally, answered, end, is_starved, start_originally, trigger,
-};
+use crate::rig::{Rig, abort, abort_originally, end, is_starved, start_originally, trigger};
 
 #[test]
 fn a_program_that_cannot_start_is_rejected_with_the_remedy() {
@@ -171,5 +169,5 @@ fn built_in_components_need_no_program() {
     let (mut client, mut remote) = (rig.server.original_client(), rig.remote());
     abort_originally(&mut client, &mut remote, ["p", "sleep", "60"]);
     let id = start_originally(&mut client, &mut remote, ["p", "echo", "hi"]);
-    assert_eq!(answered(|| client.wait(id, 20.0)), (COMPLETED, "hi"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
 }

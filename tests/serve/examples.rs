@@ -11,7 +11,7 @@ use ztl_tests::lab::{
 };
 
 use crate::rig::{
-    abort, abort_originally, answered, end, is_starved, progress, project, rejection_of, run_task,
+    abort, abort_originally, end, is_starved, progress, project, rejection_of, run_task,
     start_originally, trigger_task,
 };
 
@@ -135,12 +135,12 @@ fn the_originals_client_runs_the_examples() {
     let mut remote = connect_to(&server.endpoint(), "/robot");
     for (handler, component, goal, result) in TASKS {
         let id = start_originally(&mut client, &mut remote, [handler, component, goal]);
-        let end = answered(|| client.wait(id, 20.0));
+        let end = client.wait(id, 20.0);
         assert_eq!(end, (COMPLETED, result), "{goal}");
     }
     let turn = abort_originally(&mut client, &mut remote, ["base", "turn", "180"]);
     assert_eq!(client.trigger("base", "turn", "270").number, -1);
-    assert_eq!(answered(|| client.status(turn)).number, ABORTED);
+    assert_eq!(client.status(turn).number, ABORTED);
 }
 
 #[test]

@@ -8,8 +8,8 @@ use ztl_tests::lab::{
 };
 
 use crate::rig::{
-    Rig, abort, abort_originally, answered, dies, is_given_up, is_starved, progress, start,
-    start_originally, told, trigger,
+    Rig, abort, abort_originally, dies, is_starved, progress, start, start_originally, told,
+    trigger,
 };
 
 /// A server that forwards everything to another; `p` here is `p` there.
@@ -46,7 +46,7 @@ fn a_forwarded_task_behaves_like_a_local_one() {
     abort(&mut remote, id);
     let mut client = near.server.original_client();
     let id = start_originally(&mut client, &mut remote, ["p", "echo", "hi"]);
-    assert_eq!(answered(|| client.wait(id, 20.0)), (COMPLETED, "hi"));
+    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
     abort_originally(&mut client, &mut remote, ["p", "go", ""]);
     let id = trigger(&mut remote, "never", "");
     until("the ABORT is rejected", PATIENCE, || {
@@ -128,7 +128,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
         let id = trigger(&mut near.remote(), "abort", "");
         let mut original = near.server.original_client();
         let originals = original.trigger("p", "original", "");
-        if is_given_up(&originals) || is_starved(&originals.text) {
+        if is_starved(&originals.text) {
             return None;
         }
         assert!(originals.number > 0, "{originals:?}");
@@ -177,7 +177,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
             .contains("it may still run: the server could not learn how the task ended"),
         "{abort:?}"
     );
-    let answer = answered(|| original.wait(originals, 20.0));
+    let answer = original.wait(originals, 20.0);
     assert_eq!(answer.number, FAILED);
     assert!(answer.text.starts_with("unknown: "), "{answer:?}");
 }

@@ -8,8 +8,6 @@ use ztl_tests::lab::{
     start, until,
 };
 
-use crate::rig::answered;
-
 /// How long a client may be silent here. A busy machine may hold up a live one for seconds.
 const SILENCE: Duration = Duration::from_secs(6);
 
@@ -57,7 +55,7 @@ fn a_task_tied_to_its_client_is_aborted_when_that_is_killed() {
     let (mut careless, three) = client(port, "carries-on");
     let (_alive, four) = client(port, "needs");
     let mut original = OriginalClient::connect(port, SCOPE);
-    let five = answered(|| original.trigger("base", "needs", "x")).number;
+    let five = original.trigger("base", "needs", "x").number;
 
     let mut witness = connect(server.endpoint());
     let mut state = |id| witness.status(id).expect("an answer").state;
@@ -84,5 +82,5 @@ fn a_task_tied_to_its_client_is_aborted_when_that_is_killed() {
     for id in [three, four] {
         assert_eq!(state(id), State::Accepted);
     }
-    assert_eq!(answered(|| original.status(five)).number, ACCEPTED);
+    assert_eq!(original.status(five).number, ACCEPTED);
 }

@@ -5,7 +5,7 @@ use std::process::Command;
 use ztl_std::State::{Completed, Failed};
 use ztl_tests::lab::{COMPLETED, FAILED, Process, SCOPE, Scratch, built, ztl};
 
-use crate::rig::{Rig, abort, answered, end, start_originally, trigger};
+use crate::rig::{Rig, abort, end, start_originally, trigger};
 
 #[test]
 fn the_goal_reaches_a_program_unchanged_and_no_shell_reads_it() {
@@ -114,10 +114,10 @@ fn the_result_is_the_last_line_all_json_or_nothing() {
     assert!(reason.starts_with("its output is not JSON: "), "{reason}");
     let (mut client, mut remote) = (rig.server.original_client(), rig.remote());
     let id = start_originally(&mut client, &mut remote, ["p", "json", ""]);
-    let json = answered(|| client.wait(id, 20.0));
+    let json = client.wait(id, 20.0);
     assert_eq!(json, (COMPLETED, "[1, True, {'a': None}]"));
     let id = start_originally(&mut client, &mut remote, ["p", "bad", "{"]);
-    assert_eq!(answered(|| client.wait(id, 20.0)).number, FAILED);
+    assert_eq!(client.wait(id, 20.0).number, FAILED);
 }
 
 #[test]

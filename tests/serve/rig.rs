@@ -3,14 +3,17 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use ztl_core::dispatcher::NOTHING_KNOWN;
 use ztl_std::{RemoteTask, RunError, State, Status, TaskId, TriggerError};
 use ztl_tests::lab::{
-    ABORTED, ACCEPTED, Answer, OriginalClient, PATIENCE, SCOPE, Scratch, Server, connect, signal,
-    until, ztl,
+    ABORTED, ACCEPTED, OriginalClient, PATIENCE, SCOPE, Scratch, Server, connect, signal, until,
+    ztl,
 };
 
+/// How long the original's clients wait for an answer.
+pub const CLIENT_LIMIT: Duration = Duration::from_secs(2);
 /// Part of the answer to an INIT that the server did not hold until the task was decided.
 const UNDECIDED: &str = "nobody has taken it yet";
 
@@ -57,7 +60,7 @@ impl Rig {
     /// A client.
     #[track_caller]
     pub fn remote(&self) -> RemoteTask {
-        connect(&self.server.endpoint()).with_timeout(PATIENCE)
+        connect(&self.server.endpoint())
     }
 
     /// Runs a task and returns its outcome.
@@ -247,7 +250,7 @@ pub fn rejected(remote: &mut RemoteTask, [handler, component, goal]: [&str; 3]) 
     }
 }
 
-/// Starts a task with the original's client, which gives up after 2 s. Repeats it if the machine was too busy.
+/// Starts a task with the original's client. Repeats it if the machine was too busy.
 #[track_caller]
 pub fn start_originally(
     client: &mut OriginalClient,
@@ -258,9 +261,9 @@ pub fn start_originally(
         let answer = client.trigger(handler, component, goal);
         let id = u32::try_from(answer.number).ok().and_then(TaskId::new);
         let Some(id) = id else {
-            // The task may run although the client has given up, and be in the way of the next.
+            // A task that was accepted late may be in the way of the next.
             let is_busy = answer.text.contains(" is busy with task ");
-            let is_late = is_given_up(&answer) || is_starved(&answer.text) || is_busy;
+            let is_late = is_starved(&answer.text) || is_busy;
             assert!(is_late, "{handler}:{component}:{goal}: {answer:?}");
             abort_all(remote);
             return None;
@@ -286,25 +289,11 @@ pub fn abort_originally(
             if answer == (ABORTED, "True") {
                 return Some(id);
             }
-            let is_late = answer == (ACCEPTED, "aborting") || is_given_up(&answer);
-            assert!(is_late, "{task:?}: {answer:?}");
+            assert_eq!(answer, (ACCEPTED, "aborting"), "{task:?}");
             abort_all(remote);
             None
         },
     )
-}
-
-/// Whether the original's client has given up waiting for this answer.
-pub fn is_given_up(answer: &Answer) -> bool {
-    answer.text.starts_with("Again(")
-}
-
-/// Repeats a question of the original's client until there is an answer within its 2 s.
-#[track_caller]
-pub fn answered(mut ask: impl FnMut() -> Answer) -> Answer {
-    until("an answer before the client gives up", PATIENCE, || {
-        Some(ask()).filter(|answer| !is_given_up(answer))
-    })
 }
 
 /// Aborts all tasks, and waits until none runs.

@@ -1,7 +1,7 @@
 //! Many tasks at once: limits, queues and replacement.
 
 use ztl_std::State::{Aborted, Accepted, Completed};
-use ztl_std::{RemoteTask, State, TaskId};
+use ztl_std::{RemoteTask, TaskId};
 use ztl_tests::lab::{PATIENCE, busy, until};
 
 use crate::rig::{Rig, abort, end, is_starved, progress, rejection, run_task, trigger};
@@ -24,7 +24,7 @@ fn begins(remote: &mut RemoteTask, id: TaskId) -> bool {
         if is_starved(&status.text) {
             return Some(false);
         }
-        assert_eq!(status.state, State::Accepted, "{status:?}");
+        assert_eq!(status.state, Accepted, "{status:?}");
         (status.text == "on").then_some(true)
     })
 }

@@ -117,7 +117,7 @@ pub(crate) fn in_process() -> RunningServer {
 #[track_caller]
 pub(crate) fn assert_serves(endpoint: &str, after: &str) -> Duration {
     let start = Instant::now();
-    let mut remote = connect(endpoint).with_timeout(PATIENCE);
+    let mut remote = connect(endpoint);
     let answer = remote.status(99);
     let unknown = RequestError::UnknownTask {
         id: 99.into(),

@@ -255,7 +255,7 @@ impl Served {
 
     #[track_caller]
     pub(crate) fn remote(&self) -> RemoteTask {
-        connect_to(&self.server.endpoint(), self.scope).with_timeout(PATIENCE)
+        connect_to(&self.server.endpoint(), self.scope)
     }
 
     /// [`outcome`] of a task.

@@ -3,7 +3,7 @@
 use ztl_std::RemoteTask;
 use ztl_std::keys::KeyPair;
 
-use super::{PATIENCE, Process, Scratch, connect, ztl};
+use super::{Process, Scratch, connect, ztl};
 
 /// Pairs of keys made by `ztl keys`.
 #[derive(Debug)]
@@ -42,7 +42,7 @@ impl Keys {
     /// A client with the keys of `own`, which waits patiently.
     #[track_caller]
     pub fn client(&self, endpoint: &str, own: &str, server: &str) -> RemoteTask {
-        let remote = connect(endpoint).with_timeout(PATIENCE);
+        let remote = connect(endpoint);
         let server = self.pair(server).public();
         remote
             .with_keys(self.pair(own), server)

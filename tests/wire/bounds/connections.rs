@@ -161,7 +161,7 @@ fn a_device_is_reached_again_beside_an_idle_crowd() {
     let mut gateway = gateway(&[&format!("gripper=tcp:127.0.0.1:{port}")]);
     let gateway = Server::start(&mut with_open_files(FEW_FILES, gateway.args(LARGE)));
     gateway.wait_ready("gripper");
-    let mut remote = ztl_tests::lab::connect(&gateway.endpoint()).with_timeout(PATIENCE);
+    let mut remote = ztl_tests::lab::connect(&gateway.endpoint());
     is_served(&mut remote);
     let crowd = idle(gateway.port, MANY);
     device.kill();

@@ -27,7 +27,7 @@ fn serves(server: TaskServer) {
     let mut server = server;
     server.register(SCOPE, Echo);
     let server = server.spawn().expect("a thread");
-    let mut remote = connect(server.endpoint()).with_timeout(PATIENCE);
+    let mut remote = connect(server.endpoint());
     for goal in ["hi", &"long ".repeat(30_000)] {
         let end = remote.run("h", "c", goal, LIMIT).expect("its end");
         assert_eq!((end.state, end.text.as_str()), (State::Completed, goal));

@@ -11,7 +11,7 @@ mod slow_network;
 use std::process::Command;
 
 use ztl_std::{RemoteTask, RequestError, TaskId};
-use ztl_tests::lab::{PATIENCE, SCOPE, Scratch, Server, connect, start, ztl};
+use ztl_tests::lab::{SCOPE, Scratch, Server, connect, start, ztl};
 
 /// Peak memory of a server that one connection abuses.
 const MEMORY: u64 = 64 << 10;
@@ -68,7 +68,7 @@ impl Subject {
     /// A connected client.
     #[track_caller]
     fn client(&self) -> RemoteTask {
-        let mut remote = connect(&self.server.endpoint()).with_timeout(PATIENCE);
+        let mut remote = connect(&self.server.endpoint());
         is_served(&mut remote);
         remote
     }

@@ -122,7 +122,8 @@ pub(crate) fn ended_well(process: Process) -> String {
         code,
         stdout,
         stderr,
-    } = process.end(PATIENCE);
+        // valgrind is some 50 times slower.
+    } = process.end(PATIENCE * 5);
     assert_eq!((code, stderr.as_str()), (Some(0), ""), "{stdout}");
     stdout
 }
