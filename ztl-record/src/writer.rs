@@ -28,7 +28,8 @@ pub struct Recording {
     chunk: Chunk,
     /// Where the last whole chunk ends. After an error, the file ends there.
     whole: u64,
-    has_failed: bool,
+    /// Why it has ended early.
+    failure: Option<(ErrorKind, String)>,
     /// The channels of each topic.
     channels: HashMap<String, Vec<Channel>>,
     count: u16,
@@ -88,7 +89,7 @@ impl Recording {
             clock: Clock::new(),
             chunk: Chunk::default(),
             whole: begin.len() as u64,
-            has_failed: false,
+            failure: None,
             channels: HashMap::new(),
             count: 0,
             topic_bytes: 0,
@@ -199,11 +200,11 @@ impl Recording {
         self.write_chunk()
     }
 
-    /// An error if the recording has ended early.
+    /// The first error, if the recording has ended early: of several threads, another one may be told it first.
     fn check(&self) -> io::Result<()> {
-        match self.has_failed {
-            true => Err(io::Error::other("the recording has ended")),
-            false => Ok(()),
+        match &self.failure {
+            Some((kind, why)) => Err(io::Error::new(*kind, why.clone())),
+            None => Ok(()),
         }
     }
 
@@ -212,6 +213,7 @@ impl Recording {
         match self.chunk.write_to(&mut self.file, 2 * CHUNK) {
             Ok(written) => self.whole += written,
             Err(error) => {
+                self.failure = Some((error.kind(), error.to_string()));
                 self.cut();
                 return Err(error);
             }
@@ -221,7 +223,6 @@ impl Recording {
 
     /// Removes half a chunk after an error. If that fails, too, readers stop there.
     fn cut(&mut self) {
-        self.has_failed = true;
         let _ = self.file.set_len(self.whole);
     }
 
@@ -321,5 +322,22 @@ fn sync_directory(path: &Path) {
     };
     if let Ok(directory) = File::open(directory) {
         let _ = directory.sync_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_call_after_a_failure_says_why_it_failed() {
+        let name = format!("ztl-record-failure-{}.mcap", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        let mut recording = Recording::create(&path).unwrap();
+        recording.file = File::open(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        recording.schema(Form::Run);
+        let [first, second] = [(); 2].map(|()| recording.flush().unwrap_err().to_string());
+        assert_eq!(first, second);
     }
 }
