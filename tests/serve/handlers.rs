@@ -71,7 +71,7 @@ impl Drop for Rig {
     }
 }
 
-/// Starts a task with the original's client. Some INITs are answered after 1.5 s, and the client gives up after 2 s.
+/// Starts a task with the original's client.
 #[track_caller]
 fn start_originally(client: &mut OriginalClient, component: &str, goal: &str) -> i64 {
     let answer = client.trigger("any", component, goal);

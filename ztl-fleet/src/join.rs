@@ -41,7 +41,7 @@ const TOO_MANY: &str = "too many requests are waiting, try again";
 const TICK: Duration = Duration::from_millis(100);
 /// How long others with this name or id may take to answer.
 const CLAIM: Duration = Duration::from_secs(1);
-/// The same before this agent joins. Routers end the question at once if nobody is there.
+/// The same before this agent joins. If there are no others, routers say so at once.
 const JOINING: Duration = Duration::from_secs(5);
 /// Longest request in bytes, as on ZeroMQ.
 const LONGEST: usize = ztl_std::server::MAX_MESSAGE;

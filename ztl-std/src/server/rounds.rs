@@ -25,7 +25,7 @@ const BATCH: usize = 64;
 
 /// How long a server keeps answering after its handlers stopped tasks, for all clients that ask every 100 ms.
 const LINGER: Duration = Duration::from_millis(250);
-/// As [`LINGER`], if no client at all has been told a task's end yet: the client or its network may be slow.
+/// The same while there is an end that no client has been told yet: a client, or its network, may be slow.
 const LINGER_UNTOLD: Duration = Duration::from_secs(2);
 
 impl Engine {
