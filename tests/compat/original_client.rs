@@ -20,7 +20,7 @@ fn a_task_is_accepted_and_completes() {
     let request = "{'handler': 'test', 'component': 'echo', 'goal': 'hi'}";
     let reply = format!("Initiated task '{id}' with request: {request}");
     assert_eq!(task.text, reply);
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
+    assert_eq!(client.end(id), (COMPLETED, "hi"));
     assert_eq!(client.status(id), (COMPLETED, "hi"));
 }
 
@@ -50,10 +50,10 @@ fn an_impossible_task_fails_with_the_reason() {
     let mut client = server.original_client();
     let id = client.start("test", "dance", "waltz");
     let reason = "No such component 'dance', try 'echo/print/sleep'.";
-    assert_eq!(client.wait(id, 20.0), (FAILED, reason));
+    assert_eq!(client.end(id), (FAILED, reason));
     let id = client.start("test", "sleep", "soon");
     let reason = "invalid literal for int() with base 10: 'soon'";
-    assert_eq!(client.wait(id, 20.0), (FAILED, reason));
+    assert_eq!(client.end(id), (FAILED, reason));
 }
 
 #[test]
@@ -62,7 +62,7 @@ fn a_rejected_abort_changes_nothing() {
     let mut client = server.original_client();
     let id = client.start("test", "sleep", "5");
     assert_eq!(client.abort(id), (ACCEPTED, "False"));
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "True"));
+    assert_eq!(client.end(id), (COMPLETED, "True"));
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn abort_of_a_finished_task_keeps_its_result() {
     let server = Server::ours();
     let mut client = server.original_client();
     let id = client.start("test", "echo", "done");
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "done"));
+    assert_eq!(client.end(id), (COMPLETED, "done"));
     assert_eq!(client.abort(id), (COMPLETED, "False"));
     assert_eq!(client.status(id), (COMPLETED, "done"));
 }
@@ -120,7 +120,7 @@ fn goals_of_every_kind_are_printed_like_the_original() {
             let Answer { number: id, text } = client.trigger("test", "echo", goal);
             assert!(id > 0, "{goal:?}: {text}");
             let reply = text.replacen(&format!("task '{id}'"), "task 'ID'", 1);
-            (reply, client.wait(id, 20.0))
+            (reply, client.end(id))
         });
         assert_eq!(ours, original, "{goal:?}");
         assert_eq!(ours.1, (COMPLETED, goal));
@@ -188,5 +188,5 @@ fn a_client_survives_a_restart_of_its_server() {
     });
     assert_eq!(found, (REJECTED, text.as_str()));
     let id = client.start("test", "echo", "again");
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "again"));
+    assert_eq!(client.end(id), (COMPLETED, "again"));
 }

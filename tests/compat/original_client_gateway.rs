@@ -75,7 +75,7 @@ fn abort_stops_the_device_at_its_current_position() {
         client.status(back).text.parse().ok()
     });
     assert!(at < stopped + 0.1, "{at}");
-    assert_eq!(client.wait(back, 60.0), (COMPLETED, "0.0"));
+    assert_eq!(client.end(back), (COMPLETED, "0.0"));
     // Exactly one final state, which never changes.
     assert_eq!(client.status(id), end);
 }
@@ -88,7 +88,7 @@ fn any_client_may_abort() {
     let id = starter.start("gripper", "finger", "100");
     wait_beyond(&mut starter, id, 1.0);
     assert_eq!(other.stop(id), ABORTED);
-    assert_eq!(starter.wait(id, 20.0).number, ABORTED);
+    assert_eq!(starter.end(id).number, ABORTED);
 }
 
 #[test]
@@ -143,8 +143,8 @@ fn two_clients_move_two_devices_at_once() {
     assert!(first < 40.0 && second < 90.0, "{first}, {second}");
     // The first still moves while the second does.
     wait_beyond(&mut one, finger, first);
-    assert_eq!(one.wait(finger, 60.0), (COMPLETED, "40.0"));
-    assert_eq!(other.wait(pan, 60.0), (COMPLETED, "90.0"));
+    assert_eq!(one.end(finger), (COMPLETED, "40.0"));
+    assert_eq!(other.end(pan), (COMPLETED, "90.0"));
 }
 
 #[test]
@@ -155,9 +155,9 @@ fn a_busy_component_rejects_a_second_task_and_continues_the_first() {
     let finger = one.start("gripper", "finger", "25");
     let reason = "'gripper:finger:20' refused: busy with another task";
     assert_eq!(other.trigger("gripper", "finger", "20"), (-1, reason));
-    assert_eq!(one.wait(finger, 60.0), (COMPLETED, "25.0"));
+    assert_eq!(one.end(finger), (COMPLETED, "25.0"));
     let finger = other.start("gripper", "finger", "20");
-    assert_eq!(other.wait(finger, 60.0), (COMPLETED, "20.0"));
+    assert_eq!(other.end(finger), (COMPLETED, "20.0"));
 }
 
 #[test]

@@ -84,7 +84,7 @@ fn tasks_of_the_original_client_run_once_on_many_nodes_at_once() {
         .collect();
     let turned = client.start("arm.low", "pan", "left");
     for (name, id) in tasks {
-        let state = client.wait(id, 60.0).number;
+        let state = client.end(id).number;
         let wanted = if name == aborted { ABORTED } else { COMPLETED };
         assert_eq!(state, wanted, "{name}");
         assert!(
@@ -95,7 +95,7 @@ fn tasks_of_the_original_client_run_once_on_many_nodes_at_once() {
             assert_eq!(line.count(&format!(" {name}.finger begins ")), 1, "{name}");
         }
     }
-    assert_eq!(client.wait(turned, 60.0).number, COMPLETED);
+    assert_eq!(client.end(turned).number, COMPLETED);
     assert_eq!(line.count(" low.pan begins "), 1);
     assert_eq!(line.count(" top.pan begins "), 0);
 }

@@ -193,7 +193,7 @@ fn a_slow_abort_is_answered_before_it_completes() {
         assert_eq!(answer, (ACCEPTED, "aborting"));
         Some((id, process))
     });
-    assert_eq!(client.wait(id, 20.0).number, ABORTED);
+    assert_eq!(client.end(id).number, ABORTED);
     dies(process);
 }
 

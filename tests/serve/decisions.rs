@@ -169,5 +169,5 @@ fn built_in_components_need_no_program() {
     let (mut client, mut remote) = (rig.server.original_client(), rig.remote());
     abort_originally(&mut client, &mut remote, ["p", "sleep", "60"]);
     let id = start_originally(&mut client, &mut remote, ["p", "echo", "hi"]);
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
+    assert_eq!(client.end(id), (COMPLETED, "hi"));
 }

@@ -135,7 +135,7 @@ fn the_originals_client_runs_the_examples() {
     let mut remote = connect_to(&server.endpoint(), "/robot");
     for (handler, component, goal, result) in TASKS {
         let id = start_originally(&mut client, &mut remote, [handler, component, goal]);
-        let end = client.wait(id, 20.0);
+        let end = client.end(id);
         assert_eq!(end, (COMPLETED, result), "{goal}");
     }
     let turn = abort_originally(&mut client, &mut remote, ["base", "turn", "180"]);

@@ -46,7 +46,7 @@ fn a_forwarded_task_behaves_like_a_local_one() {
     abort(&mut remote, id);
     let mut client = near.server.original_client();
     let id = start_originally(&mut client, &mut remote, ["p", "echo", "hi"]);
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
+    assert_eq!(client.end(id), (COMPLETED, "hi"));
     abort_originally(&mut client, &mut remote, ["p", "go", ""]);
     let id = trigger(&mut remote, "never", "");
     until("the ABORT is rejected", PATIENCE, || {
@@ -177,7 +177,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
             .contains("it may still run: the server could not learn how the task ended"),
         "{abort:?}"
     );
-    let answer = original.wait(originals, 20.0);
+    let answer = original.end(originals);
     assert_eq!(answer.number, FAILED);
     assert!(answer.text.starts_with("unknown: "), "{answer:?}");
 }

@@ -165,7 +165,7 @@ fn the_originals_client_gets_an_id_of_an_assign_that_hangs() {
     assert_eq!(client.status(id), (0, "None"));
     rig.gate.open();
     // The original's wait does not treat INITIATED as an end either.
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "done"));
+    assert_eq!(client.end(id), (COMPLETED, "done"));
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn a_task_that_completes_despite_an_abort_reports_its_true_outcome() {
             rig.gate.open();
             abort.join().unwrap().expect("an answer")
         });
-        let end = client.wait(id, 20.0);
+        let end = client.end(id);
         assert_eq!(end, (COMPLETED, "done after all"));
         assert_eq!(client.abort(id), (COMPLETED, "False"));
         if told == status(State::Accepted, "aborting") {
@@ -255,7 +255,7 @@ fn an_abort_wakes_a_task_and_its_final_state_never_changes() {
     assert_eq!(client.abort(id), (ABORTED, "False"));
     let id = start_originally(&mut client, "panic-in-execute", "bad luck");
     let reason = "the handler panicked: execute has bad luck";
-    assert_eq!(client.wait(id, 20.0), (FAILED, reason));
+    assert_eq!(client.end(id), (FAILED, reason));
     assert_eq!(client.abort(id), (FAILED, "False"));
     assert_eq!(client.status(id), (FAILED, reason));
 }

@@ -114,10 +114,10 @@ fn the_result_is_the_last_line_all_json_or_nothing() {
     assert!(reason.starts_with("its output is not JSON: "), "{reason}");
     let (mut client, mut remote) = (rig.server.original_client(), rig.remote());
     let id = start_originally(&mut client, &mut remote, ["p", "json", ""]);
-    let json = client.wait(id, 20.0);
+    let json = client.end(id);
     assert_eq!(json, (COMPLETED, "[1, True, {'a': None}]"));
     let id = start_originally(&mut client, &mut remote, ["p", "bad", "{"]);
-    assert_eq!(client.wait(id, 20.0).number, FAILED);
+    assert_eq!(client.end(id).number, FAILED);
 }
 
 #[test]

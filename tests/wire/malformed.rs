@@ -92,7 +92,7 @@ fn a_task_server_answers_malformed_messages_and_continues() {
     answers_what_is_malformed(server.endpoint());
     let mut client = OriginalClient::connect(port_of(server.endpoint()), SCOPE);
     let id = client.start("any", "echo", "hi");
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "hi"));
+    assert_eq!(client.end(id), (COMPLETED, "hi"));
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn a_gateway_answers_malformed_messages_and_continues() {
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "100");
     answers_what_is_malformed(&gateway.endpoint());
-    assert_eq!(client.wait(id, 60.0), (COMPLETED, "100.0"));
+    assert_eq!(client.end(id), (COMPLETED, "100.0"));
 
     // A payload that no controller can read.
     let req = Socket::req(&gateway.endpoint());
@@ -150,7 +150,7 @@ fn junk_and_internal_work_do_not_flood_the_debug_log() {
     gateway.wait_ready("gripper");
     let mut client = gateway.original_client();
     let id = client.start("gripper", "finger", "20");
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "20.0"));
+    assert_eq!(client.end(id), (COMPLETED, "20.0"));
     let dropped = || {
         let said = gateway.process.stderr();
         said.matches("dropped a message").count()

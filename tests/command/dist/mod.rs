@@ -98,7 +98,7 @@ fn serve_runs_programs() {
     // The original's client runs tasks, too.
     let mut original = server.original_client();
     let id = original.start("own", "version", "");
-    assert_eq!(original.wait(id, 20.0).text, version);
+    assert_eq!(original.end(id).text, version);
 }
 
 #[test]

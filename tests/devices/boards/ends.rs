@@ -27,7 +27,7 @@ pub(crate) fn completes(board: &str) {
         let between = way.iter().filter(|&&at| at > 45.0 && at < 90.0).count();
         if between < 3 {
             let back = rig.client.start("desk", "gripper", "45");
-            assert_eq!(rig.client.wait(back, 60.0), (COMPLETED, "45.0"));
+            assert_eq!(rig.client.end(back), (COMPLETED, "45.0"));
         }
         (between >= 3).then_some(())
     });
@@ -36,14 +36,14 @@ pub(crate) fn completes(board: &str) {
     until("light", PATIENCE, || {
         (rig.board.read(Pin::Lamp) == 1).then_some(())
     });
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "off"));
+    assert_eq!(rig.client.end(id), (COMPLETED, "off"));
     assert_eq!(rig.board.read(Pin::Lamp), 0);
 }
 
 pub(crate) fn aborts(board: &str) {
     let mut rig = Rig::start(board);
     let home = rig.client.start("desk", "stage", "home");
-    assert_eq!(rig.client.wait(home, 60.0), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.end(home), (COMPLETED, "0.00"));
     let id = rig.start_stage("200", 100);
     assert_eq!(rig.client.stop(id), ABORTED);
     rig.assert_rests();
@@ -82,28 +82,28 @@ pub(crate) fn refuses(board: &str) {
     let reason = "'desk:stage:30' refused: busy with another task";
     assert_eq!(rig.client.trigger("desk", "stage", "30"), (-1, reason));
     rig.assert_serves();
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "200.00"));
+    assert_eq!(rig.client.end(id), (COMPLETED, "200.00"));
 }
 
 pub(crate) fn reaches_its_limit(board: &str) {
     let mut rig = Rig::start(board);
     assert!(rig.place() > 0, "it starts above its switch");
     let id = rig.client.start("desk", "stage", "home");
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.end(id), (COMPLETED, "0.00"));
     assert_eq!(rig.place(), 0);
 
     let id = rig.client.start("desk", "stage", "190");
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "190.00"));
+    assert_eq!(rig.client.end(id), (COMPLETED, "190.00"));
     assert_eq!(rig.place(), 7600);
     // Something is in the way, and presses the switch.
     let id = rig.start_stage("0", 100);
     rig.board.write(Pin::Limit, 1);
-    let end = rig.client.wait(id, 60.0);
+    let end = rig.client.end(id);
     assert_eq!(end.number, FAILED);
     assert!(end.text.starts_with("limit switch at "), "{end:?}");
     rig.assert_rests();
     // Away from the switch it may go.
     let id = rig.client.start("desk", "stage", "200");
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "200.00"));
+    assert_eq!(rig.client.end(id), (COMPLETED, "200.00"));
     assert_eq!(rig.place(), 8000);
 }

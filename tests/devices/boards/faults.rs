@@ -15,13 +15,13 @@ pub(crate) fn stops(board: &str) {
         let stage = rig.start_stage("200", 50);
         let gripper = rig.client.start("desk", "gripper", goals.next()?);
         rig.board.write(Pin::Stop, 1);
-        let ends = [stage, gripper].map(|id| rig.client.wait(id, 60.0));
+        let ends = [stage, gripper].map(|id| rig.client.end(id));
         println!("{ends:?}");
         let are_stopped = ends.iter().all(|end| *end == (ABORTED, "emergency stop"));
         if !are_stopped {
             resume(&mut rig);
             let home = rig.client.start("desk", "stage", "home");
-            assert_eq!(rig.client.wait(home, 60.0), (COMPLETED, "0.00"));
+            assert_eq!(rig.client.end(home), (COMPLETED, "0.00"));
             rig.assert_serves();
         }
         are_stopped.then_some(())
@@ -58,7 +58,7 @@ pub(crate) fn resets(board: &str) {
     rig.wait_logged(started, 1);
     let id = rig.start_stage("200", 50);
     rig.board.reset();
-    assert_eq!(rig.client.wait(id, 60.0), (FAILED, "device was reset"));
+    assert_eq!(rig.client.end(id), (FAILED, "device was reset"));
     rig.assert_rests();
     let log = rig.wait_logged(started, 2);
     let boot = |line: &str| line.split(started).nth(1).map(str::to_owned);
@@ -86,7 +86,7 @@ pub(crate) fn loses_its_link(board: &str) {
     let place = rig.wait_rest();
     assert!(place < 200 * STEPS as u32, "it has gone all the way");
     let _plugged = plug();
-    let end = rig.client.wait(id, 60.0);
+    let end = rig.client.end(id);
     assert_eq!(end.number, FAILED);
     let reasons = ["device is not answering", "link was lost"];
     assert!(reasons.contains(&end.text.as_str()), "{end:?}");

@@ -86,7 +86,7 @@ fn a_board_on_a_shared_line_serves_tasks_and_disables_its_driver() {
     gateway.wait_ready("arm.desk");
     let mut client = gateway.original_client();
     let id = client.start("arm.desk", "lamp", "on");
-    assert_eq!(client.wait(id, 60.0), (COMPLETED, "on"));
+    assert_eq!(client.end(id), (COMPLETED, "on"));
     assert_eq!(board.read(Pin::Lamp), 1);
     // What the GPIO drives, and its third pin.
     let enabled = || board.read_word(0x5000_0504) & 1 << 3 != 0;

@@ -51,17 +51,17 @@ pub(crate) fn of_the_quiet_robot() {
 fn do_all(image: &str, mut rig: Rig) {
     let home = rig.client.start("desk", "stage", "home");
     let gripper = rig.client.start("desk", "gripper", "90");
-    assert_eq!(rig.client.wait(home, 60.0), (COMPLETED, "0.00"));
-    assert_eq!(rig.client.wait(gripper, 60.0), (COMPLETED, "90.0"));
+    assert_eq!(rig.client.end(home), (COMPLETED, "0.00"));
+    assert_eq!(rig.client.end(gripper), (COMPLETED, "90.0"));
     assert_eq!(rig.client.trigger("desk", "stage", "9999").number, -1);
     let id = rig.start_stage("200", 100);
     assert_eq!(rig.client.stop(id), ABORTED);
     // The way back then takes 5 s, in which the button is pressed.
     let id = rig.client.start("desk", "stage", "200");
-    assert_eq!(rig.client.wait(id, 60.0), (COMPLETED, "200.00"));
+    assert_eq!(rig.client.end(id), (COMPLETED, "200.00"));
     let id = rig.start_stage("0", 10);
     rig.board.write(Pin::Stop, 1);
-    assert_eq!(rig.client.wait(id, 60.0), (ABORTED, "emergency stop"));
+    assert_eq!(rig.client.end(id), (ABORTED, "emergency stop"));
     check(image, &rig.board);
 }
 
@@ -80,7 +80,7 @@ pub(crate) fn of_the_networked_robot() {
     let mut clients = [(); 2].map(|()| OriginalClient::connect(board.network, "/lab"));
     for client in &mut clients {
         let id = client.start("desk", "gripper", "90");
-        assert_eq!(client.wait(id, 60.0), (COMPLETED, "90.0"));
+        assert_eq!(client.end(id), (COMPLETED, "90.0"));
         assert_eq!(client.trigger("desk", "stage", "9999").number, -1);
         let id = client.start("desk", "stage", "200");
         assert_eq!(client.stop(id), ABORTED);
@@ -164,6 +164,6 @@ fn do_with_lamp(image: &str, board: &Board, mut client: OriginalClient) {
     });
     assert_eq!(client.stop(id), ABORTED);
     let id = client.start("desk", "lamp", "on");
-    assert_eq!(client.wait(id, 60.0), (COMPLETED, "on"));
+    assert_eq!(client.end(id), (COMPLETED, "on"));
     check(image, board);
 }

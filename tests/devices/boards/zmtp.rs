@@ -30,7 +30,7 @@ fn place(board: &Board) -> f32 {
 /// Tasks end in each way, as a client and the pins see it.
 fn drive(board: &Board, client: &mut OriginalClient) {
     let id = client.start("desk", "stage", "home");
-    assert_eq!(client.wait(id, 60.0), (COMPLETED, "0.00"));
+    assert_eq!(client.end(id), (COMPLETED, "0.00"));
     assert_eq!(client.status(id), (COMPLETED, "0.00"));
     assert_eq!(client.abort(id), (COMPLETED, "False"), "an end is an end");
 
@@ -69,7 +69,7 @@ fn drive(board: &Board, client: &mut OriginalClient) {
         task.number
     );
     assert_eq!(task.text, told);
-    assert_eq!(client.wait(task.number, 60.0), (COMPLETED, "on"));
+    assert_eq!(client.end(task.number), (COMPLETED, "on"));
     assert_eq!(board.read(Pin::Lamp), 1);
 }
 
@@ -93,7 +93,7 @@ fn over_serial_the_next_client_is_served_after_any_unfinished_stream() {
         assert!([ACCEPTED, COMPLETED].contains(&number), "{number}");
     }
     let mut client = OriginalClient::connect(board.port, SCOPE);
-    assert_eq!(client.wait(task, 60.0), (COMPLETED, "40.00"));
+    assert_eq!(client.end(task), (COMPLETED, "40.00"));
 }
 
 /// `ztl task-client` ten times, each time a new client, where there are places for fewer.
@@ -145,8 +145,8 @@ fn over_ethernet_a_third_client_waits_until_one_of_two_disconnects() {
     let stage = one.start("desk", "stage", "home");
     let gripper = two.start("desk", "gripper", "90");
     // Either sees the other's task.
-    assert_eq!(two.wait(stage, 60.0), (COMPLETED, "0.00"));
-    assert_eq!(one.wait(gripper, 60.0), (COMPLETED, "90.0"));
+    assert_eq!(two.end(stage), (COMPLETED, "0.00"));
+    assert_eq!(one.end(gripper), (COMPLETED, "90.0"));
     assert_eq!(two.status(gripper), (COMPLETED, "90.0"));
 
     // The original's client gives up after 2 s.
@@ -168,7 +168,7 @@ fn over_ethernet_connections_that_do_not_speak_zmtp_affect_no_client() {
     let board = ethernet();
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "gripper", "90");
-    assert_eq!(client.wait(id, 60.0), (COMPLETED, "90.0"));
+    assert_eq!(client.end(id), (COMPLETED, "90.0"));
     let greeting = b"\xFF\0\0\0\0\0\0\0\x01\x7F\x03\x01NULL\0\0\0\0\0\0";
     for bytes in [
         &b"GET / HTTP/1.1\r\n\r\n"[..],
@@ -195,7 +195,7 @@ fn over_ethernet_idle_connections_are_closed_to_free_their_slots() {
     let board = ethernet();
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "lamp", "on");
-    assert_eq!(client.wait(id, 60.0), (COMPLETED, "on"));
+    assert_eq!(client.end(id), (COMPLETED, "on"));
     drop(client);
     // They have both places, and say nothing. The board closes them; they do not.
     let _streams = [(); 2].map(|()| {
@@ -220,7 +220,7 @@ fn over_ethernet_an_emergency_stop_ends_all_tasks_and_is_latched() {
     let mut client = OriginalClient::connect(board.network, SCOPE);
     let id = client.start("desk", "stage", "200");
     board.write(Pin::Stop, 1);
-    assert_eq!(client.wait(id, 60.0), (ABORTED, "emergency stop"));
+    assert_eq!(client.end(id), (ABORTED, "emergency stop"));
     board.write(Pin::Stop, 0);
     assert_eq!(client.trigger("desk", "lamp", "on"), (-1, "emergency stop"));
     board.write(Pin::Resume, 1);

@@ -47,7 +47,7 @@ fn the_originals_client_polling_status_gets_the_true_outcome() {
     rig.kill();
     rig.start_again();
     let mut client = rig.gateway.original_client();
-    assert_eq!(client.wait(id, 20.0), (COMPLETED, "7"));
+    assert_eq!(client.end(id), (COMPLETED, "7"));
     assert_eq!(client.status(id), (COMPLETED, "7"));
     assert_eq!(rig.device.deed("7 1000"), ONCE);
 }

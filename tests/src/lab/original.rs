@@ -134,7 +134,21 @@ impl OriginalClient {
     #[track_caller]
     pub fn stop(&mut self, id: i64) -> i64 {
         self.abort(id);
-        self.wait(id, 60.0).number
+        self.end(id).number
+    }
+
+    /// Waits until a task has ended, or has told the same for a minute. A board in QEMU on a busy machine can take
+    /// minutes for a way of seconds.
+    #[track_caller]
+    pub fn end(&mut self, id: i64) -> Answer {
+        let mut last = None;
+        loop {
+            let answer = self.wait(id, 60.0);
+            if answer.number != ACCEPTED || last.as_ref() == Some(&answer) {
+                return answer;
+            }
+            last = Some(answer);
+        }
     }
 
     /// `RemoteTask.wait` with its limit in seconds; 0 or less waits for ever.
