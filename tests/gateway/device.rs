@@ -292,8 +292,8 @@ fn a_dead_device_affects_no_other() {
     let lost = client.start("gripper", "finger", "100");
     device.kill();
     let left = client.start("head", "pan", "left");
-    assert_eq!(client.end(left), (5, "90.0"));
-    assert_eq!(client.end(lost), (3, "device is not answering"));
+    assert_eq!(client.wait(left, 20.0), (5, "90.0"));
+    assert_eq!(client.wait(lost, 20.0), (3, "device is not answering"));
 }
 
 #[test]

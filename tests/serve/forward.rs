@@ -177,7 +177,7 @@ fn a_restarted_servers_task_is_unknown_to_us_and_failed_to_originals() {
             .contains("it may still run: the server could not learn how the task ended"),
         "{abort:?}"
     );
-    let answer = original.end(originals);
+    let answer = original.wait(originals, 20.0);
     assert_eq!(answer.number, FAILED);
     assert!(answer.text.starts_with("unknown: "), "{answer:?}");
 }

@@ -137,8 +137,8 @@ impl OriginalClient {
         self.end(id).number
     }
 
-    /// Waits until a task has ended, or has told the same for a minute. A board in QEMU on a busy machine can take
-    /// minutes for a way of seconds.
+    /// Waits until a task has ended, or makes no progress for a minute. On a busy machine, a board in QEMU can take
+    /// minutes for what takes seconds elsewhere.
     #[track_caller]
     pub fn end(&mut self, id: i64) -> Answer {
         let mut last = None;
