@@ -241,10 +241,13 @@ fn a_node_whose_connection_is_reset_during_a_task_makes_its_outcome_unknown_and_
     }
 }
 
-/// How many bytes for this end of a connection wait in the system, at the other end.
+/// How many bytes for this end of a connection wait in the system, at the other end. A closed connection has none.
 fn waits_for(stream: &TcpStream) -> usize {
-    let port = |address: std::io::Result<SocketAddr>| format!(":{:04X}", address.unwrap().port());
-    let [here, there] = [port(stream.local_addr()), port(stream.peer_addr())];
+    let port = |address: SocketAddr| format!(":{:04X}", address.port());
+    let Ok(there) = stream.peer_addr().map(port) else {
+        return 0;
+    };
+    let here = port(stream.local_addr().unwrap());
     let tables = ["/proc/net/tcp", "/proc/net/tcp6"].map(std::fs::read_to_string);
     let lines = tables.iter().flatten().flat_map(|table| table.lines());
     // number, local and remote address, state, bytes to send:bytes to read
