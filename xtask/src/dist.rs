@@ -11,6 +11,7 @@ use xshell::{Cmd, Shell, cmd};
 use crate::project::{PACKAGE, Project, TOGETHER};
 use crate::zig::{Target, Zig, targets};
 use crate::{capi, install, paths};
+pub(crate) use bill::install_validator;
 use contents::Contents;
 
 /// Maximum sizes of a program for processors of 32 and 64 bits, in bytes: 5.25 and 8.5 MiB.

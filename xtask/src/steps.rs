@@ -38,7 +38,7 @@ const fn step(name: &'static str, about: &'static str, run: fn(&Project) -> Resu
 const TOOLS: Step = step(
     "tools",
     "all that builds and tests need is installed",
-    install,
+    install_all,
 );
 
 #[rustfmt::skip]
@@ -180,6 +180,7 @@ pub(crate) fn install(project: &Project) -> Result<()> {
     install::peers(project)?;
     install::naoqi(project)?;
     install::zenoh(project)?;
+    dist::install_validator(project)?;
     cross::add(sh, &package::FOREIGN);
     let boards = firmware::boards(sh)?;
     let boards = boards.iter().map(|board| board.target.as_str());
@@ -187,6 +188,12 @@ pub(crate) fn install(project: &Project) -> Result<()> {
         Core::provide(sh, target)?;
     }
     Zig::provide(project).map(drop)
+}
+
+/// Also makes the Debian root: who may not do that learns it before all other steps, not after them.
+fn install_all(project: &Project) -> Result<()> {
+    install(project)?;
+    install::debian_root(project).map(drop)
 }
 
 fn format(project: &Project) -> Result<()> {

@@ -1,6 +1,6 @@
 //! Validates the bills of materials against CycloneDX.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use xshell::cmd;
@@ -33,10 +33,15 @@ for path in sys.argv[1:]:
     print(f"{path}: {len(parts)} parts, valid")
 "#;
 
+/// Installs CycloneDX's library; returns the Python that has it.
+pub(crate) fn install_validator(project: &Project) -> Result<PathBuf> {
+    let imports = "cyclonedx.validation.json, jsonschema, license_expression";
+    install::environment(project, "bill", &[LIBRARY], imports)
+}
+
 pub(super) fn check(project: &Project, release: &Path) -> Result<()> {
     let sh = &project.sh;
-    let imports = "cyclonedx.validation.json, jsonschema, license_expression";
-    let python = install::environment(project, "bill", &[LIBRARY], imports)?;
+    let python = install_validator(project)?;
     let mut bills = sh.read_dir(release)?;
     bills.retain(|path| path.to_string_lossy().ends_with(".cdx.json"));
     Ok(cmd!(sh, "{python} -c {SCRIPT} {bills...}").quiet().run()?)
