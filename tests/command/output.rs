@@ -9,8 +9,8 @@ use std::time::Duration;
 use serde_json::Value;
 use ztl_std::{ExecutableTask, RunningServer, TaskContext, TaskController, TaskError, TaskRequest};
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, in_time, our_client, our_client_at,
-    ours_named, port_of, reserve_port, serve, until, ztl,
+    Ended, FakeServer, PATIENCE, Process, SCOPE, Scratch, Server, in_time, our_client,
+    our_client_at, ours_named, port_of, reserve_port, serve, until, ztl,
 };
 
 /// The names that a program may rely on, as listed in `docs/tools.md`.
@@ -463,6 +463,57 @@ fn received_text_cannot_control_the_terminal() {
     let ended = server.start_client(our_client(), &[&echo]).end(PATIENCE);
     let result = format!("Result is '{COMMANDS}'.\n");
     assert!(ended.stdout.ends_with(&result), "{ended:?}");
+}
+
+#[test]
+fn a_devices_names_stay_on_their_lines() {
+    let gateway = Server::gateway(&["gripper=sim:gripper"]);
+    gateway.wait_described(&["opens the finger"]);
+    let port = gateway.port.to_string();
+    let told = Process::run(ztl().args(["devices", "--json", "-p", &port])).stdout;
+    let mut told: Value = serde_json::from_str(&told).expect("JSON");
+    let device = &mut told[SCOPE]["gripper"];
+    device["components"][0]["loss"] = "hold".into();
+    let ready = told.clone();
+    let device = &mut told[SCOPE]["gripper"];
+    device["ready"] = false.into();
+    device["problem"] = "the gripper is missing".into();
+    let hostile = Value::from(format!("{COMMANDS}\nforged")).to_string();
+    for (told, rest) in [
+        (
+            ready,
+            "without link it goes to its safe state and keeps its position, also when idle",
+        ),
+        (told, ": not ready: the a\\u001b]0;owned"),
+    ] {
+        let mut told = told.to_string();
+        for name in ["gripper", "finger", "percent"] {
+            told = told.replace(name, hostile.trim_matches('"'));
+        }
+        let server = FakeServer::with_questions(move |request| {
+            let (_, question) = request.split_once("-1;").expect("a question");
+            let answer = match question {
+                "probe" => "{ztl: 1, version: '9', boot: 7}",
+                "devices" => &told,
+                _ => r#"{"tasks": [], "more": 0}"#,
+            };
+            format!("$ztl;5;0;{answer}").into_bytes()
+        });
+        let port = server.port.to_string();
+        let seen = to_a_terminal(&["devices", "-p", &port], &[]);
+        let missing = to_a_terminal(&["devices", "other", "-p", &port], &[]);
+        for ended in [&seen, &missing] {
+            let text = ended.stdout.replace("\r\n", "\n");
+            assert!(
+                !text.contains(|c: char| c.is_control() && c != '\n'),
+                "{text:?}"
+            );
+            assert!(!text.contains("\nforged"), "{text:?}");
+            assert!(text.contains(&format!("{SHOWN}\\nforged")), "{text:?}");
+        }
+        assert!(seen.stdout.contains(rest), "{seen:?}");
+        assert_eq!((seen.code, missing.code), (Some(0), Some(1)), "{missing:?}");
+    }
 }
 
 #[test]

@@ -91,7 +91,8 @@ impl Devices {
         }
         match self.name {
             Some(name) if !found => {
-                Err(format!("no device '{name}'; there are: {}", names.join(", ")).into())
+                let names = names.join(", ");
+                Err(format!("no device '{name}'; there are: {}", flat(&names)).into())
             }
             _ => Ok(code(all_named)),
         }
@@ -183,7 +184,7 @@ fn show<'a>(
         (Some(problem), false) => format!("not ready: {problem}"),
         (None, false) => "not ready yet".to_owned(),
     };
-    line(format_args!("{scope} {name} at {}: {how}", device.url));
+    line(flat(&format!("{scope} {name} at {}: {how}", device.url)));
     if let Some(firmware) = &device.firmware {
         line(format_args!(
             "  firmware {} {}, up {}; link timeout {}",
