@@ -325,6 +325,35 @@ fn invalid_addresses_give_the_originals_exit_codes() {
 }
 
 #[test]
+fn a_server_without_a_valid_address_never_starts() {
+    let names = Scratch::new();
+    for (line, code, said) in [
+        ("ztl task-server -p 99999 -s /x", 2, "65535"),
+        ("ztl task-server -p=-1 -s /x", 2, "65535"),
+        ("ztl simple-server 99999 /x", 2, "65535"),
+        ("ztl gateway -p 99999 -s /x -d a=sim:gripper", 2, "65535"),
+        ("ztl_task_server -p 99999 -s /x", 2, "65535"),
+        ("ztl_task_server -p -1 -s /x", 2, "65535"),
+        ("ztl_simple_server 99999 /x", 1, "65535"),
+        ("ztl_simple_server -1 /x", 1, "65535"),
+        ("ztl task-server -p 0 -s /x;3", 2, "';'"),
+        ("ztl simple-server 0 /x;3", 2, "';'"),
+        ("ztl gateway -p 0 -s /x;3 -d a=sim:gripper", 2, "';'"),
+        ("ztl_task_server -p 0 -s /x;3", 2, "';'"),
+        ("ztl_simple_server 0 /x;3", 1, "';'"),
+    ] {
+        let (tool, rest) = line.split_once(' ').expect("arguments");
+        let mut command = match tool {
+            "ztl" => ztl(),
+            named => ours_named(&names, named),
+        };
+        let ended = Process::run(command.args(rest.split(' ')));
+        assert_eq!(ended.code, Some(code), "{line}: {ended:?}");
+        assert!(ended.stderr.contains(said), "{line}: {ended:?}");
+    }
+}
+
+#[test]
 fn an_endpoint_is_not_taken_for_a_host() {
     let written = "'tcp://lamp:7' is not a host; write lamp as the host, and 7 as the port";
     let other = "'ipc:///x' is not a host; a host is a name or an address, as 192.168.1.7";

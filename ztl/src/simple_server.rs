@@ -8,13 +8,12 @@ use std::time::{Duration, Instant};
 
 use tracing::{Level, error};
 use ztl_core::Request;
-use ztl_std::scope;
 use ztl_std::server::{TaskHandler, TaskReporter};
 use ztl_std::{Limits, TaskId, TaskRequest, TaskServer};
 
 use crate::exit::Done;
 use crate::listen_options::LimitOptions;
-use crate::option_values::{no_number, port, seconds};
+use crate::option_values::{no_number, port, scope_to_serve, seconds};
 use crate::terminal::line;
 use crate::{log, signals};
 
@@ -25,6 +24,7 @@ pub(crate) struct SimpleServer {
     port: u16,
 
     /// The scope that the server should respond to
+    #[arg(value_parser = scope_to_serve)]
     scope: String,
 
     #[command(flatten)]
@@ -34,9 +34,6 @@ pub(crate) struct SimpleServer {
 impl SimpleServer {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
-        if let Some(error) = scope::cannot_be_served(&self.scope) {
-            return Err(error.into());
-        }
         signals::catch()?;
         // All interfaces, as the original.
         let mut server = TaskServer::builder()

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use tracing::{Level, error};
 use ztl_core::integer::Integer;
-use ztl_std::scope;
 use ztl_std::{
     ExecutableTask, Limits, Offers, TaskContext, TaskController, TaskError, TaskRequest,
     TaskServer as Server,
@@ -14,7 +13,7 @@ use ztl_std::{
 use crate::connect_options::TransportOption;
 use crate::exit::Done;
 use crate::listen_options::LimitOptions;
-use crate::option_values::{no_number, port};
+use crate::option_values::{no_number, port, scope_to_serve};
 use crate::terminal::line;
 use crate::{log, signals};
 
@@ -25,7 +24,7 @@ pub(crate) struct TaskServer {
     port: u16,
 
     /// The scope that the server should respond to
-    #[arg(short, long)]
+    #[arg(short, long, value_parser = scope_to_serve)]
     scope: String,
 
     #[command(flatten)]
@@ -38,9 +37,6 @@ pub(crate) struct TaskServer {
 impl TaskServer {
     pub(crate) fn run(self) -> Done {
         log::init(Level::INFO);
-        if let Some(error) = scope::cannot_be_served(&self.scope) {
-            return Err(error.into());
-        }
         signals::catch()?;
         // All interfaces, as the original.
         let mut server = Server::builder()
