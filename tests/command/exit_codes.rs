@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use ztl_pickle::Pickle;
 use ztl_record::{Formats, Recording, Source, Written};
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, reserve_port, ztl};
+use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, ours_named, reserve_port, ztl};
 
 const DOCUMENT: &str = include_str!("../../docs/tools.md");
 
@@ -326,6 +326,10 @@ fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
     let on = format!("pty:{link}");
     let ends = [format!("pty:{link}2"), format!("pty:{other}")];
     let demo = reserve_port().to_string();
+    let command = |mut command: Command, (words, says, code): (&[&str], _, _)| {
+        command.args(words).env("HOME", scratch.path("home"));
+        (command, says, code)
+    };
     let all: [(&[&str], _, _); 8] = [
         (&["task-server", "-p", "0", "-s", SCOPE], "Registering", 1),
         (&["simple-server", "0", SCOPE], "Registering", 1),
@@ -344,12 +348,12 @@ fn servers(scratch: &Scratch) -> Vec<(Command, &'static str, i32)> {
             0,
         ),
     ];
-    let command = |(words, says, code): (&[&str], _, _)| {
-        let mut command = ztl();
-        command.args(words).env("HOME", scratch.path("home"));
-        (command, says, code)
-    };
-    all.map(command).into_iter().collect()
+    let named = ["ztl_task_server", "ztl_simple_server"].map(|name| ours_named(scratch, name));
+    let named = named.into_iter().zip(all);
+    let named = named.map(|(tool, (words, says, code))| command(tool, (&words[1..], says, code)));
+    let named: Vec<_> = named.collect();
+    let ours = all.into_iter().map(|rest| command(ztl(), rest));
+    ours.chain(named).collect()
 }
 
 #[test]

@@ -40,6 +40,24 @@ fn the_example_is_valid_and_checking_it_serves_nothing() {
 }
 
 #[test]
+fn checking_opens_no_device() {
+    let scratch = Scratch::new();
+    let device = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+    let port = device.local_addr().expect("its address").port();
+    let text = format!("scope: /lab\nport: 0\ndevices: {{arm: tcp:127.0.0.1:{port}}}\n");
+    let file = written(&scratch, &text);
+    let checked = run(&[&file, "--check"]);
+    assert_eq!(checked.code, Some(0), "{checked:?}");
+    device.set_nonblocking(true).expect("a socket");
+    let nobody = device.accept().map_err(|error| error.kind());
+    assert_eq!(nobody.map(drop), Err(std::io::ErrorKind::WouldBlock));
+
+    device.set_nonblocking(false).expect("a socket");
+    let _gateway = Process::start(ztl().args(["gateway", &file]));
+    device.accept().expect("the gateway that serves");
+}
+
+#[test]
 fn the_check_finds_errors_that_would_fail_the_start() {
     let scratch = Scratch::new();
     std::fs::write(scratch.path("file"), "").expect("to write");

@@ -262,6 +262,25 @@ fn every_script_rule_is_played_like_the_original() {
 }
 
 #[test]
+fn only_ours_offers_to_replay_a_scene_without_a_name() {
+    let text = "~: {s: {robot: {blink: 1}}}\nb: {s: {robot: {blink: 2}}}";
+    play(&named(&[("a_null", text, "enter enter")]), 0, |played| {
+        let prompt = " OR ANY OTHER KEY TO SKIP\nEXECUTING SCENE 'b'";
+        let [original, ours] = [
+            format!(" or{}", &prompt[3..]),
+            format!(", PRESS <R> TO REPLAY LAST SCENE{prompt}"),
+        ];
+        let expected = played.original.out.replace(&original, &ours);
+        let mut found = differences(played);
+        found.retain(|it| !it.starts_with("out:") || played.ours.out != expected);
+        if !expected.contains(&ours) {
+            found.push("the original offers it".to_owned());
+        }
+        found
+    });
+}
+
+#[test]
 fn scripts_the_original_cannot_play_are_rejected_with_its_exit_code() {
     play(&named(corpus::WRONG), 0, refusals);
 }
