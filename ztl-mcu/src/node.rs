@@ -167,12 +167,20 @@ impl<'a, C: Components, const TASKS: usize, const FRAME: usize> Node<'a, C, TASK
     /// # use ztl_mcu::{Component, Identity, Node};
     /// # let arms: [&mut dyn Component; 0] = [];
     /// Node::<_, 2, 1100>::new(Identity::new("arm", "1.0.0", 7), arms);
+    /// # let arms: [&mut dyn Component; 0] = [];
+    /// Node::<_, 9, 128>::new(Identity::new("arm", "1.0.0", 7), arms);
     /// ```
     ///
     /// ```compile_fail,E0080
     /// # use ztl_mcu::{Component, Identity, Node};
     /// # let arms: [&mut dyn Component; 0] = [];
     /// Node::<_, 2, 1101>::new(Identity::new("arm", "1.0.0", 7), arms);
+    /// ```
+    ///
+    /// ```compile_fail,E0080
+    /// # use ztl_mcu::{Component, Identity, Node};
+    /// # let arms: [&mut dyn Component; 0] = [];
+    /// Node::<_, 10, 128>::new(Identity::new("arm", "1.0.0", 7), arms);
     /// ```
     pub const fn new(identity: Identity<'a>, components: C) -> Self {
         const { Self::CHECKED };

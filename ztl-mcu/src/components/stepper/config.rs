@@ -47,8 +47,8 @@ pub struct StepperConfig {
     pub reverse: bool,
     /// Whether the motor keeps its power after a task. Defaults to hold.
     pub at_rest: Power,
-    /// What [`make_safe`](crate::Component::make_safe) does after it has stopped at once, also to an idle motor. Defaults
-    /// to hold; a motor without power stays without.
+    /// What [`make_safe`](crate::Component::make_safe) does after it has stopped at once, also to an idle motor. A step
+    /// pulse that has begun is ended with its full width. Defaults to hold; a motor without power stays without.
     pub safe: Power,
     /// What happens to a task that arrives while one runs. By default it is refused.
     pub busy: Busy,
