@@ -38,6 +38,10 @@ struct Told {
     is_refused: bool,
     /// Whether an answer of this round was neither a confirmation nor a refusal.
     is_unclear: bool,
+    /// The same of the last round before that had answers.
+    was_unclear: bool,
+    /// Whether this round has an answer.
+    is_heard: bool,
     reason: Option<String>,
     /// When to tell it again.
     again: Option<Instant>,
@@ -50,6 +54,7 @@ type News = (usize, u32, Option<Verdict>);
 impl Told {
     /// Takes an answer to a question that named a boot. Returns whom to tell with which clock.
     fn on_verdict(&mut self, named: u32, verdict: Verdict) -> Option<(u32, u64)> {
+        self.is_heard = true;
         match verdict {
             Verdict::Stale { boot, clock_ms } => {
                 let (times, _) = self.machines.entry(boot).or_default();
@@ -88,12 +93,28 @@ impl Told {
         None
     }
 
+    /// Begins another round.
+    fn begin_again(&mut self) {
+        self.again = None;
+        if std::mem::take(&mut self.is_heard) {
+            self.was_unclear = std::mem::take(&mut self.is_unclear);
+        }
+        for (times, _) in self.machines.values_mut() {
+            *times = 0;
+        }
+    }
+
     /// Whether all that were heard have confirmed, or it makes no sense to tell it again.
     fn is_over(&self) -> bool {
         let mut told = self.machines.values();
         let has_confirmed = |told: &Option<Stopped>| told.as_ref().is_some_and(|told| !told.again);
         let have_all = !self.machines.is_empty() && told.all(|(_, told)| has_confirmed(told));
-        self.is_refused || have_all && !self.is_unclear
+        self.is_refused || have_all && !self.leaves_unclear()
+    }
+
+    /// A round that the limit has cut off, or that nobody answered, makes nothing clear.
+    fn leaves_unclear(&self) -> bool {
+        self.is_unclear || self.was_unclear && (self.open > 0 || !self.is_heard)
     }
 
     fn answer(&mut self) -> StopAnswer {
@@ -105,7 +126,7 @@ impl Told {
         StopAnswer {
             misses_one: machines.len() < heard
                 || matches!(&machines[..], [told] if told.copy)
-                || self.is_unclear
+                || self.leaves_unclear()
                 || !machines.is_empty() && is_held,
             machines,
             is_refused: self.is_refused,
@@ -158,11 +179,7 @@ impl Caller {
                     }
                     told(index, answer);
                 } else if robot.again.is_some_and(|again| now >= again) {
-                    robot.again = None;
-                    robot.is_unclear = false;
-                    for (times, _) in robot.machines.values_mut() {
-                        *times = 0;
-                    }
+                    robot.begin_again();
                     self.tell(agents, index, robot, (0, 0), end, &sender);
                 } else if robot.open == 0 && robot.again.is_none() {
                     robot.was_whole = true;
@@ -229,6 +246,43 @@ mod tests {
         }
         let machine = told.answer().machines.remove(0);
         [machine.running, machine.stopped]
+    }
+
+    #[test]
+    fn a_round_without_all_answers_makes_nothing_clear() {
+        let stopped = r#"{"boot":7,"stopped":[],"running":[],"unknown":null}"#;
+        let stopped = || Verdict::Answer(stopped.as_bytes().to_vec());
+        let busy = || Verdict::Unknown("too many requests are waiting".to_owned());
+        for has_other in [false, true] {
+            let mut told = Told::default();
+            let others = has_other.then(stopped);
+            for answer in others.into_iter().chain([busy()]) {
+                assert_eq!(told.on_verdict(7, answer), None);
+            }
+            told.was_whole = true;
+            for _ in 0..2 {
+                assert!(!told.is_over());
+                told.begin_again();
+            }
+            assert!(!told.is_over(), "nobody has answered again");
+            assert_eq!(told.on_verdict(7, stopped()), None);
+            told.open = 1;
+            assert!(told.answer().misses_one, "one has not answered again");
+        }
+        let mut told = Told::default();
+        assert_eq!(told.on_verdict(7, busy()), None);
+        told.begin_again();
+        assert_eq!(told.on_verdict(7, stopped()), None);
+        assert!(told.is_over() && !told.answer().misses_one);
+        told = Told {
+            open: 1,
+            was_whole: true,
+            ..Told::default()
+        };
+        assert_eq!(told.on_verdict(7, busy()), None);
+        told.begin_again();
+        let answer = told.answer();
+        assert!(answer.misses_one && answer.reason.is_some(), "{answer:?}");
     }
 
     #[test]
