@@ -112,7 +112,7 @@ impl Told {
         self.is_refused || have_all && !self.leaves_unclear()
     }
 
-    /// A round that the limit has cut off, or that nobody answered, makes nothing clear.
+    /// Whether the last answers were unclear. Those of the round before count until all of this round have come.
     fn leaves_unclear(&self) -> bool {
         self.is_unclear || self.was_unclear && (self.open > 0 || !self.is_heard)
     }
@@ -264,7 +264,7 @@ mod tests {
                 assert!(!told.is_over());
                 told.begin_again();
             }
-            assert!(!told.is_over(), "nobody has answered again");
+            assert!(!told.is_over(), "the new round has no answer yet");
             assert_eq!(told.on_verdict(7, stopped()), None);
             told.open = 1;
             assert!(told.answer().misses_one, "one has not answered again");
