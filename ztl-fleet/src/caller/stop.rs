@@ -38,7 +38,7 @@ struct Told {
     is_refused: bool,
     /// Whether an answer of this round was neither a confirmation nor a refusal.
     is_unclear: bool,
-    /// The same of the last round before that had answers.
+    /// The same of the round before, or of an earlier one if nobody answered that.
     was_unclear: bool,
     /// Whether this round has an answer.
     is_heard: bool,
@@ -112,7 +112,7 @@ impl Told {
         self.is_refused || have_all && !self.leaves_unclear()
     }
 
-    /// Whether the last answers were unclear. Those of the round before count until all of this round have come.
+    /// Whether the last answers were unclear. Those of the round before count until this round has ended with answers.
     fn leaves_unclear(&self) -> bool {
         self.is_unclear || self.was_unclear && (self.open > 0 || !self.is_heard)
     }
