@@ -466,7 +466,7 @@ fn received_text_cannot_control_the_terminal() {
 }
 
 #[test]
-fn a_devices_names_stay_on_their_lines() {
+fn names_of_devices_and_scopes_stay_on_their_lines() {
     let gateway = Server::gateway(&["gripper=sim:gripper"]);
     gateway.wait_described(&["opens the finger"]);
     let port = gateway.port.to_string();
@@ -479,6 +479,8 @@ fn a_devices_names_stay_on_their_lines() {
     device["ready"] = false.into();
     device["problem"] = "the gripper is missing".into();
     let hostile = Value::from(format!("{COMMANDS}\nforged")).to_string();
+    let probe =
+        format!(r#"{{ztl: 1, version: '9', boot: 7, scopes: {{"{SHOWN}\nforged": {{}}}}}}"#);
     for (told, rest) in [
         (
             ready,
@@ -490,10 +492,11 @@ fn a_devices_names_stay_on_their_lines() {
         for name in ["gripper", "finger", "percent"] {
             told = told.replace(name, hostile.trim_matches('"'));
         }
+        let probe = probe.clone();
         let server = FakeServer::with_questions(move |request| {
             let (_, question) = request.split_once("-1;").expect("a question");
             let answer = match question {
-                "probe" => "{ztl: 1, version: '9', boot: 7}",
+                "probe" => &probe,
                 "devices" => &told,
                 _ => r#"{"tasks": [], "more": 0}"#,
             };
@@ -501,8 +504,13 @@ fn a_devices_names_stay_on_their_lines() {
         });
         let port = server.port.to_string();
         let seen = to_a_terminal(&["devices", "-p", &port], &[]);
-        let missing = to_a_terminal(&["devices", "other", "-p", &port], &[]);
-        for ended in [&seen, &missing] {
+        let missing = [
+            &["devices", "other"][..],
+            &["param", "list", "other"],
+            &["abort", "--all", "-s", "/other"],
+        ];
+        let missing = missing.map(|words| to_a_terminal(&[words, &["-p", &port]].concat(), &[]));
+        for ended in missing.iter().chain([&seen]) {
             let text = ended.stdout.replace("\r\n", "\n");
             assert!(
                 !text.contains(|c: char| c.is_control() && c != '\n'),
@@ -512,7 +520,9 @@ fn a_devices_names_stay_on_their_lines() {
             assert!(text.contains(&format!("{SHOWN}\\nforged")), "{text:?}");
         }
         assert!(seen.stdout.contains(rest), "{seen:?}");
-        assert_eq!((seen.code, missing.code), (Some(0), Some(1)), "{missing:?}");
+        assert_eq!(seen.code, Some(0), "{seen:?}");
+        let codes = missing.map(|ended| ended.code);
+        assert_eq!(codes, [Some(1); 3]);
     }
 }
 

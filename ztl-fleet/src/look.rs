@@ -49,6 +49,12 @@ pub(crate) fn refusal(robot: &str, agent: &str) -> String {
     format!("{robot}  refused  agent {agent} does not have the key of this name")
 }
 
+/// Prints what is amiss.
+fn tell(text: String) {
+    // Who does not read this may need the answer all the same.
+    let _ = line(text);
+}
+
 /// Puts a question to agents. Who does not answer is asked again: a router may not know the way yet, or the machine is
 /// busy.
 fn until_told<T>(
@@ -132,13 +138,15 @@ impl Select {
     }
 
     fn find(&self) -> Result<(Caller, Vec<Found>), session::ZenohError> {
-        let (caller, all, _) = self.find_with(|caller, agents| caller.infos(agents, LIMIT))?;
+        let infos = |caller: &Caller, agents: &Agents| caller.infos(agents, LIMIT);
+        let (caller, all, _) = self.find_with(tell, infos)?;
         Ok((caller, all))
     }
 
-    /// The same, with what the file says; `infos` asks what the agents say.
+    /// The same, with what the file says; `tell` is told what is amiss, and `infos` asks what the agents say.
     fn find_with(
         &self,
+        mut tell: impl FnMut(String),
         infos: impl FnOnce(&Caller, &Agents) -> Vec<Option<RobotInfo>>,
     ) -> Result<(Caller, Vec<Found>, EndpointConfig), session::ZenohError> {
         let (caller, config) = self.open(Some(CONNECTING))?;
@@ -149,16 +157,15 @@ impl Select {
                 found.is_doubted |= caller.hears_several(&found.name, agent);
             }
         }
-        // Also if nobody reads this, `stop-all` stops.
         for (robot, agent) in looked.refused {
-            let _ = line(refusal(&robot, &agent));
+            tell(refusal(&robot, &agent));
         }
         if let Some(note) = looked.note {
             if looked.found.is_empty() {
                 return Err(note.into());
             }
             // Some of those that do not answer may belong to it.
-            let _ = line(note);
+            tell(note);
         }
         Ok((caller, looked.found, config))
     }
@@ -221,7 +228,7 @@ impl Select {
 
     /// Exit code 0 if all robots are there and ready.
     pub(crate) fn ls(self) -> Done {
-        let (caller, all, _) = self.find_with(infos)?;
+        let (caller, all, _) = self.find_with(tell, infos)?;
         let mut good = true;
         for found in &all {
             let name = &found.name;
@@ -259,7 +266,7 @@ impl Select {
     /// Exit code 0 if all robots have told all their tasks.
     pub(crate) fn ps(self) -> Done {
         let end = Instant::now() + LISTING;
-        let (caller, all, _) = self.find_with(infos)?;
+        let (caller, all, _) = self.find_with(tell, infos)?;
         let mut good = true;
         for (found, tasks) in all.iter().zip(tasks(&caller, &all, end)) {
             let name = &found.name;

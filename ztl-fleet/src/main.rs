@@ -24,6 +24,7 @@ use ztl_fleet::config::{AgentConfig, EndpointConfig, Links};
 use ztl_fleet::join::Joined;
 use ztl_fleet::serve::Serving;
 use ztl_fleet::{routers, session};
+use ztl_std::terminal::flat;
 use ztl_yaml::Diagnostics;
 
 /// Robots of many rooms and buildings behind one ZTL endpoint, over Eclipse Zenoh
@@ -140,7 +141,8 @@ fn main() -> ExitCode {
                 let _ = write!(stderr, "{error}");
                 return ExitCode::from(MISCONFIGURED);
             }
-            let _ = writeln!(stderr, "ztl-fleet: {error}");
+            let error = error.to_string();
+            let _ = writeln!(stderr, "ztl-fleet: {}", flat(&error));
             ExitCode::FAILURE
         }
     }
@@ -238,5 +240,5 @@ fn fine(file: &std::path::Path, links: &Links) -> Done {
 /// Prints a line without what could command a terminal.
 fn line(text: impl std::fmt::Display) -> std::io::Result<()> {
     let text = text.to_string();
-    writeln!(std::io::stdout(), "{}", ztl_std::terminal::flat(&text))
+    writeln!(std::io::stdout(), "{}", flat(&text))
 }

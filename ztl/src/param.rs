@@ -219,7 +219,8 @@ fn scope_of(server: &QueriedServer, name: &str) -> Result<String, Box<dyn std::e
                 .flatten()
                 .map(|(name, _)| name.as_str())
                 .collect();
-            Err(format!("no device '{name}'; there are: {}", names.join(", ")).into())
+            let names = names.join(", ");
+            Err(format!("no device '{name}'; there are: {}", flat(&names)).into())
         }
     }
 }

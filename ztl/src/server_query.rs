@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use serde::de::DeserializeOwned;
-use ztl_std::terminal::quoted;
+use ztl_std::terminal::{flat, quoted};
 use ztl_std::{DescribedComponent, Description, ListedTask, RemoteTask, ServerTasks, State};
 
 use crate::connect_options::ConnectOptions;
@@ -68,6 +68,7 @@ impl QueriedServer {
         let names: Vec<&str> = scopes.keys().map(String::as_str).collect();
         let endpoint = self.endpoint();
         let names = names.join(", ");
+        let names = flat(&names);
         Err(format!("the server at {endpoint} has no scope '{scope}'; it has: {names}").into())
     }
 

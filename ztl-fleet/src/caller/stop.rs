@@ -121,8 +121,9 @@ impl Told {
         let heard = self.machines.len();
         let told = std::mem::take(&mut self.machines).into_values();
         let machines: Vec<Stopped> = told.filter_map(|(_, told)| told).collect();
-        // Whoever holds up or refuses the question may be another machine.
-        let is_held = self.open > 0 && !self.was_whole || self.is_refused;
+        // Whoever holds up or refuses the question may be another machine, also one that an earlier round did not reach.
+        let has_confirmed = machines.iter().all(|told| !told.again);
+        let is_held = self.open > 0 && (has_confirmed || !self.was_whole) || self.is_refused;
         StopAnswer {
             misses_one: machines.len() < heard
                 || matches!(&machines[..], [told] if told.copy)
@@ -137,7 +138,7 @@ impl Told {
 
 impl Caller {
     /// Tells agents to stop all tasks, again and again until they have confirmed it or the limit has passed. `told` is called
-    /// for each of them, by its place in the list, as soon as its answer is known.
+    /// for each of them, by its place in the list, as soon as its answer is known; the others wait for its end.
     pub fn stop_all(
         &self,
         agents: &[(String, String)],
@@ -153,9 +154,12 @@ impl Caller {
         while robots.iter().any(|robot| !robot.is_known) {
             let next = robots.iter().filter_map(|robot| robot.again);
             let next = next.min().unwrap_or(end).min(end);
-            if let Ok((index, named, verdict)) = news.recv_timeout(next - Instant::now().min(next))
-                && let Some(robot) = robots.get_mut(index)
-            {
+            let first = news.recv_timeout(next - Instant::now().min(next)).ok();
+            // What has come counts, also if this process stood still until the limit.
+            for (index, named, verdict) in first.into_iter().chain(news.try_iter()) {
+                let Some(robot) = robots.get_mut(index) else {
+                    continue;
+                };
                 match verdict {
                     Some(verdict) => {
                         if let Some(clock) = robot.on_verdict(named, verdict) {
@@ -283,6 +287,22 @@ mod tests {
         told.begin_again();
         let answer = told.answer();
         assert!(answer.misses_one && answer.reason.is_some(), "{answer:?}");
+    }
+
+    #[test]
+    fn whoever_holds_up_the_last_round_may_be_a_machine_that_the_first_did_not_reach() {
+        for (again, misses_one) in [(false, true), (true, false)] {
+            let mut told = Told {
+                open: 1,
+                was_whole: true,
+                ..Told::default()
+            };
+            let body =
+                format!(r#"{{"boot":7,"stopped":[],"running":[],"unknown":null,"again":{again}}}"#);
+            assert_eq!(told.on_verdict(7, Verdict::Answer(body.into_bytes())), None);
+            let answer = told.answer();
+            assert_eq!(answer.misses_one, misses_one, "{answer:?}");
+        }
     }
 
     #[test]

@@ -2,11 +2,13 @@
 
 use std::collections::BTreeSet;
 use std::io;
-use std::thread;
+use std::sync::mpsc::{Sender, channel};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use ztl_fleet::caller::{Caller, StopAnswer};
 use ztl_fleet::config::EndpointConfig;
+use ztl_fleet::session::ZenohError;
 use ztl_fleet::wire::{RobotInfo, Stopped};
 
 use super::{Agents, Found, LIMIT, STOPPING, Select, code};
@@ -20,7 +22,18 @@ const AGAIN: Duration = Duration::from_millis(200);
 impl Select {
     /// Exit code 0 if every robot has confirmed that nothing runs.
     pub(crate) fn stop_all(self) -> Done {
-        let (caller, all, config) = self.find_with(|caller, agents| self.groups(caller, agents))?;
+        let printer = Printer::start();
+        let good = self.stop_and_tell(&printer);
+        let printed = printer.end();
+        let good = good?;
+        printed?;
+        Ok(code(good))
+    }
+
+    /// Returns whether every robot has confirmed that nothing runs.
+    fn stop_and_tell(&self, printer: &Printer) -> Result<bool, ZenohError> {
+        let groups = |caller: &Caller, agents: &Agents| self.groups(caller, agents);
+        let (caller, all, config) = self.find_with(|text| printer.line(text), groups)?;
         if all.is_empty() {
             return Err("no robot is there, so none was stopped".into());
         }
@@ -31,23 +44,21 @@ impl Select {
                 None => drop(missing.insert(found.name)),
             }
         }
-        let find_others = || self.stop_late(&caller, &config, missing.clone());
+        let find_others = || self.stop_late(&caller, &config, missing.clone(), printer);
         let (now, late) = thread::scope(|threads| {
             let thread = thread::Builder::new().name("ztl-fleet-late".to_owned());
             let thread = thread.spawn_scoped(threads, find_others);
-            let now = stop(&caller, &there);
+            let now = stop(&caller, &there, printer);
             // A thread that panics ends the process.
-            let late = thread.map(|thread| thread.join().unwrap_or(Ok(false)));
+            let late = thread.map(|thread| thread.join().unwrap_or(false));
             (now, late.unwrap_or_else(|_| find_others()))
         });
-        let mut good = now? & late?;
         if config.robots.is_empty() {
-            good = false;
-            line(
-                "others  unknown: the file names no 'robots', so nobody can tell which are not there",
-            )?;
+            printer.line(
+                "others  unknown: the file names no 'robots', so nobody can tell which are not there".to_owned(),
+            );
         }
-        Ok(code(good))
+        Ok(now && late && !config.robots.is_empty())
     }
 
     /// What agents say of their groups, if that matters. Otherwise no robot waits for what another one says.
@@ -58,14 +69,15 @@ impl Select {
         }
     }
 
-    /// Stops robots that were not there, as soon as they are.
+    /// Stops robots that were not there, as soon as they are. Returns whether all have confirmed.
     fn stop_late(
         &self,
         caller: &Caller,
         config: &EndpointConfig,
         mut missing: BTreeSet<String>,
-    ) -> io::Result<bool> {
-        let (mut good, mut printed) = (true, Ok(()));
+        printer: &Printer,
+    ) -> bool {
+        let mut good = true;
         let end = Instant::now() + LATE;
         while !missing.is_empty() && Instant::now() < end {
             thread::sleep(AGAIN);
@@ -83,32 +95,57 @@ impl Select {
                     found.push((name, agent));
                 }
             }
-            match stop(caller, &found) {
-                Ok(confirmed) => good &= confirmed,
-                Err(error) => printed = Err(error),
-            }
+            good &= stop(caller, &found, printer);
         }
-        printed?;
         for name in &missing {
-            line(format_args!("{name}  was not there"))?;
+            printer.line(format!("{name}  was not there"));
         }
-        Ok(good && missing.is_empty())
+        good && missing.is_empty()
+    }
+}
+
+/// Prints on a thread of its own: a terminal that is held, or a pipe that nobody reads, keeps no robot from being stopped.
+struct Printer {
+    lines: Sender<String>,
+    /// `None` if the system has no thread for it.
+    thread: Option<JoinHandle<io::Result<()>>>,
+}
+
+impl Printer {
+    fn start() -> Self {
+        let (lines, to_print) = channel::<String>();
+        let thread = thread::Builder::new().name("ztl-fleet-print".to_owned());
+        let thread = thread.spawn(move || to_print.into_iter().try_for_each(line));
+        let thread = thread.ok();
+        Self { lines, thread }
+    }
+
+    fn line(&self, text: String) {
+        if let Err(unsent) = self.lines.send(text) {
+            // There is no thread, or nobody reads.
+            let _ = line(unsent.0);
+        }
+    }
+
+    /// Waits until all is printed.
+    fn end(self) -> io::Result<()> {
+        drop(self.lines);
+        // A thread that panics ends the process.
+        let ended = self.thread.and_then(|thread| thread.join().ok());
+        ended.unwrap_or(Ok(()))
     }
 }
 
 /// Stops robots, and prints what each of them says. Returns whether all have confirmed.
-fn stop(caller: &Caller, agents: &Agents) -> io::Result<bool> {
-    let (mut good, mut printed) = (true, Ok(()));
+fn stop(caller: &Caller, agents: &Agents, printer: &Printer) -> bool {
+    let mut good = true;
     caller.stop_all(agents, STOPPING, |index, answer| {
         let name = agents.get(index).map_or("", |(name, _)| name);
         let (has_confirmed, said) = stopped(answer);
         good &= has_confirmed;
-        // The others are stopped also if nobody reads this.
-        if let Err(error) = line(format_args!("{name}  {said}")) {
-            printed = Err(error);
-        }
+        printer.line(format!("{name}  {said}"));
     });
-    printed.map(|()| good)
+    good
 }
 
 /// Whether a robot has confirmed that nothing runs, and what it said.

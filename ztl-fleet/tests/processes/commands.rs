@@ -1,10 +1,12 @@
 //! The commands that look at a fleet, and the end of those that serve it.
 
+use std::io::Read as _;
 use std::path::PathBuf;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::mpsc::channel;
 
 use zenoh::Wait as _;
+use zenoh::query::Query;
 use ztl_fleet::caller::Caller;
 use ztl_fleet::config::Links;
 use ztl_fleet::session::{self, key};
@@ -58,10 +60,16 @@ fn watch_tells_who_comes_and_what_starts_and_ends_and_abort_ends_a_task() {
         ("arm/test", "7", "unknown: Invalid ID '7'"),
         ("leg/test", "7", "robot 'leg' is not there; there are: arm"),
         ("arm", "7", "'arm' is not the scope of a robot"),
+        (
+            "\u{1b}[2J\nforged",
+            "7",
+            "'\\u001b[2J\\nforged' is not the scope of a robot",
+        ),
     ] {
         let ended = abort(scope, id);
         assert_eq!(ended.code, Some(1), "{ended:?}");
-        assert!(format!("{ended:?}").contains(told), "{ended:?}");
+        let said = format!("{}{}", ended.stdout, ended.stderr);
+        assert!(said.contains(told), "{ended:?}");
     }
     // A group that is misspelled is not a group that has stopped.
     std::fs::write(&file, text.replace("robots: [arm, leg]\n", "")).unwrap();
@@ -207,6 +215,71 @@ fn a_robot_that_does_not_answer_delays_no_question_to_another() {
     let answer = Some(Verdict::Answer(b"{}".to_vec()));
     assert_eq!(told, [answer.clone(), answer]);
     answers.join().unwrap();
+}
+
+/// Whether a thread of a process is about to write a line to its stdout.
+fn writes(process: u32, line: &str) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
+    let length = format!("{:#x}", line.len());
+    threads.flatten().any(|thread| {
+        // The call's number and arguments, or `running`.
+        let call = std::fs::read_to_string(thread.path().join("syscall")).unwrap_or_default();
+        let words: Vec<&str> = call.split(' ').collect();
+        words.get(1) == Some(&"0x1") && words.get(3) == Some(&length.as_str())
+    })
+}
+
+#[test]
+fn robots_are_stopped_also_while_nobody_reads_the_output() {
+    const STOPPED: &str = r#"{"boot":7,"stopped":[],"running":[],"unknown":null}"#;
+    let scratch = Scratch::new();
+    let address = format!("tcp/127.0.0.1:{}", reserve_port());
+    let _router = Fleet::start_router(&scratch, &address);
+    let (robots, other) = (session(&address), session(&address));
+    let answer = |query: Query| query.reply(query.key_expr().clone(), STOPPED).wait();
+    let arm = robots.declare_queryable(key("arm", AGENT, "stop"));
+    let arm = arm.callback(move |query| answer(query).unwrap());
+    let _arm = arm.wait().unwrap();
+    let leg = robots.declare_queryable(key("leg", AGENT, "stop")).wait();
+    let leg = leg.unwrap();
+    let _tokens = ["arm", "leg"].map(|robot| {
+        let token = robots
+            .liveliness()
+            .declare_token(key(robot, AGENT, "alive"));
+        token.wait().unwrap()
+    });
+    until("both are there", PATIENCE, || {
+        let present = session::present(&other, "*", PATIENCE).unwrap();
+        (present.len() == 2).then_some(())
+    });
+    let file = scratch.path("endpoint.yaml");
+    std::fs::write(
+        &file,
+        format!("port: 0\nrouters: {address}\nrobots: [arm, leg]\n"),
+    )
+    .unwrap();
+    let mut stop_all = Command::new("sh");
+    // The pipe is full then.
+    let script = "head -c 65536 /dev/zero; exec \"$0\" stop-all \"$1\"";
+    let words = ["-c", script, env!("CARGO_BIN_EXE_ztl-fleet")];
+    let stop_all = stop_all.args(words).arg(file).stdout(Stdio::piped());
+    let mut stop_all = stop_all.spawn().unwrap();
+    let first = leg.recv_timeout(PATIENCE).unwrap();
+    let lines = ["arm  stopped: 0 tasks\n", "leg  stopped: 0 tasks\n"];
+    until("the output is stuck", PATIENCE, || {
+        writes(stop_all.id(), lines[0]).then_some(())
+    });
+    // It tells its clock first, as robots with keys do.
+    let first = first.expect("a question");
+    first.reply_err("stale: boot=7 clock=1").wait().unwrap();
+    drop(first);
+    let second = leg.recv_timeout(PATIENCE).unwrap();
+    answer(second.expect("another question")).unwrap();
+    let mut told = String::new();
+    let mut stdout = stop_all.stdout.take().unwrap();
+    stdout.read_to_string(&mut told).unwrap();
+    assert_eq!(told.trim_start_matches('\0'), lines.concat());
+    assert_eq!(stop_all.wait().unwrap().code(), Some(0));
 }
 
 #[test]
