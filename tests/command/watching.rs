@@ -2,8 +2,8 @@
 
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
-    Ended, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named, reserve_port,
-    run_python, until, ztl,
+    Ended, FakeServer, PATIENCE, Process, SCOPE, Scratch, Server, example, ours_named,
+    reserve_port, run_python, until, ztl,
 };
 
 /// `ztl` with these arguments and the server's port.
@@ -70,11 +70,48 @@ fn devices_lists_connected_and_missing_devices() {
 
     let one = tell(&gateway, "devices head");
     assert!(one.contains("pan") && !one.contains("finger"), "{one}");
-    let ended = ask(&gateway, "devices tail");
-    assert_eq!(ended.code, Some(1));
+    let one = json(&tell(&gateway, "devices ghost --json"));
     assert_eq!(
-        ended.stderr,
-        "ztl: no device 'tail'; there are: ghost, gripper, head\n"
+        one,
+        json(&format!(
+            r#"{{"/test": {{"ghost": {}}}}}"#,
+            one["/test"]["ghost"]
+        ))
+    );
+    assert_eq!(one["/test"]["ghost"]["ready"], false);
+    let one = tell(&gateway, "devices head --yaml");
+    assert!(one.contains("pan") && !one.contains("finger"), "{one}");
+    for line in ["devices tail", "devices tail --json", "devices tail --yaml"] {
+        let ended = ask(&gateway, line);
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(1), ""), "{line}");
+        assert_eq!(
+            ended.stderr, "ztl: no device 'tail'; there are: ghost, gripper, head\n",
+            "{line}"
+        );
+    }
+}
+
+#[test]
+fn a_device_in_json_is_chosen_in_every_scope_and_keeps_what_this_version_does_not_know() {
+    let server = FakeServer::with_questions(|request| {
+        let answer = match request.ends_with(";devices") {
+            true => r#"{"/a": {"x": {"new": [1]}, "y": {}}, "/b": {"y": {}}, "/c": {"x": 2}}"#,
+            false => "{ztl: 1, version: '9', boot: 7, scopes: {}}",
+        };
+        format!("$ztl;5;0;{answer}").into_bytes()
+    });
+    let port = server.port.to_string();
+    let told = |words: &[&str]| Process::run(ztl().args(["devices", "-p", &port]).args(words));
+    let one = told(&["--json", "x"]);
+    assert_eq!(
+        json(&one.stdout),
+        json(r#"{"/a": {"x": {"new": [1]}}, "/c": {"x": 2}}"#),
+        "{one:?}"
+    );
+    let one = told(&["--yaml", "x"]);
+    assert_eq!(
+        one.stdout, "/a:\n  x:\n    new:\n    - 1\n/c:\n  x: 2\n",
+        "{one:?}"
     );
 }
 

@@ -13,7 +13,7 @@ use ztl_std::defmt::{Decoder, Level, Message};
 use ztl_std::describe::{GoalRule, component as description};
 #[cfg(feature = "defmt")]
 use ztl_std::gateway::LogPiece;
-use ztl_std::gateway::{ComponentReport, DeviceReport, DeviceReports};
+use ztl_std::gateway::{ComponentReport, DeviceReport};
 
 use crate::columns::spoken;
 use crate::data_format::DataFormat;
@@ -64,38 +64,47 @@ impl Devices {
             let endpoint = server.endpoint();
             format!("the server at {endpoint} has no devices: it is not a gateway of this version")
         })?;
+        let name = self.name.as_deref();
         if self.format.is_chosen() {
-            let devices: serde_json::Value = read(&json)?;
-            self.format.print(&devices)?;
+            // As they came: a newer gateway may report more.
+            let scopes: Scopes<serde_json::Value> = read(&json)?;
+            self.format.print(&chosen(scopes, name)?)?;
             return Ok(ExitCode::SUCCESS);
         }
-        let scopes: BTreeMap<String, DeviceReports> = read(&json)?;
+        let scopes: Scopes<DeviceReport> = chosen(read(&json)?, name)?;
         let known = server.tasks()?;
         let all_named = all_named(&known);
         let running = known.tasks.iter().filter(|task| task.may_run);
         let running: Vec<_> = running.filter_map(|task| task.listed.as_ref()).collect();
-        let mut found = false;
-        let mut names = Vec::new();
         for (scope, devices) in &scopes {
             for (name, device) in devices {
-                names.push(name.as_str());
-                if self.name.as_ref().is_some_and(|wanted| wanted != name) {
-                    continue;
-                }
-                found = true;
                 let prefix = format!("{name}:");
                 let own =
                     |task: &&ListedTask| task.scope == *scope && task.task.starts_with(&prefix);
                 show(scope, name, device, running.iter().copied().filter(own));
             }
         }
-        match self.name {
-            Some(name) if !found => {
-                let names = names.join(", ");
-                Err(format!("no device '{name}'; there are: {}", flat(&names)).into())
-            }
-            _ => Ok(code(all_named)),
-        }
+        Ok(code(all_named))
+    }
+}
+
+/// The devices of each scope by their names.
+type Scopes<T> = BTreeMap<String, BTreeMap<String, T>>;
+
+/// The devices of this name, or all without a name. An error if there is none.
+fn chosen<T>(mut scopes: Scopes<T>, name: Option<&str>) -> Result<Scopes<T>, String> {
+    let Some(name) = name else {
+        return Ok(scopes);
+    };
+    let all = scopes.values().flat_map(BTreeMap::keys);
+    let all = all.map(String::as_str).collect::<Vec<_>>().join(", ");
+    scopes.retain(|_, devices| {
+        devices.retain(|device, _| device == name);
+        !devices.is_empty()
+    });
+    match scopes.is_empty() {
+        true => Err(format!("no device '{name}'; there are: {}", flat(&all))),
+        false => Ok(scopes),
     }
 }
 
