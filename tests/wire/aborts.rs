@@ -1,12 +1,16 @@
-//! A Stop reaches each task at once, however long the others take to answer.
+//! A Stop reaches each task at once, however long the others take to answer, and a client prints how its task ended.
 
 use std::collections::BTreeMap;
+use std::process::Command;
 use std::sync::mpsc::{Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use ztl_std::{RemoteId, RequestError, State, Status};
-use ztl_tests::lab::{PATIENCE, SCOPE, connect, port_of, status};
+use ztl_tests::lab::{
+    FakeServer, PATIENCE, Process, SCOPE, Scratch, connect, original_client, our_client,
+    ours_named, port_of, status, ztl,
+};
 
 /// It keeps its connections until it is asked for the requests: libzmq's clients drop answers that they have not read when
 /// a connection ends.
@@ -142,4 +146,106 @@ fn without_a_server_nothing_was_sent() {
         let error = outcome.as_ref().expect_err("nobody is there");
         assert!(error.nothing_was_sent(), "{error}");
     }
+}
+
+/// Answers an ABORT with this state, and each STATUS after it with the state and a text. Before, the task runs.
+fn ending(state: i32, text: &'static str) -> FakeServer {
+    let mut ended = false;
+    FakeServer::start(move |request| {
+        let code = request.split(';').nth(1);
+        ended |= code == Some("3");
+        let told = match code {
+            Some("1") => "1;7;moving".to_owned(),
+            Some("3") => format!("{state};7;False"),
+            _ if ended => format!("{state};7;{text}"),
+            _ => "1;7;None".to_owned(),
+        };
+        format!("{SCOPE};{told}").into_bytes()
+    })
+}
+
+fn lines(mut client: Command, words: &[&str], payload: &str) -> Vec<String> {
+    let ended = Process::run(client.args(words).arg(payload));
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    ended.stdout.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn a_client_prints_how_a_task_ended_that_it_aborted_too_late() {
+    let files = Scratch::new();
+    for (state, text, said) in [
+        (
+            5,
+            "there",
+            "in state 'COMPLETED' after abort signal. Result is 'there'.",
+        ),
+        (
+            3,
+            "it broke",
+            "in state 'FAILED' after abort signal. Result is 'it broke'.",
+        ),
+        (
+            2,
+            "no",
+            "in state 'REJECTED' after abort signal. Result is 'no'.",
+        ),
+        // No result is known.
+        (
+            5,
+            "None",
+            "in state 'COMPLETED' after abort signal. Reply is 'False'.",
+        ),
+    ] {
+        let server = ending(state, text);
+        let port = server.port.to_string();
+        let said = format!("Task with ID '7' finished {said}");
+        let at = ["-r", "127.0.0.1", "-p", &port, "-s", SCOPE, "-t", "1"];
+        let told = lines(our_client(), &at, "arm:left:up");
+        assert_eq!(told.last(), Some(&said), "{told:?}");
+        let server = ending(state, text);
+        let port = server.port.to_string();
+        let mut remote_task = ztl();
+        remote_task.args(["remote-task", "--task", "arm", "127.0.0.1", &port, SCOPE]);
+        let told = lines(remote_task, &["-t", "1", "arm"], "arm:left:up");
+        assert_eq!(told.last(), Some(&said), "{told:?}");
+        // The original's output does not change.
+        let told = [ours_named(&files, "ztl_task_client"), original_client()].map(|client| {
+            let server = ending(state, text);
+            let port = server.port.to_string();
+            let at = ["-r", "127.0.0.1", "-p", &port, "-s", SCOPE, "-t", "1"];
+            let told = lines(client, &at, "arm:left:up");
+            assert_eq!(
+                told.last().map(String::as_str),
+                Some("Aborting task with ID '7'...")
+            );
+            told[1..].to_vec()
+        });
+        assert_eq!(told[0], told[1]);
+    }
+    let server = ending(4, "there");
+    let port = server.port.to_string();
+    let at = ["-r", "127.0.0.1", "-p", &port, "-s", SCOPE, "-t", "1"];
+    let told = lines(our_client(), &at, "arm:left:up");
+    let said = "Task with ID '7' aborted. Reply is 'False'.";
+    assert_eq!(told.last().map(String::as_str), Some(said), "{told:?}");
+}
+
+#[test]
+fn the_simple_client_prints_the_end_of_a_task_that_it_aborted_too_late() {
+    let files = Scratch::new();
+    let run = |mut client: Command| {
+        let server = ending(5, "there");
+        let port = server.port.to_string();
+        client.args(["127.0.0.1", &port, SCOPE]);
+        lines(client, &[], "x")
+    };
+    let mut ours = ztl();
+    ours.arg("simple-client");
+    let told = run(ours);
+    // As its other lines: without the state.
+    let said = "Task with ID '7' finished after abort signal. Result is 'there'.";
+    assert_eq!(told.last().map(String::as_str), Some(said), "{told:?}");
+    let told = run(ours_named(&files, "ztl_simple_client"));
+    let said = "Aborting task with ID '7'...";
+    assert_eq!(told.last().map(String::as_str), Some(said), "{told:?}");
 }

@@ -269,8 +269,9 @@ impl ClientTask<'_> {
         last(report, after)
     }
 
-    /// The result of an aborted task, for JSON. The original's words do not have it. An error means that the task may
-    /// still run, since its server does not know its outcome or does not answer.
+    /// The result of a task with this final state after an abort, empty if it is not reported or not known. The
+    /// original never reports it, and text only if the task was not aborted. An error means that the task may still
+    /// run, since its server does not know its outcome or does not answer.
     fn last_words(
         &self,
         remote: &mut RemoteTask,
@@ -278,7 +279,8 @@ impl ClientTask<'_> {
         state: State,
     ) -> Result<String, RequestError> {
         let failed = state == State::Failed;
-        if !self.report.json && !failed {
+        let is_reported = self.report.json || !self.as_original && state != State::Aborted;
+        if !is_reported && !failed {
             return Ok(String::new());
         }
         match remote.status(id) {

@@ -101,7 +101,7 @@ pub(crate) enum LastEvent<'a> {
     Stopped {
         id: &'a RemoteId,
         status: &'a Status,
-        /// The result, for programs. The answer to an abort does not have it.
+        /// The result, if it is reported and known. The answer to an abort does not have it.
         words: &'a str,
     },
     /// The state some time after an abort that was rejected or not answered.

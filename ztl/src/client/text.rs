@@ -156,7 +156,19 @@ impl<'a> TextReporter<'a> {
                 aborted(id, &status.text);
             }
             // The original prints nothing.
-            LastEvent::Stopped { .. } => {}
+            LastEvent::Stopped { .. } if self.as_original => {}
+            LastEvent::Stopped { id, status, words } => {
+                let told = match *words {
+                    // Only the answer to the abort is known.
+                    "" => format!("Reply is '{}'", status.text),
+                    words => format!("Result is '{words}'"),
+                };
+                self.finished(
+                    id,
+                    Some(status.state),
+                    &format!("after abort signal. {told}."),
+                );
+            }
             LastEvent::After {
                 id, state, text, ..
             } if !self.as_original && !state.is_some_and(State::is_final) => line(format_args!(
