@@ -290,7 +290,13 @@ fn invalid_addresses_give_the_originals_exit_codes() {
     let scratch = Scratch::new();
     for (tool, line, code) in [
         ("ztl_task_client", "-r localhost -p 99999 -s /test a:b:c", 0),
+        ("ztl_task_client", "-r localhost -p 65536 -s /test a:b:c", 0),
         ("ztl_task_client", "-r localhost -p -1 -s /test a:b:c", 1),
+        (
+            "ztl_task_client",
+            "-r localhost -p -99999 -s /test a:b:c",
+            1,
+        ),
         ("ztl_task_client", "-r localhost -p http -s /test a:b:c", 2),
         ("ztl_simple_client", "localhost 99999 /test x", 0),
         ("ztl_simple_client", "localhost -1 /test x", 1),
