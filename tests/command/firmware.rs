@@ -134,3 +134,30 @@ fn what_cannot_be_signed_is_named() {
         "no.firmware_secret: No such file",
     );
 }
+
+#[cfg(unix)]
+#[test]
+fn signing_with_a_key_that_others_can_read_causes_a_warning() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let scratch = Scratch::new();
+    assert_eq!(firmware(&scratch, &["keygen", "lab"]).code, Some(0));
+    fs::write(scratch.path("image"), "x").expect("a file");
+    let key = "lab.firmware_secret";
+    let line = format!("sign image -k {key} --board desk --version 1.0.0");
+    let words: Vec<&str> = line.split(' ').collect();
+    for (mode, said) in [
+        (0o600, String::new()),
+        (
+            0o644,
+            format!(
+                "ztl: warning: {key}: others can use this secret key (mode 644); run: chmod 600 {key}\n"
+            ),
+        ),
+    ] {
+        let rights = fs::Permissions::from_mode(mode);
+        fs::set_permissions(scratch.path(key), rights).expect("to change its rights");
+        let ended = into(&scratch, "file", &words);
+        assert_eq!((ended.code, ended.stderr), (Some(0), said));
+    }
+}

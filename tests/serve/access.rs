@@ -1,6 +1,6 @@
 //! Who may use a server by address, and how secret keys are kept.
 
-use ztl_tests::lab::{Ended, Process, Scratch, Server, our_client_at, ztl};
+use ztl_tests::lab::{Ended, Keys, Process, Scratch, Server, our_client_at, ztl};
 
 /// A gateway with a simulated gripper, and these options.
 #[track_caller]
@@ -68,5 +68,53 @@ fn a_secret_key_readable_by_others_causes_a_warning() {
             let said = format!("warning: {file}: others can use this secret key (mode {mode:03o})");
             assert_eq!(ended.stderr.contains(&said), warned, "{mode:o}: {ended:?}");
         }
+    }
+}
+
+/// Each with its place, also where a file is used in several.
+#[test]
+fn secrets_in_a_file_of_serve_that_others_can_read_cause_warnings() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let keys = Keys::make(&["near", "far"]);
+    let file = keys.path("robot.yaml");
+    std::fs::write(keys.path("token.txt"), "s3cret\n").expect("to write");
+    let text = "naoqi: {directory: 'tcp://127.0.0.1:9', user: nao, token: token.txt}
+scopes: {/test: {p: {
+    far: {forward: {to: 'tcp://127.0.0.1:9', scope: /far, key: near.key_secret, server-key: far.key}},
+    bearer: {http: {post: 'http://10.0.0.7/', bearer: token.txt}},
+    basic: {http: {post: 'http://10.0.0.7/', basic: token.txt}}}}}
+";
+    std::fs::write(&file, text).expect("to write");
+    let places = [
+        ("1:59", "token.txt"),
+        ("3:64", "near.key_secret"),
+        ("4:55", "token.txt"),
+        ("5:53", "token.txt"),
+    ];
+    for (mode, warned) in [(0o600, false), (0o644, true), (0o640, true)] {
+        for (_, name) in places {
+            let rights = std::fs::Permissions::from_mode(mode);
+            std::fs::set_permissions(keys.path(name), rights).expect("to change its rights");
+        }
+        let told = |stderr: &str| {
+            let told = stderr
+                .lines()
+                .filter(|line| line.contains("others can use this secret"));
+            let told: Vec<String> = told.map(str::to_owned).collect();
+            let expected: Vec<String> = match warned {
+                true => places.iter().map(|(place, name)| {
+                    let path = keys.path(name);
+                    format!("{file}:{place}: warning: {path}: others can use this secret key (mode {mode:03o}); run: chmod 600 {path}")
+                }).collect(),
+                false => Vec::new(),
+            };
+            assert_eq!(told, expected, "{stderr}");
+        };
+        let ended = Process::run(ztl().args(["serve", &file, "-p", "1", "--check"]));
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        told(&ended.stderr);
+        let server = Server::start(ztl().args(["serve", &file, "-p", "0"]));
+        told(&server.process.stderr());
     }
 }

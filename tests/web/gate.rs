@@ -313,6 +313,24 @@ fn a_page_of_ones_own_and_its_forms_are_answered_as_by_the_original() {
 }
 
 #[test]
+fn a_private_key_that_others_can_read_causes_a_warning() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let scratch = Scratch::new();
+    let (certificate, key) = certificate_and_key(&scratch, "ours");
+    for (mode, warned) in [(0o600, false), (0o644, true)] {
+        let rights = fs::Permissions::from_mode(mode);
+        fs::set_permissions(&key, rights).expect("to change its rights");
+        let (process, _) = web(0, &[("ours", 1)], &["--tls", &certificate, &key]);
+        let said = format!(
+            "ztl: warning: {key}: others can use this secret key (mode {mode:03o}); run: chmod 600 {key}\n"
+        );
+        let told = process.stderr();
+        assert_eq!(told.contains(&said), warned, "{told}");
+    }
+}
+
+#[test]
 fn it_says_what_is_wrong_with_its_files() {
     let scratch = Scratch::new();
     let wrong = scratch.path("wrong").display().to_string();

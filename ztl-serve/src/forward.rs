@@ -72,8 +72,11 @@ pub(crate) fn read<'d>(
     let at = fields.optional("key");
     let keys = KeyFiles::take(&mut reader.yaml, &mut fields, reader.base);
     fields.finish(&mut reader.yaml);
-    if let (Some(node), Some(Err(mistake))) = (at, keys.as_ref().map(KeyFiles::read)) {
-        reader.warn(node, format!("its tasks will be rejected: {mistake}"));
+    if let (Some(node), Some(keys)) = (at, &keys) {
+        match keys.read() {
+            Ok(_) => reader.warn_if_exposed(node, &keys.own),
+            Err(mistake) => reader.warn(node, format!("its tasks will be rejected: {mistake}")),
+        }
     }
     Some(Arc::new(Forward {
         to: to?,

@@ -8,6 +8,7 @@ use std::time::Duration;
 use ztl_yaml::{Diagnostic, Document, Node, Reading};
 
 use ztl_std::describe::GoalRule;
+use ztl_std::keys::exposure;
 
 #[cfg(feature = "http")]
 use crate::http::hosts::Hosts;
@@ -124,6 +125,13 @@ impl<'d> ConfigReader<'d> {
             let interval = rate.map(|rate| Duration::from_secs_f64(1.0 / rate));
             interval.ok_or_else(|| format!("'{text}' is not {what}"))
         })
+    }
+
+    /// Warns if others can read the file of a secret.
+    pub(crate) fn warn_if_exposed(&mut self, node: &'d Node, secret: &Path) {
+        if let Some(exposure) = exposure(secret) {
+            self.warn(node, exposure);
+        }
     }
 
     /// Adds a warning: the file can be served, but perhaps not as intended.

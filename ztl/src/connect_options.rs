@@ -13,10 +13,15 @@ use crate::terminal::error_line;
 /// Reads our own keys. Warns if others can read them.
 pub(crate) fn own_keys(path: &Path) -> Result<KeyPair, KeyError> {
     let keys = KeyPair::read(path)?;
-    if let Some(exposure) = exposure(path) {
+    warn_if_exposed(path);
+    Ok(keys)
+}
+
+/// Warns if others can read the file of a secret.
+pub(crate) fn warn_if_exposed(secret: &Path) {
+    if let Some(exposure) = exposure(secret) {
         error_line(format_args!("ztl: warning: {exposure}"));
     }
-    Ok(keys)
 }
 
 /// The option for who speaks ZMTP.

@@ -14,12 +14,11 @@ use qrcode::{EcLevel, QrCode};
 use tracing::Level;
 use ztl_script::PlayOptions;
 use ztl_script::event::StampedEvent;
-use ztl_std::keys::exposure;
 use ztl_std::{RemoteTask, Remotes};
 use ztl_web::{Options, OwnPage, Publisher, Record, Robot, Show, ShowRecord, Tls, Tokens, serve};
 
 use crate::chosen_publisher::ChosenPublisher;
-use crate::connect_options::ConnectOptions;
+use crate::connect_options::{ConnectOptions, warn_if_exposed};
 use crate::exit::{Done, Misuse};
 use crate::option_values::port;
 use crate::remotes_options::RemotesOptions;
@@ -125,7 +124,11 @@ impl Web {
             return Err(Misuse(why).into());
         }
         let tls = match self.tls.as_deref() {
-            Some([certificate, key]) => Some(Tls::read(certificate, key).map_err(Misuse)?),
+            Some([certificate, key]) => {
+                let tls = Tls::read(certificate, key).map_err(Misuse)?;
+                warn_if_exposed(key);
+                Some(tls)
+            }
             _ => None,
         };
         let page = self.serve.as_ref().map(|path| {
@@ -170,9 +173,7 @@ impl Web {
             None => Tokens::random()?,
             Some(path) => {
                 let tokens = Tokens::kept(path);
-                if let Some(exposure) = exposure(path) {
-                    error_line(format_args!("ztl: warning: {exposure}"));
-                }
+                warn_if_exposed(path);
                 tokens.map_err(|error| Misuse(format!("{}: {error}", path.display())))?
             }
         };

@@ -68,6 +68,13 @@ impl Identity {
     }
 }
 
+/// Warns if others can read the file of a secret.
+pub(super) fn warn_if_exposed(secret: &Path) {
+    if let Some(exposure) = exposure(secret) {
+        warn!(target: "fleet", "{exposure}");
+    }
+}
+
 /// The own secret key.
 pub(super) fn own_key<'d>(
     reading: &mut Reading<'d>,
@@ -77,8 +84,8 @@ pub(super) fn own_key<'d>(
     reading.parsed(node, "a file of `ztl keys`, as arm-1.key_secret", |text| {
         let path = base.join(text);
         let pair = KeyPair::read(&path);
-        if let Some(exposure) = exposure(&path).filter(|_| pair.is_ok()) {
-            warn!(target: "fleet", "{exposure}");
+        if pair.is_ok() {
+            warn_if_exposed(&path);
         }
         pair.map_err(|error| match error {
             KeyError::Missing { .. } if PublicKey::read(&path).is_ok() => format!(

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use ztl_std::listen::one_or_more;
 use ztl_yaml::{Diagnostic, Fields, Node, Reading};
 
+use super::keys;
 use crate::tls::{self, Tls, Usage};
 
 /// How to reach the other parts of the fleet.
@@ -94,6 +95,9 @@ impl Links {
         let certificate =
             certificate.and_then(|node| Some((node, pem(reading, node, base, tls::certificates)?)));
         let key = key.and_then(|node| Some((node, pem(reading, node, base, tls::private_key)?)));
+        if let Some((_, (path, _))) = &key {
+            keys::warn_if_exposed(path);
+        }
         if let (Some((_, (_, chain))), Some((node, (_, key)))) = (&certificate, &key)
             && let Err(mistake) = tls::belongs(key, chain)
         {

@@ -100,6 +100,26 @@ fn check(file: &Path) -> Ended {
 }
 
 #[test]
+fn a_private_key_that_others_can_read_causes_a_warning() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let own = Authority::new();
+    own.make("arm");
+    let file = own.endpoint("tls/10.0.0.1:7447", "arm");
+    let key = own.0.path("arm.key.pem");
+    let said = format!(
+        "{}: others can use this secret key (mode 644)",
+        key.display()
+    );
+    for (mode, warned) in [(0o600, false), (0o644, true)] {
+        std::fs::set_permissions(&key, std::fs::Permissions::from_mode(mode)).unwrap();
+        let ended = check(&file);
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert_eq!(ended.stderr.contains(&said), warned, "{ended:?}");
+    }
+}
+
+#[test]
 fn check_reads_certificates_and_tells_each_mistake_at_its_place() {
     let own = Authority::new();
     own.make("arm").make("leg");

@@ -293,10 +293,11 @@ impl<'d> ConfigReader<'d> {
             (None, Some(node)) => Some((node, self.http_secret(node).map(Secret::Basic))),
             (None, None) => None,
         };
-        if let Some((node, Some(secret))) = &secret
-            && let Err(mistake) = secret.header()
-        {
-            self.warn(node, format!("tasks will be rejected: {mistake}"));
+        if let Some((node, Some(secret))) = &secret {
+            match secret.header() {
+                Ok(_) => self.warn_if_exposed(node, secret.file()),
+                Err(mistake) => self.warn(node, format!("tasks will be rejected: {mistake}")),
+            }
         }
         let Address {
             origin,

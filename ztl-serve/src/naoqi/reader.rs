@@ -28,8 +28,11 @@ impl<'d> ConfigReader<'d> {
                         let path = self.yaml.text(file, "a file with the token");
                         if let (Some(name), Some(path)) = (name, path) {
                             let path = self.base.join(path);
-                            if let Err(mistake) = token(&path) {
-                                self.warn(file, format!("tasks will be rejected: {mistake}"));
+                            match token(&path) {
+                                Ok(_) => self.warn_if_exposed(file, &path),
+                                Err(mistake) => {
+                                    self.warn(file, format!("tasks will be rejected: {mistake}"));
+                                }
                             }
                             user = Some((name.to_owned(), path));
                         }

@@ -10,6 +10,7 @@ use ed25519_dalek::{Digest, Sha512, Signature, Signer, SigningKey, VerifyingKey}
 use ztl_core::manifest::{HEAD_LEN, IMAGE_UNIT, Manifest, Parsed, Version};
 use ztl_std::files;
 
+use crate::connect_options::warn_if_exposed;
 use crate::exit::{Done, Misuse};
 use crate::terminal::line;
 
@@ -88,6 +89,7 @@ impl Sign {
                 self.key.display()
             )
         })?;
+        warn_if_exposed(&self.key);
         let mut image = read(&self.image)?;
         let path = self.image.display();
         if image.starts_with(b"\x7fELF") {
