@@ -9,6 +9,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 use ztl_core::Message;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
 use ztl_fleet::caller::Caller;
 use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::session;
@@ -334,9 +335,13 @@ impl Select {
         }
         let all = [found];
         let end = Instant::now() + STOPPING;
-        let mut is_first = true;
+        let (mut is_first, mut has_failed) = (true, false);
         loop {
-            let body = format!("{own};3;{id};abort command");
+            let body = match has_failed {
+                false => format!("{own};3;{id};abort command"),
+                // Only a STATUS tells whether its end is known.
+                true => format!("{own};2;{id};status update"),
+            };
             let answer = ask(&all, |agents| {
                 caller.ask_all(agents, AgentQuery::Request, body.as_bytes(), LIMIT)
             });
@@ -356,6 +361,11 @@ impl Select {
             match state.and_then(State::from_code) {
                 Some(State::Rejected) => {
                     line(format_args!("{id}  /{scope}  unknown: {text}"))?;
+                    return Ok(code(false));
+                }
+                Some(State::Failed) if !has_failed => has_failed = true,
+                Some(State::Failed) if text.starts_with(UNKNOWN_OUTCOME) => {
+                    line(format_args!("{id}  /{scope}  may still run: {text}"))?;
                     return Ok(code(false));
                 }
                 Some(state) if state.is_final() => {
@@ -390,8 +400,13 @@ pub(crate) struct Task {
 }
 
 impl Task {
-    pub(crate) fn may_run(&self) -> bool {
+    pub(crate) fn runs(&self) -> bool {
         self.state.is_none_or(|state| !state.is_final())
+    }
+
+    /// Whether it runs, or its server could not learn its end.
+    fn may_run(&self) -> bool {
+        self.runs() || self.state == Some(State::Failed) && self.text.starts_with(UNKNOWN_OUTCOME)
     }
 }
 

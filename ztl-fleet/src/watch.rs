@@ -104,11 +104,11 @@ fn changes(
         } = task;
         let known = before.and_then(|before| before.get(id));
         let place = format!("{id}  /{name}{scope}");
-        let is_news = known.is_none() && (before.is_some() || task.may_run());
+        let is_news = known.is_none() && (before.is_some() || task.runs());
         if is_news {
             texts.push(format!("{place}  started  {goal}"));
         }
-        if !task.may_run() && (is_news || known.is_some_and(Task::may_run)) {
+        if !task.runs() && (is_news || known.is_some_and(Task::runs)) {
             let state = task.state.map(|state| state.to_string());
             let state = state.unwrap_or_default();
             texts.push(format!("{place}  {state}  {text}"));

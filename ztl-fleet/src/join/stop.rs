@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use serde::Deserialize;
 use tracing::{error, info, warn};
-use ztl_core::Message;
+use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_core::{Message, State};
 
 use super::Shared;
 use super::asked::Asked;
@@ -23,10 +24,20 @@ const MOST: usize = 1000;
 
 /// Tasks that were started through this agent, and may be running: scopes and ids.
 #[derive(Debug, Default)]
-pub(super) struct Started(BTreeSet<(String, String)>);
+pub(super) struct Started(Tasks);
 
-/// Tasks that run, by scopes and ids, and why there may be more.
-type Running = (BTreeSet<(String, String)>, Option<String>);
+/// Scopes and ids.
+type Tasks = BTreeSet<(String, String)>;
+
+/// What runs on a robot.
+#[derive(Debug, PartialEq, Eq, Default)]
+struct Running {
+    tasks: Tasks,
+    /// Those whose end the server could not learn: they may run.
+    doubtful: Tasks,
+    /// Why there may be more.
+    unknown: Option<String>,
+}
 
 #[derive(Deserialize)]
 struct List {
@@ -41,6 +52,27 @@ struct Listed {
     id: serde_json::Value,
     scope: String,
     state: u8,
+    #[serde(default)]
+    text: String,
+}
+
+impl Running {
+    /// Why more than the running tasks may run.
+    fn unknown(self) -> Option<String> {
+        let doubtful = self.doubtful.iter().map(name).collect::<Vec<_>>();
+        let ends = (!doubtful.is_empty()).then(|| {
+            format!(
+                "the server could not learn the end of {}, so it may still run",
+                doubtful.join(", ")
+            )
+        });
+        let all: Vec<String> = ends.into_iter().chain(self.unknown).collect();
+        (!all.is_empty()).then(|| all.join("; "))
+    }
+}
+
+fn name((scope, id): &(String, String)) -> String {
+    format!("{scope} {id}")
 }
 
 impl Started {
@@ -92,32 +124,39 @@ impl Shared {
 
     fn stop_all(&self) -> Stopped {
         let end = Instant::now() + STOPPING;
-        let (mut all, mut running) = (BTreeSet::new(), BTreeSet::new());
+        let (mut all, mut running) = (Tasks::new(), Running::default());
+        let mut is_first = true;
         loop {
-            let (unknown, is_silent) = match self.running() {
-                Ok((now, unknown)) => {
+            let is_silent = match self.running() {
+                Ok(now) => {
                     running = now;
-                    (unknown, false)
+                    false
                 }
                 // A server that falls silent has not stopped what it was running.
-                Err(error) => (Some(error), true),
+                Err(error) => {
+                    running.unknown = Some(error);
+                    true
+                }
             };
-            all.extend(running.iter().cloned());
-            if running.is_empty() && !is_silent || Instant::now() + ROUND > end {
-                let name = |(scope, id): &(String, String)| format!("{scope} {id}");
-                let stopped = all.difference(&running);
+            all.extend(running.tasks.iter().cloned());
+            // An ABORT may stop the doubtful ones, too.
+            let are_told = !is_first || running.doubtful.is_empty();
+            let is_over = running.tasks.is_empty() && !is_silent && are_told;
+            if is_over || Instant::now() + ROUND > end {
+                let has_ended =
+                    |task: &&_| !running.tasks.contains(*task) && !running.doubtful.contains(*task);
                 return Stopped {
                     boot: self.rules().agent.boot(),
-                    stopped: stopped.map(name).collect(),
-                    again: is_silent || !running.is_empty(),
-                    running: running.iter().map(name).collect(),
-                    unknown,
+                    stopped: all.iter().filter(has_ended).map(name).collect(),
+                    again: is_silent || !running.tasks.is_empty(),
+                    running: running.tasks.iter().map(name).collect(),
+                    unknown: running.unknown(),
                     copy: false,
                 };
             }
             // All at once: no task waits for another one to stop.
             std::thread::scope(|threads| {
-                for (scope, id) in &running {
+                for (scope, id) in running.tasks.iter().chain(&running.doubtful) {
                     let abort = move || {
                         let body = format!("{scope};3;{id};abort command");
                         // Whether it has ended is asked afterwards.
@@ -129,11 +168,12 @@ impl Shared {
                     }
                 }
             });
+            is_first = false;
             std::thread::sleep(PAUSE);
         }
     }
 
-    /// The tasks that run, and why there may be more; an error if the server does not answer.
+    /// What runs; an error if the server does not answer.
     fn running(&self) -> Result<Running, String> {
         let asked = self.client.ask(None, b"$ztl;2;-1;tasks", LIMIT);
         if let Some(listed) = list(&asked.map_err(|error| error.to_string())?) {
@@ -157,21 +197,36 @@ impl Shared {
         });
         self.started().0.retain(|task| running.contains(task));
         let unknown = "its server cannot list tasks that were not started through the fleet";
-        Ok((running, Some(unknown.to_owned())))
+        Ok(Running {
+            tasks: running,
+            unknown: Some(unknown.to_owned()),
+            ..Running::default()
+        })
     }
 }
 
-/// The running tasks of a list, and why there may be more.
+/// What runs by a list.
 fn list(answer: &[u8]) -> Option<Running> {
     let message = Message::parse(answer).ok()?;
     let list: List = serde_json::from_str(message.payload).ok()?;
-    let unknown = (list.elsewhere > 0).then(|| {
-        let elsewhere = list.elsewhere;
-        format!("{elsewhere} tasks run in scopes that the agent's key may not use")
-    });
-    let running = list.tasks.into_iter().filter(|task| task.state < 2);
-    let task = |task: Listed| (task.scope, task.id.to_string());
-    Some((running.map(task).collect(), unknown))
+    let mut running = Running {
+        unknown: (list.elsewhere > 0).then(|| {
+            let elsewhere = list.elsewhere;
+            format!("{elsewhere} tasks run in scopes that the agent's key may not use")
+        }),
+        ..Running::default()
+    };
+    for task in list.tasks {
+        let is_doubtful =
+            task.state == State::Failed.code() && task.text.starts_with(UNKNOWN_OUTCOME);
+        let tasks = match task.state < 2 {
+            true => &mut running.tasks,
+            false if is_doubtful => &mut running.doubtful,
+            false => continue,
+        };
+        tasks.insert((task.scope, task.id.to_string()));
+    }
+    Some(running)
 }
 
 #[cfg(test)]
@@ -179,12 +234,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tasks_that_the_agent_may_not_stop_are_not_taken_for_none() {
-        let listed = |more: &str| list(format!("$ztl;5;0;{{\"tasks\":[]{more}}}").as_bytes());
-        assert_eq!(listed(""), Some((BTreeSet::new(), None)));
-        assert_eq!(listed(",\"elsewhere\":0"), listed(""));
-        let (running, unknown) = listed(",\"elsewhere\":2").unwrap();
-        let says = "2 tasks run in scopes that the agent's key may not use";
-        assert_eq!((running.len(), unknown.as_deref()), (0, Some(says)));
+    fn what_a_list_does_not_say_to_have_ended_is_not_taken_for_nothing() {
+        let listed = |tasks: &str, more: &str| {
+            let list = list(format!("$ztl;5;0;{{\"tasks\":[{tasks}]{more}}}").as_bytes()).unwrap();
+            (list.tasks.len(), list.unknown())
+        };
+        let elsewhere = "2 tasks run in scopes that the agent's key may not use";
+        let lost = r#"{"id":7,"scope":"/t","state":3,"text":"unknown: it was restarted"}"#;
+        let failed = r#"{"id":8,"scope":"/t","state":3,"text":"it is unknown: why"}"#;
+        let runs = r#"{"id":9,"scope":"/t","state":1,"text":"unknown: "}"#;
+        let doubtful = "the server could not learn the end of /t 7, so it may still run";
+        for (tasks, more, running, unknown) in [
+            ("", "", 0, None),
+            ("", ",\"elsewhere\":0", 0, None),
+            ("", ",\"elsewhere\":2", 0, Some(elsewhere.to_owned())),
+            (failed, "", 0, None),
+            (lost, "", 0, Some(doubtful.to_owned())),
+            (runs, "", 1, None),
+            (
+                lost,
+                ",\"elsewhere\":2",
+                0,
+                Some(format!("{doubtful}; {elsewhere}")),
+            ),
+        ] {
+            assert_eq!(listed(tasks, more), (running, unknown), "{tasks}");
+        }
     }
 }

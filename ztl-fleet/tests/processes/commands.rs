@@ -11,10 +11,10 @@ use ztl_fleet::caller::Caller;
 use ztl_fleet::config::Links;
 use ztl_fleet::session::{self, key};
 use ztl_fleet::wire::{AgentQuery, Verdict};
-use ztl_std::State;
+use ztl_std::{ExecutableTask, State, TaskContext, TaskController, TaskError, TaskRequest};
 use ztl_tests::lab::{
     ACCEPTED, Ended, OriginalClient, PATIENCE, Process, Scratch, Server, connect_to, end,
-    reserve_port, until, ztl,
+    reserve_port, serve, until, ztl,
 };
 
 use crate::requests::start;
@@ -87,6 +87,45 @@ fn watch_tells_who_comes_and_what_starts_and_ends_and_abort_ends_a_task() {
     watch.wait_for("arm  is not there");
     let watch = ended(watch, "INT");
     assert_eq!(watch.code, Some(0), "{watch:?}");
+}
+
+/// Its server does not learn how its tasks end.
+struct Lost;
+
+impl TaskController for Lost {
+    fn assign(&self, _: &TaskRequest) -> Result<Box<dyn ExecutableTask>, TaskError> {
+        Ok(Box::new(|_: &TaskContext| -> Result<String, TaskError> {
+            Err("unknown: the arm was restarted".into())
+        }))
+    }
+}
+
+#[test]
+fn a_task_whose_end_the_robot_cannot_learn_may_still_run() {
+    let (fleet, server) = (Fleet::new(), serve(Lost));
+    let file = fleet.scratch.path("endpoint.yaml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replace("[arm, leg]", "arm")).unwrap();
+    let agent = fleet.agent_file("arm", server.endpoint(), "");
+    let _agent = fleet.join_by(&mut self::fleet(&["join"], &agent));
+    let mut remote = fleet.client();
+    let id = start(&mut remote, "arm", "up", "1");
+    let said = |command: &str, words: &[&str]| {
+        let ended = Process::run(self::fleet(&[command], &file).args(words));
+        (ended.code, ended.stdout)
+    };
+    until("the end", PATIENCE, || {
+        let told = said("ps", &[]);
+        let line = format!("{id}  /arm/test  arm:up:1  unknown: the arm was restarted\n");
+        (told == (Some(0), line)).then_some(())
+    });
+    let line = format!("{id}  /arm/test  may still run: unknown: the arm was restarted\n");
+    let told = said("abort", &["arm/test", &id.to_string()]);
+    assert_eq!(told, (Some(1), line));
+    let line = format!(
+        "arm  not confirmed: the server could not learn the end of /test {id}, so it may still run\n"
+    );
+    assert_eq!(said("stop-all", &[]), (Some(1), line));
 }
 
 #[test]
