@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::node::{CORE, Mistake, Node, NodeValue};
+use crate::node::{CORE, Mistake, Node, NodeValue, Rules};
 
 /// Whether a key asks to merge mappings.
 pub(crate) fn is_merge(key: &Node) -> bool {
@@ -15,7 +15,11 @@ pub(crate) fn is_merge(key: &Node) -> bool {
 }
 
 /// The pairs of a mapping with what it merges, in PyYAML's order. Of a list of mappings the first one wins.
-pub(crate) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> Vec<(Node, Node)> {
+pub(crate) fn merged(
+    pairs: Vec<(Node, Node)>,
+    rules: Rules,
+    mistakes: &mut Vec<Mistake>,
+) -> Vec<(Node, Node)> {
     if !pairs.iter().any(|(key, _)| is_merge(key)) {
         return pairs;
     }
@@ -36,7 +40,7 @@ pub(crate) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> V
                 break;
             };
             for pair in pairs {
-                let name = identity(&pair.0);
+                let name = identity(&pair.0, rules);
                 let place = name.as_ref().and_then(|name| places.get(name).copied());
                 match place.and_then(|place: usize| all.get_mut(place)) {
                     Some(place) => place.1 = pair.1,
@@ -50,7 +54,7 @@ pub(crate) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> V
     }
     for pair in own {
         // A repeated key of its own is reported elsewhere.
-        let place = identity(&pair.0).and_then(|name| places.remove(&name));
+        let place = identity(&pair.0, rules).and_then(|name| places.remove(&name));
         match place.and_then(|place| all.get_mut(place)) {
             Some(place) => *place = pair,
             None => all.push(pair),
@@ -59,10 +63,14 @@ pub(crate) fn merged(pairs: Vec<(Node, Node)>, mistakes: &mut Vec<Mistake>) -> V
     all
 }
 
-/// What makes two keys equal.
-fn identity(key: &Node) -> Option<(String, bool, Option<String>)> {
-    match &key.value {
-        NodeValue::Scalar { text, plain } => Some((text.clone(), *plain, key.tag.clone())),
+/// What makes two keys equal. By [`Rules::Strict`] it is the text; by Python's, `1` and `'1'` may differ, which is left to the
+/// reader: of what remains, the last counts.
+fn identity(key: &Node, rules: Rules) -> Option<(String, bool, Option<String>)> {
+    match (&key.value, rules) {
+        (NodeValue::Scalar { text, .. }, Rules::Strict) => Some((text.clone(), true, None)),
+        (NodeValue::Scalar { text, plain }, Rules::Python) => {
+            Some((text.clone(), *plain, key.tag.clone()))
+        }
         _ => None,
     }
 }

@@ -407,7 +407,7 @@ impl Parser {
         if self.rules == Rules::Strict {
             self.refuse_repeated(&pairs);
         }
-        NodeValue::Map(merge::merged(pairs, &mut self.mistakes))
+        NodeValue::Map(merge::merged(pairs, self.rules, &mut self.mistakes))
     }
 
     fn refuse_repeated(&mut self, pairs: &[(Node, Node)]) {

@@ -239,6 +239,8 @@ b: {<<: [*base, *other], host: b}
 c: &c {<<: *base, port: 3}
 d: {<<: *c}
 e: {<<: [], '<<': text}
+f: {<<: *base, 'host': f}
+g: {<<: [{'host': g, !!str port: 5}, *base]}
 ";
     let document = document(text);
     let shown: Vec<String> = map(document.root())
@@ -258,6 +260,8 @@ e: {<<: [], '<<': text}
             "host=h port=3",
             "host=h port=3",
             "<<=text",
+            "host=f port=1",
+            "host=g port=5",
         ]
     );
     // A mapping's own keys stand there once.
