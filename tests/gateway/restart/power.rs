@@ -6,6 +6,7 @@ use std::process::Command;
 
 use super::device::{Deed, Device};
 use super::rig::{LONG, command};
+use ztl_std::gateway::{PARAMETERS, UPDATES};
 use ztl_std::{RemoteTask, State};
 use ztl_tests::lab::{
     LIMIT, PATIENCE, Process, Scratch, Server, connect, reserve_port, status, until,
@@ -150,12 +151,19 @@ fn an_id_sent_while_the_disk_stalls_is_known_after_a_kill() {
     let id = client.trigger("motors", "arm", "1 1").unwrap().id;
     client.wait(id, LIMIT).expect("its end");
     std::fs::write(rig.scratch.path("stalls"), "").expect("to write");
-    // The second one waits for the first one's entry.
-    let asking: Vec<_> = [("arm", "7 1"), ("belt", "8 1")]
+    // The others wait for the first one's entry. The gateway itself carries out the last three.
+    let asking = [
+        ("arm", "7 1"),
+        ("belt", "8 1"),
+        (PARAMETERS, "list"),
+        (PARAMETERS, "{'set': ['speed', '1']}"),
+        (UPDATES, "status"),
+    ];
+    let asking: Vec<_> = asking
         .into_iter()
         .map(|(motor, goal)| {
-            let mut client = rig.client();
-            std::thread::spawn(move || client.trigger("motors", motor, goal))
+            let (mut client, goal) = (rig.client(), goal.to_owned());
+            std::thread::spawn(move || client.trigger("motors", motor, &goal))
         })
         .collect();
     let told: Vec<_> = asking

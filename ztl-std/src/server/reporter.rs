@@ -5,11 +5,13 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tracing::error;
-use ztl_core::TaskId;
 use ztl_core::dispatcher::TaskEvent;
 use ztl_core::envelope::ClientId;
 use ztl_core::memory::Scope;
+use ztl_core::{Instant, TaskId};
 
+#[cfg(feature = "gateway")]
+use super::clock::now;
 use super::waker::{WakeBatch, Waker};
 
 /// A handler's report, on its way to the server's thread.
@@ -26,12 +28,6 @@ pub(super) enum Report {
     AbortRejected,
     /// Abort the task when this client is silent for so long.
     NeedsClient(ClientId, Duration),
-    /// Reject the task with this reason unless it is claimed within this time.
-    #[cfg_attr(
-        not(feature = "gateway"),
-        expect(dead_code, reason = "only the gateway has a journal")
-    )]
-    NeedsClaim(Claim, Duration, &'static str),
     /// Reserve an id for a task of a handler itself.
     Reserve(Ready),
     /// A task of this scope's handler itself runs; its payload.
@@ -69,7 +65,7 @@ impl Report {
             Self::Aborted(result) => tell(TaskEvent::Aborted { result: &result }),
             Self::AbortRejected => tell(TaskEvent::AbortRejected),
             // The server itself applies these.
-            Self::NeedsClient(..) | Self::NeedsClaim(..) | Self::Reserve(..) | Self::Begun(..) => {}
+            Self::NeedsClient(..) | Self::Reserve(..) | Self::Begun(..) => {}
         }
     }
 }
@@ -81,12 +77,28 @@ pub(super) struct Mailbox {
     waker: Arc<Waker>,
 }
 
-/// Reports in order; `None` when the server is gone.
-type Queue = Mutex<Option<VecDeque<(TaskId, Report)>>>;
+/// `None` when the server is gone.
+type Queue = Mutex<Option<Posted>>;
+
+/// What the server has not taken yet.
+#[derive(Default)]
+struct Posted {
+    /// In order.
+    reports: VecDeque<(TaskId, Report)>,
+    claims: Vec<NeededClaim>,
+}
+
+/// A task that is rejected unless it is claimed in time.
+pub(super) struct NeededClaim {
+    pub(super) id: TaskId,
+    pub(super) claim: Claim,
+    pub(super) until: Instant,
+    pub(super) reason: &'static str,
+}
 
 impl Mailbox {
     pub(super) fn new(waker: Arc<Waker>) -> (Self, Inbox) {
-        let queue = Arc::new(Mutex::new(Some(VecDeque::new())));
+        let queue = Arc::new(Mutex::new(Some(Posted::default())));
         let inbox = Inbox {
             queue: Arc::clone(&queue),
             taken: VecDeque::new(),
@@ -95,11 +107,15 @@ impl Mailbox {
     }
 
     pub(super) fn post(&self, id: TaskId, report: Report) {
+        self.put(|posted| posted.reports.push_back((id, report)));
+    }
+
+    fn put(&self, put: impl FnOnce(&mut Posted)) {
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(reports) = queue.as_mut() else {
+        let Some(posted) = queue.as_mut() else {
             return;
         };
-        reports.push_back((id, report));
+        put(posted);
         drop(queue);
         self.waker.on_posted();
     }
@@ -121,11 +137,18 @@ impl Inbox {
         if self.taken.is_empty() {
             self.taken.shrink_to(KEPT_CAPACITY);
             let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some(reports) = queue.as_mut() {
-                std::mem::swap(reports, &mut self.taken);
+            if let Some(posted) = queue.as_mut() {
+                std::mem::swap(&mut posted.reports, &mut self.taken);
             }
         }
         self.taken.pop_front()
+    }
+
+    /// All claims since the last call. They do not wait behind reports: under a flood, these may be late.
+    pub(super) fn take_claims(&mut self) -> Vec<NeededClaim> {
+        let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let posted = queue.as_mut();
+        posted.map_or_else(Vec::new, |posted| std::mem::take(&mut posted.claims))
     }
 }
 
@@ -232,7 +255,13 @@ impl TaskReporter {
     #[must_use = "an unclaimed task is rejected"]
     pub(crate) fn reject_unless_claimed(&self, within: Duration, reason: &'static str) -> Claim {
         let claim = Claim::default();
-        self.post(Report::NeedsClaim(claim.clone(), within, reason));
+        let needed = NeededClaim {
+            id: self.id,
+            claim: claim.clone(),
+            until: now() + within,
+            reason,
+        };
+        self.mailbox.put(|posted| posted.claims.push(needed));
         claim
     }
 
@@ -354,6 +383,24 @@ mod tests {
         assert_eq!(std::iter::from_fn(|| inbox.next()).count(), 2);
         assert!(waker.may_sleep());
         task.leave();
+    }
+
+    #[cfg(feature = "gateway")]
+    #[test]
+    fn a_claim_counts_from_its_init_and_waits_behind_no_report() {
+        let (_woken, _waker, mailbox, mut inbox) = server();
+        let (task, others) = (task(&mailbox), task(&mailbox));
+        for _ in 0..1000 {
+            others.abort_rejected();
+        }
+        let within = Duration::from_secs(1);
+        let claim = task.reject_unless_claimed(within, "late");
+        let latest = now() + within;
+        let needed = inbox.take_claims();
+        assert_eq!(needed.len(), 1);
+        assert!(needed[0].until <= latest && needed[0].claim.reject());
+        assert!(!claim.take() && inbox.take_claims().is_empty());
+        assert!(inbox.next().is_some());
     }
 
     #[test]

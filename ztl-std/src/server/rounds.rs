@@ -72,6 +72,10 @@ impl Engine {
                 handler.all_started();
             }
         }
+        for needed in self.inbox.take_claims() {
+            let place = (needed.until, needed.id);
+            self.claims.insert(place, (needed.claim, needed.reason));
+        }
         let now = now();
         while let Some(claim) = self.claims.first_entry()
             && claim.key().0 <= now
@@ -167,9 +171,6 @@ impl Engine {
             match report {
                 Report::NeedsClient(client, silence) => {
                     self.clients.watch(now, client, id, silence);
-                }
-                Report::NeedsClaim(claim, within, reason) => {
-                    self.claims.insert((now + within, id), (claim, reason));
                 }
                 Report::Reserve(ready) => self.reserve(ready),
                 Report::Begun(scope, payload, by_device) => {

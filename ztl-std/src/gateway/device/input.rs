@@ -2,7 +2,7 @@
 
 use ztl_core::repr::put_quoted;
 use ztl_core::{TaskId, TaskSpec};
-use ztl_link::Restored;
+use ztl_link::{Entry, Restored};
 
 use super::line_reader::LineEvent;
 use crate::gateway::journal::UnendedUpdate;
@@ -20,8 +20,8 @@ pub(super) enum Input {
     Abort(TaskId),
     /// The id for the next task that the firmware starts.
     Reserved(ReservedId),
-    /// A request about parameters, with the text of its goal.
-    Parameters(TaskReporter, String),
+    /// A request about parameters.
+    Parameters(TaskReporter, DeviceRequest),
     /// A request about firmware.
     Update(TaskReporter, DeviceRequest),
     /// An update from before a restart.
@@ -48,6 +48,18 @@ pub(super) struct DeviceRequest {
     pub(super) reply: String,
     /// To be claimed before the task is started, if there is a journal.
     pub(super) claim: Option<Claim>,
+}
+
+impl DeviceRequest {
+    /// Its journal entry, if the gateway carries it out by itself.
+    pub(super) fn own_entry(&self, id: TaskId) -> Entry<'_> {
+        Entry {
+            id,
+            component: &self.component,
+            goal: &self.goal,
+            sent: None,
+        }
+    }
 }
 
 impl From<&TaskRequest> for DeviceRequest {

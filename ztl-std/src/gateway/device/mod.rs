@@ -97,22 +97,17 @@ impl Device {
     }
 
     pub(super) fn start(&self, task: TaskReporter, request: &TaskRequest) {
-        if request.component == PARAMETERS {
-            let _ = self
-                .inputs
-                .send(Input::Parameters(task, request.goal.clone()));
-            return;
-        }
-        if request.component == UPDATES {
-            let _ = self.inputs.send(Input::Update(task, request.into()));
-            return;
-        }
-        let mut request = DeviceRequest::from(request);
-        request.claim = self
+        let mut device_request = DeviceRequest::from(request);
+        device_request.claim = self
             .has_journal
             .then(|| task.reject_unless_claimed(DECIDED, UNWRITTEN));
+        let input = match request.component.as_str() {
+            PARAMETERS => Input::Parameters,
+            UPDATES => Input::Update,
+            _ => Input::Start,
+        };
         // If the thread has ended, dropping the reporter informs the client.
-        let _ = self.inputs.send(Input::Start(task, request));
+        let _ = self.inputs.send(input(task, device_request));
     }
 
     /// Resumes a task from before a restart.

@@ -5,13 +5,12 @@ use std::collections::VecDeque;
 use tracing::info;
 use ztl_core::{Instant, State};
 use ztl_link::{
-    DeviceInfo, Entry, ParameterAnswer, ParameterFailure, ParameterInfo, ParameterRequest, Session,
+    DeviceInfo, ParameterAnswer, ParameterFailure, ParameterInfo, ParameterRequest, Session,
     SessionJournal,
 };
 
-use crate::gateway::parameters::{
-    PARAMETERS, ParameterGoal, ParameterReport, find, full_name, read_value,
-};
+use super::input::DeviceRequest;
+use crate::gateway::parameters::{ParameterGoal, ParameterReport, find, full_name, read_value};
 use crate::log_targets::GATEWAY;
 use crate::server::TaskReporter;
 use crate::terminal::quoted;
@@ -19,8 +18,7 @@ use crate::terminal::quoted;
 /// A request of a client.
 struct Job {
     task: TaskReporter,
-    /// The goal's text.
-    text: String,
+    request: DeviceRequest,
     goal: ParameterGoal,
     /// The index of the parameter that was asked for last.
     reading: u8,
@@ -41,21 +39,18 @@ impl Parameters {
         self.jobs.is_empty()
     }
 
-    /// Takes a request of a client.
+    /// Takes a request of a client, which the journal has.
     pub(super) fn start<J: SessionJournal>(
         &mut self,
         now: Instant,
         session: &mut Session<J>,
         task: TaskReporter,
-        text: String,
+        request: DeviceRequest,
+        goal: ParameterGoal,
     ) {
-        let goal = match ParameterGoal::parse(&text) {
-            Ok(goal) => goal,
-            Err(reason) => return task.rejected(reason),
-        };
         self.jobs.push_back(Job {
             task,
-            text,
+            request,
             goal,
             reading: 0,
             before: None,
@@ -194,16 +189,11 @@ impl Job {
             Ok((_, told)) => (State::Completed, told),
             Err(reason) => (State::Failed, reason),
         };
-        let entry = Entry {
-            id: self.task.id(),
-            component: PARAMETERS,
-            goal: &self.text,
-            sent: None,
-        };
+        let entry = self.request.own_entry(self.task.id());
         // The device has acted already, so the client gets the true outcome even if the disk is full.
         let _ = session.journal_mut().ended(&entry, state, told);
         if matches!(self.goal, ParameterGoal::Set(..) | ParameterGoal::Save) {
-            let (task, goal) = (self.task.id().get(), quoted(&self.text));
+            let (task, goal) = (self.task.id().get(), quoted(&self.request.goal));
             info!(target: GATEWAY, device, task, "Device '{device}': parameters, {goal:?}: {told}");
         }
         match end {

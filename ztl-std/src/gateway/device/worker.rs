@@ -3,6 +3,7 @@
 mod boards;
 mod handover;
 mod own;
+mod requests;
 mod stop;
 mod update_job;
 mod updates;
@@ -293,6 +294,13 @@ impl Worker {
         self.line = LineState::Closed { retry: now() };
     }
 
+    /// Lets the journal claim a task when its entry is written.
+    fn expect_start(&mut self, task: &TaskReporter, request: &DeviceRequest) {
+        if let (Some(journal), Some(claim)) = (self.session.journal_mut(), request.claim.clone()) {
+            journal.expect_start(task.id(), task.client(), claim);
+        }
+    }
+
     fn on_input(&mut self, input: Input) {
         match input {
             Input::Start(task, request) => {
@@ -300,11 +308,7 @@ impl Worker {
                     return task.rejected(reason);
                 }
                 let id = task.id();
-                if let (Some(journal), Some(claim)) =
-                    (self.session.journal_mut(), request.claim.clone())
-                {
-                    journal.expect_start(id, task.client(), claim);
-                }
+                self.expect_start(&task, &request);
                 self.session
                     .start(now(), id, &request.component, &request.goal);
                 self.tasks.insert(id, (task, request));
@@ -322,16 +326,13 @@ impl Worker {
                 self.session.restore(now(), known);
             }
             Input::Reserved(id) => self.on_reserved(id),
-            Input::Parameters(task, goal) => match self.rejects_requests() {
+            Input::Parameters(task, request) => match self.rejects_requests() {
                 Some(reason) => task.rejected(reason),
-                None => {
-                    let session = &mut self.session;
-                    self.parameters.start(now(), session, task, goal);
-                }
+                None => self.on_parameter_request(task, request),
             },
             Input::Update(task, request) => match self.rejects_requests() {
                 Some(reason) => task.rejected(reason),
-                None => self.on_update_request(task, &request),
+                None => self.on_update_request(task, request),
             },
             Input::ResumeUpdate(task, update) => {
                 self.awaited = self.awaited.saturating_sub(1);

@@ -6,6 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use ztl_core::link::{LINK_TIMEOUTS, LinkId, Loss};
 use ztl_core::{State, TaskId};
 
+use crate::gateway::parameters::PARAMETERS;
 use crate::gateway::updates::{Note, UPDATES};
 use crate::time;
 use ztl_link::{Restored, Sent};
@@ -190,6 +191,25 @@ impl TaskEntry {
     /// Whether it is a firmware update, which needs its gateway.
     pub(super) fn is_update(&self) -> bool {
         self.component == UPDATES && self.sent.is_none()
+    }
+
+    /// Whether its gateway carried it out by itself.
+    pub(super) fn is_own(&self) -> bool {
+        self.is_update() || self.component == PARAMETERS && self.sent.is_none()
+    }
+
+    /// How it has ended if its gateway has ended before; `None` if another one goes on with it.
+    pub(super) fn cut(&self) -> Option<&'static str> {
+        match self.spec() {
+            _ if !self.is_own() || self.note().is_some() => None,
+            [_, PARAMETERS, _] => Some(
+                "the gateway ended before the answer: it is unknown whether the device did it; list the parameters to see",
+            ),
+            [_, _, "status"] => Some("the gateway ended before the answer"),
+            _ => Some(
+                "failed: the gateway ended during the update; it is not known which firmware the device will run, ztl devices shows it",
+            ),
+        }
     }
 
     /// With what another gateway goes on with an update.

@@ -36,9 +36,6 @@ const UNTOLD: Duration = Duration::from_millis(250);
 /// Unusable lines that are logged one by one.
 const LOGGED: usize = 10;
 
-/// The end of an update whose gateway has ended.
-const UPDATE_CUT: &str = "failed: the gateway ended during the update; it is not known which firmware the device will run, ztl devices shows it";
-
 /// An update that the gateway before had not ended when it had restarted the device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::gateway) struct UnendedUpdate {
@@ -163,7 +160,7 @@ impl<S: Storage> JournalRecords<S> {
         records.ids = Arc::new(ReservedIds::after(given));
         records.warn_of_few_ids();
         records.forget(now);
-        records.end_updates(now);
+        records.end_cut(now);
         if !clean {
             // The unusable lines stay in the earlier file.
             records.rotate_or_go_on(now);
@@ -362,7 +359,7 @@ impl<S: Storage> JournalRecords<S> {
                     self.reserved = self.reserved.max(reserved.last)
                 }
                 Ok(JournalEntry::Start(line) | JournalEntry::Accepted(line))
-                    if line.restored().is_none() && !line.is_update() =>
+                    if line.restored().is_none() && !line.is_own() =>
                 {
                     useless += 1;
                     warn!(target: GATEWAY, "Journal {place}, line {number}: skipped, it does not name the device of the task.");
@@ -386,13 +383,11 @@ impl<S: Storage> JournalRecords<S> {
         useless == 0
     }
 
-    /// Ends the firmware updates of an earlier gateway whose devices it had not restarted: they do not go on without it.
-    fn end_updates(&mut self, now: Moment) {
-        let updates = self.tasks.values().filter(|line| line.is_update());
-        let open: Vec<TaskEntry> = updates
-            .filter(|line| !line.state.is_final() && line.note().is_none())
-            .map(|line| line.ended_as(now, State::Failed, UPDATE_CUT))
-            .collect();
+    /// Ends what an earlier gateway carried out by itself and nobody goes on with.
+    fn end_cut(&mut self, now: Moment) {
+        let open = self.tasks.values().filter(|line| !line.state.is_final());
+        let ended = |line: &TaskEntry| Some(line.ended_as(now, State::Failed, line.cut()?));
+        let open: Vec<TaskEntry> = open.filter_map(ended).collect();
         for line in open {
             // If it cannot be written, the next start does it.
             let _ = self.write(now, Some(JournalEntry::Ended(line)));

@@ -13,6 +13,7 @@ use ztl_link::{
 use super::Worker;
 use super::update_job::{Image, Next, Outcome, UpdateJob};
 use crate::gateway::device::input::{DeviceRequest, Input};
+use crate::gateway::journal::UNWRITTEN;
 use crate::gateway::updates::{
     LONGEST_IMAGE, LONGEST_PART, Note, RunningFirmware, UPDATES, UpdateGoal, UpdateOptions,
     UpdateProblem, bytes_of,
@@ -84,7 +85,7 @@ pub(super) struct Updates {
     upload: Option<Upload>,
     pub(super) running: Option<Box<Running>>,
     /// Questions for what runs, each with its number.
-    questions: VecDeque<(u64, TaskReporter)>,
+    questions: VecDeque<(u64, TaskReporter, DeviceRequest)>,
     /// The number of the last request to the session.
     asked: u64,
 }
@@ -185,14 +186,22 @@ impl Updates {
 
 impl Worker {
     /// Takes a request of a client about firmware.
-    pub(super) fn on_update_request(&mut self, task: TaskReporter, request: &DeviceRequest) {
+    pub(super) fn on_update_request(&mut self, task: TaskReporter, request: DeviceRequest) {
         match UpdateGoal::parse(&request.goal) {
             Err(reason) => task.rejected(reason),
             Ok(UpdateGoal::Status) => {
-                let number = self.next_update();
-                self.updates.questions.push_back((number, task));
-                self.session
-                    .request_update(now(), number, UpdateRequest::Read);
+                if let Some(task) = self.begin_own(task, &request) {
+                    let number = self.next_update();
+                    self.updates.questions.push_back((number, task, request));
+                    self.session
+                        .request_update(now(), number, UpdateRequest::Read);
+                }
+            }
+            // The journal has no parts: they move nothing, and are answered at once.
+            Ok(UpdateGoal::Part(..))
+                if request.claim.as_ref().is_some_and(|claim| !claim.take()) =>
+            {
+                task.rejected(UNWRITTEN);
             }
             Ok(UpdateGoal::Part(file, offset, base64)) => {
                 match self.updates.add(now(), file, offset, &base64) {
@@ -200,7 +209,11 @@ impl Worker {
                     Err(reason) => task.failed(reason),
                 }
             }
-            Ok(UpdateGoal::Run(options)) => self.run_update(task, request, options),
+            Ok(UpdateGoal::Run(options)) => {
+                if let Some(task) = self.begin_own(task, &request) {
+                    self.run_update(task, request, options);
+                }
+            }
         }
     }
 
@@ -209,25 +222,19 @@ impl Worker {
         self.updates.asked
     }
 
-    fn run_update(&mut self, task: TaskReporter, request: &DeviceRequest, options: UpdateOptions) {
+    fn run_update(&mut self, task: TaskReporter, request: DeviceRequest, options: UpdateOptions) {
         let image = match self.updates.image(&options) {
             Ok(image) => image,
-            Err((problem, text)) => return task.failed(format!("{problem}: {text}")),
+            Err((problem, text)) => {
+                let text = format!("{problem}: {text}");
+                return self.end_own(task, &request, Err(text));
+            }
         };
-        let entry = Entry {
-            id: task.id(),
-            component: UPDATES,
-            goal: &request.goal,
-            sent: None,
-        };
-        if let Err(reason) = self.session.journal_mut().starting(&entry) {
-            return task.rejected(reason);
-        }
         let (name, version) = (&self.name, quoted(&image.version).into_owned());
         info!(target: GATEWAY, device = name, "Device '{name}': an update to {version} begins.");
         task.accepted(&request.reply);
         let job = UpdateJob::new(now(), image, options);
-        self.updates.running = Some(Box::new(Running::new(task, request.goal.clone(), job)));
+        self.updates.running = Some(Box::new(Running::new(task, request.goal, job)));
         match self.is_board_of_update() {
             true => self.step(|job| job.begin(now())),
             false => self.on_update_lost(),
@@ -342,9 +349,9 @@ impl Worker {
     /// Handles the answer to the request with this number.
     pub(super) fn on_update_answer(&mut self, number: u64, answer: UpdateAnswer) {
         let questions = &mut self.updates.questions;
-        if let Some(at) = questions.iter().position(|(asked, _)| *asked == number) {
-            if let Some((_, task)) = questions.remove(at) {
-                tell(task, answer);
+        if let Some(at) = questions.iter().position(|(asked, ..)| *asked == number) {
+            if let Some((_, task, request)) = questions.remove(at) {
+                self.end_own(task, &request, running_firmware(answer));
             }
             return;
         }
@@ -466,25 +473,22 @@ impl Worker {
     }
 }
 
-/// Answers a question for what runs.
-fn tell(task: TaskReporter, answer: UpdateAnswer) {
-    let reason = match answer {
+/// The answer to a question for what runs.
+fn running_firmware(answer: UpdateAnswer) -> Result<String, String> {
+    match answer {
         Ok(UpdateReply::Firmware(firmware)) => {
-            match serde_json::to_string(&RunningFirmware::from(&firmware)) {
-                Ok(json) => return task.completed(json),
-                Err(error) => error.to_string(),
-            }
+            serde_json::to_string(&RunningFirmware::from(&firmware))
+                .map_err(|error| error.to_string())
         }
         Ok(UpdateReply::Phase(_)) | Err(UpdateFailure::TooLong) => {
-            "the device does not answer the question".to_owned()
+            Err("the device does not answer the question".to_owned())
         }
         Err(UpdateFailure::NoUpdates) => {
-            "its firmware takes no updates, or is older than updates".to_owned()
+            Err("its firmware takes no updates, or is older than updates".to_owned())
         }
-        Err(UpdateFailure::Lost) => "the device is not answering".to_owned(),
-        Err(UpdateFailure::Refused(reason)) => format!("the device refuses: {reason}"),
-    };
-    task.failed(reason);
+        Err(UpdateFailure::Lost) => Err("the device is not answering".to_owned()),
+        Err(UpdateFailure::Refused(reason)) => Err(format!("the device refuses: {reason}")),
+    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use ztl_core::link::{LinkId, Loss};
 
 use super::*;
+use crate::gateway::parameters::PARAMETERS;
+use crate::gateway::updates::UPDATES;
 use ztl_link::Sent;
 
 /// 2026-01-01 and some seconds.
@@ -212,13 +214,45 @@ fn with_sync_every_entry_with_an_effect_is_synced() {
     assert_eq!(storage.synced, storage.written.len());
     // With its note, the next gateway goes on with an update.
     let update = Entry {
-        component: crate::gateway::updates::UPDATES,
+        component: UPDATES,
         sent: None,
         ..task(103)
     };
     log.accepted(at(4), "gripper", &update, "{}").unwrap();
     let storage = &log.storage;
     assert_eq!(storage.synced, storage.written.len());
+}
+
+#[test]
+fn a_request_that_its_gateway_was_carrying_out_is_known_as_cut_off() {
+    let mut log = fresh();
+    let (save, status, run) = ("save", "status", "{'run': {}}");
+    for (number, component, goal) in [
+        (101, PARAMETERS, save),
+        (102, UPDATES, status),
+        (103, UPDATES, run),
+    ] {
+        let entry = Entry {
+            component,
+            goal,
+            sent: None,
+            ..task(number)
+        };
+        log.starting(at(1), "gripper", None, None, &entry).unwrap();
+    }
+    let (open, ended) = restarted(&log).ids();
+    assert!(open.is_empty(), "{open:?}");
+    for ((_, text), part) in ended.iter().zip([
+        "list the parameters",
+        "before the answer",
+        "during the update",
+    ]) {
+        assert!(
+            text.contains("the gateway ended") && text.contains(part),
+            "{text}"
+        );
+    }
+    assert_eq!(ended.len(), 3);
 }
 
 #[test]
