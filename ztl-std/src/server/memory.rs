@@ -125,6 +125,11 @@ impl ServerMemory {
     }
 
     /// Keeps what a task was asked for, to be shown.
+    /// Counts a running task's bytes again: its text may be another one.
+    pub(super) fn recount(&mut self, id: TaskId) {
+        self.tasks.recount(id);
+    }
+
     pub(super) fn note_payload(&mut self, id: TaskId, payload: &str, now: Instant) {
         self.tasks.note_payload(id, payload, now);
     }

@@ -34,6 +34,9 @@ pub(super) enum Report {
     Begun(Scope, String, bool),
 }
 
+/// Longest progress that is kept, in bytes.
+const LONGEST_PROGRESS: usize = 4096;
+
 /// Gets a reserved id.
 pub(super) struct Ready(pub(super) Box<dyn FnOnce(TaskId) + Send>);
 
@@ -226,11 +229,18 @@ impl TaskReporter {
         self.post(Report::Accepted(reply.into()));
     }
 
-    /// The task's progress; a newer text replaces an older one.
+    /// The task's progress; a newer text replaces an older one. Of a text of more than 4 KiB, the rest is left out: each of
+    /// many tasks may keep one.
     pub fn progress(&self, text: impl Into<String>) {
+        let mut text = text.into();
+        if text.len() > LONGEST_PROGRESS {
+            text.truncate(text.floor_char_boundary(LONGEST_PROGRESS));
+            text.push('…');
+            text.shrink_to_fit();
+        }
         let slot = self.progress.get_or_init(Slot::default);
         let mut latest = slot.lock().unwrap_or_else(PoisonError::into_inner);
-        let on_its_way = latest.replace(text.into()).is_some();
+        let on_its_way = latest.replace(text).is_some();
         drop(latest);
         if !on_its_way {
             self.post(Report::Progress(Arc::clone(slot)));
@@ -382,6 +392,31 @@ mod tests {
         waker.on_awake();
         assert_eq!(std::iter::from_fn(|| inbox.next()).count(), 2);
         assert!(waker.may_sleep());
+        task.leave();
+    }
+
+    #[test]
+    fn a_long_progress_is_cut_between_characters() {
+        let (_woken, _waker, mailbox, mut inbox) = server();
+        let task = task(&mailbox);
+        for (text, length) in [
+            ("x".repeat(LONGEST_PROGRESS), LONGEST_PROGRESS),
+            ("ä".repeat(LONGEST_PROGRESS), LONGEST_PROGRESS + "…".len()),
+            (
+                format!("x{}", "ä".repeat(LONGEST_PROGRESS)),
+                LONGEST_PROGRESS - 1 + "…".len(),
+            ),
+        ] {
+            task.progress(text.clone());
+            let (_, report) = inbox.next().expect("a report");
+            report.handle(|event| {
+                let TaskEvent::Progress { text: told } = event else {
+                    panic!("{event:?}");
+                };
+                assert_eq!(told.len(), length);
+                assert!(text.starts_with(told.trim_end_matches('…')));
+            });
+        }
         task.leave();
     }
 

@@ -192,6 +192,7 @@ impl Engine {
             .handle_event(now, id, event, &mut |peer, reply| {
                 answer(router, untold, peer, reply);
             });
+        self.dispatcher.memory_mut().recount(id);
         #[cfg(feature = "publish")]
         if let Some(before) = before {
             self.publish_change(id, before);

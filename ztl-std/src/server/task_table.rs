@@ -42,7 +42,9 @@ struct TableSlot {
     task: Task<Scope, HeapText>,
     /// The request, for the list of tasks.
     summary: Option<Summary>,
-    /// Bytes counted for it: of its goal while it runs, of its result afterwards.
+    /// Bytes of its goal.
+    goal: usize,
+    /// Bytes counted for it: of its goal and its text while it runs, of its result afterwards.
     bytes: usize,
 }
 
@@ -62,7 +64,7 @@ pub(super) struct TaskTable {
     tasks: HashMap<TaskId, TableSlot>,
     /// Ends, sorted by time. New ones are added at or near the back.
     ends: VecDeque<(Instant, TaskId)>,
-    /// Bytes of the goals of running tasks.
+    /// Bytes of the goals and texts of running tasks.
     goals: usize,
     /// Bytes of the results of ended tasks.
     results: usize,
@@ -123,9 +125,20 @@ impl TaskTable {
                 by_device: false,
             });
             if !slot.task.state.is_final() {
-                slot.bytes = payload.len();
-                self.goals += payload.len();
+                slot.goal = payload.len();
             }
+            self.recount(id);
+        }
+    }
+
+    /// Counts a running task's bytes again: its text may be another one.
+    pub(super) fn recount(&mut self, id: TaskId) {
+        if let Some(slot) = self.tasks.get_mut(&id)
+            && !slot.task.state.is_final()
+        {
+            let bytes = slot.goal + slot.task.text.as_ref().len();
+            self.goals -= std::mem::replace(&mut slot.bytes, bytes);
+            self.goals += bytes;
         }
     }
 
@@ -217,6 +230,7 @@ impl Tasks for TaskTable {
         let slot = TableSlot {
             task,
             summary: None,
+            goal: 0,
             bytes: 0,
         };
         let slot = self.tasks.entry(id).insert_entry(slot);
@@ -259,5 +273,38 @@ impl Tasks for TaskTable {
     fn iter(&self) -> impl Iterator<Item = (TaskId, &Task<Scope, HeapText>)> {
         let tasks = self.tasks.iter().map(|(id, slot)| (*id, &slot.task));
         tasks.filter(|(_, task)| !self.hides(task.extra))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ztl_core::Event;
+    use ztl_core::tasks::TaskRules as _;
+
+    use super::*;
+
+    #[test]
+    fn all_bytes_of_a_task_count_until_it_is_forgotten() {
+        let mut table = TaskTable::new(Limits {
+            memory: 100,
+            ..Limits::default()
+        });
+        let (now, id) = (Instant::ZERO, TaskId::new(1).unwrap());
+        table.admit(id, Task::new(Scope(0))).unwrap();
+        table.note_payload(id, "0123456789", now);
+        table.apply(now, id, Event::Accept, Some("accepted"));
+        table.recount(id);
+        assert_eq!((table.goals, table.may_run()), (18, true));
+        table.progress(id, &"x".repeat(40));
+        table.recount(id);
+        assert_eq!((table.goals, table.may_run()), (50, false));
+        table.progress(id, "x");
+        table.recount(id);
+        assert_eq!((table.goals, table.may_run()), (11, true));
+        table.apply(now, id, Event::Complete, Some("done"));
+        table.recount(id);
+        assert_eq!((table.goals, table.results), (0, 4));
+        table.remove(id);
+        assert_eq!((table.goals, table.results), (0, 0));
     }
 }
