@@ -34,8 +34,8 @@ use crate::parameters::Tunable;
 ///   is not reached within the length of the range and an eighth: FAILED.
 /// - Any other limit stops the motor at once: FAILED, `limit switch at 1200 steps`. The motor can move away from it.
 /// - An abort decelerates: ABORTED, where the motor stops.
-/// - An error of a pin: FAILED, with the name of the pin. On the way to the safe state, the node tries again until the pin
-///   works.
+/// - An error of a pin: FAILED, with the name of the pin, also if the power cannot be switched off after the motion
+///   ([`at_rest`](StepperConfig::at_rest)). On the way to the safe state, the node tries again until the pin works.
 ///
 /// # How fast it can go
 ///
@@ -137,13 +137,25 @@ impl<M: StepDrive> Stepper<M> {
         self.config.scale.report(report, steps);
     }
 
-    /// Ends a task.
-    fn finish(&mut self, now: Instant, run: Run) -> Run {
+    /// Ends a task whose motion ended like this. Returns the motion and the position of the motor then: a motor that
+    /// cannot be released has a fault, too. The first fault counts.
+    fn end(&mut self, now: Instant, motion: Motion) -> (Motion, i32) {
         // `make_safe` has set the power.
-        if self.config.at_rest == Power::Release && !self.halted {
+        if self.halted {
+            return self.motor.state();
+        }
+        if self.homing && motion == Motion::Limit {
+            self.motor.command(now, MotorCommand::Set { steps: 0 });
+            self.homed = true;
+        }
+        if self.config.at_rest == Power::Release {
             self.motor.command(now, MotorCommand::Release);
         }
-        run
+        let (after, steps) = self.motor.state();
+        match motion {
+            Motion::Fault(_) => (motion, steps),
+            _ => (after, steps),
+        }
     }
 }
 
@@ -225,11 +237,12 @@ impl<M: StepDrive> Component for Stepper<M> {
     fn poll(&mut self, now: Instant, report: &mut Report<'_>) -> Run {
         self.wake = self.motor.drive(now);
         let (motion, steps) = self.motor.state();
-        let run = match motion {
-            Motion::Moving => {
-                self.report_position(report, steps);
-                return Run::Running;
-            }
+        if motion == Motion::Moving {
+            self.report_position(report, steps);
+            return Run::Running;
+        }
+        let (motion, steps) = self.end(now, motion);
+        match motion {
             Motion::Fault(fault) => {
                 report.text(fault.text());
                 Run::Failed
@@ -239,9 +252,7 @@ impl<M: StepDrive> Component for Stepper<M> {
                 Run::Aborted
             }
             Motion::Limit if self.homing => {
-                self.motor.command(now, MotorCommand::Set { steps: 0 });
-                self.homed = true;
-                self.report_position(report, 0);
+                self.report_position(report, steps);
                 Run::Completed
             }
             Motion::Limit => {
@@ -251,20 +262,19 @@ impl<M: StepDrive> Component for Stepper<M> {
                 report.text(self.config.scale.unit());
                 Run::Failed
             }
-            Motion::Rest if steps != self.goal => {
+            _ if steps != self.goal => {
                 self.report_position(report, steps);
                 Run::Aborted
             }
-            Motion::Rest if self.homing => {
+            _ if self.homing => {
                 report.text("the home switch was not reached");
                 Run::Failed
             }
-            Motion::Rest => {
+            _ => {
                 self.report_position(report, steps);
                 Run::Completed
             }
-        };
-        self.finish(now, run)
+        }
     }
 
     fn abort(&mut self, now: Instant) {

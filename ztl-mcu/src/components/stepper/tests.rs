@@ -376,6 +376,43 @@ fn a_failing_pin_fails_the_task_and_is_named() {
 }
 
 #[test]
+fn a_task_fails_if_its_motor_cannot_be_released_at_its_end() {
+    let release = StepperConfig {
+        at_rest: Power::Release,
+        ..CONFIG
+    };
+    let failed = (Run::Failed, "the enable pin failed".into());
+    for (goal, abort) in [
+        ("300", false),
+        ("300", true),
+        // Stopped by a switch.
+        ("900", false),
+        ("home", false),
+    ] {
+        let mut bench = Bench::new(release, Axis::between(-50, 400));
+        bench.start(goal).unwrap();
+        bench.poll();
+        bench.fail("enable");
+        if abort {
+            bench.abort();
+        }
+        assert_eq!(bench.run(&Calls::OnTime), failed, "{goal}");
+        assert!(bench.is_powered());
+        bench.fail("none");
+        let there = if goal == "home" { -47 } else { 3 };
+        assert_eq!(bench.go("3", &Calls::OnTime), completed("3"));
+        assert_eq!(bench.position(), there, "the position stays known");
+        assert!(!bench.is_powered());
+    }
+    // The first fault is the reason.
+    let mut bench = Bench::new(release, Axis::free());
+    bench.start("300").unwrap();
+    bench.fail("direction and enable");
+    let failed = (Run::Failed, "the direction pin failed".into());
+    assert_eq!(bench.run(&Calls::OnTime), failed);
+}
+
+#[test]
 fn a_motor_that_cannot_be_made_safe_fails_until_it_is() {
     for (safe, pin) in [
         (Power::Release, "enable"),
