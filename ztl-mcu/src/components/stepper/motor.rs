@@ -224,9 +224,10 @@ where
     }
 
     fn power(&mut self, on: bool) -> Result<(), StepFault> {
-        self.powered = on;
         let level = PinState::from(on == self.enable_high);
         let set = self.enable.set_state(level);
+        // After an error the level is unknown, so the next motion waits for the power.
+        self.powered = on && set.is_ok();
         set.map_err(|_| StepFault::EnablePin)
     }
 }

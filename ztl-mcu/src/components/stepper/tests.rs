@@ -413,6 +413,19 @@ fn a_task_fails_if_its_motor_cannot_be_released_at_its_end() {
 }
 
 #[test]
+fn power_that_could_not_be_switched_on_has_its_lead_when_it_can() {
+    let slow = StepperConfig {
+        enable_us: 50_000,
+        ..CONFIG
+    };
+    let mut bench = Bench::new(slow, Axis::free());
+    bench.fail("enable");
+    assert_eq!(bench.go("3", &Calls::OnTime).0, Run::Failed);
+    bench.fail("none");
+    assert_eq!(bench.go("3", &Calls::OnTime), completed("3"));
+}
+
+#[test]
 fn a_motor_that_cannot_be_made_safe_fails_until_it_is() {
     for (safe, pin) in [
         (Power::Release, "enable"),
