@@ -5,8 +5,9 @@
 //! without atomic read-modify-write. The chip's crate or its runtime implements `critical-section` (`cortex-m` with
 //! `critical-section-single-core`, a HAL). Bytes are copied a few at a time, readings of any length too, in at most 400
 //! cycles of a Cortex-M0: 25 µs at 16 MHz. The text of an async driver, 48 bytes at once, takes 610; its goal is copied
-//! without a critical section. A motor that an interrupt drives takes 881, when it computes the next tick of its ramp.
-//! `cargo xtask bench firmware` measures all of that at the greatest lengths that a frame allows, and fails beyond 1000.
+//! without a critical section. A motor that an interrupt drives takes 828 and what its pins take, when it computes the
+//! next tick of its ramp, also if the interrupt comes late. `cargo xtask bench firmware` measures all of that, with late
+//! interrupts and at the greatest lengths that a frame allows, and fails beyond 1000.
 //! Only a record of `defmt_logger!` can take longer, because defmt needs one critical section for the whole record.
 //!
 //! ```

@@ -145,7 +145,7 @@ impl Profile {
             return 0;
         }
         let rung = limits.rung as i64;
-        let speed = self.rungs as i64 * rung;
+        let speed = self.speed(limits) as i64;
         let stop = self.stop as i64;
         if self.rungs < limits.top && stop + speed + speed + rung <= ahead {
             self.rungs += 1;
@@ -169,10 +169,13 @@ impl Profile {
         ahead
     }
 
-    /// Continues from this position, in parts, at half the speed: the motion was delayed.
-    pub(super) const fn held_up(&mut self, position: i64, limits: Limits) {
+    /// Continues from this position, in parts, at a speed that is halved this often: the motion was delayed.
+    pub(super) const fn held_up(&mut self, position: i64, halvings: u32, limits: Limits) {
         self.position = position;
-        self.rungs /= 2;
+        self.rungs = match self.rungs.checked_shr(halvings) {
+            Some(rungs) => rungs,
+            None => 0,
+        };
         let below = self.rungs.saturating_sub(1) as u64;
         self.stop = self.rungs as u64 * below / 2 * limits.rung as u64;
         self.crept = false;

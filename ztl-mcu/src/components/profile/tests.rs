@@ -178,7 +178,7 @@ proptest! {
         }
         // Half way through a tick.
         let position = watched.profile.position() - watched.speed / 2;
-        watched.profile.held_up(position, limits);
+        watched.profile.held_up(position, 1, limits);
         prop_assert!(i64::from(watched.profile.speed(limits)) * 2 <= watched.speed.abs());
         watched.speed = i64::from(watched.profile.speed(limits)) * if watched.profile.is_forward() { 1 } else { -1 };
         watched.run_to(target, false);

@@ -122,7 +122,8 @@ impl Generator {
         }
     }
 
-    /// The change that is due, until it is [`done`](Self::done). Takes some microseconds.
+    /// The change that is due, until it is [`done`](Self::done). Takes some microseconds: a call makes a step or
+    /// begins one tick, because it may be within a critical section. After a late one, the next call is due at once.
     pub(super) fn due(&mut self, now: Instant) -> Option<Due> {
         if now < self.wake {
             return None;
@@ -134,32 +135,41 @@ impl Generator {
             self.wake = Instant::NEVER;
             return None;
         }
+        let forward = self.profile.is_forward();
+        if self.turns() {
+            return Some(Due::Direction { forward });
+        }
+        if let Some(nominal) = self.next_step() {
+            self.wake = nominal.max(self.ready);
+            return (now >= self.wake).then_some(Due::Step { forward });
+        }
+        self.wake = after_ticks(self.tick, 1);
+        if now < self.wake {
+            return None;
+        }
+        if self.profile.is_at_rest() {
+            self.halt();
+            return None;
+        }
+        self.begin_tick(self.wake);
+        let next = self.next_step();
+        if !self.turns() {
+            self.wake = next.map_or(after_ticks(self.tick, 1), |nominal| nominal.max(self.ready));
+        }
+        None
+    }
+
+    /// Like [`due`](Self::due), but a late call catches up several ticks.
+    pub(super) fn due_caught_up(&mut self, now: Instant) -> Option<Due> {
         for _ in 0..MOST_TICKS {
-            let forward = self.profile.is_forward();
-            if self.travel > 0 && self.direction != Some(forward) {
-                return Some(Due::Direction { forward });
+            let due = self.due(now);
+            if due.is_some() || now < self.wake {
+                return due;
             }
-            if let Some(nominal) = self.next_step() {
-                let due = nominal.max(self.ready);
-                if now >= due {
-                    return Some(Due::Step { forward });
-                }
-                self.wake = due;
-                return None;
-            }
-            let end = after_ticks(self.tick, 1);
-            if now < end {
-                self.wake = end;
-                return None;
-            }
-            if self.profile.is_at_rest() {
-                self.halt();
-                return None;
-            }
-            self.begin_tick(end);
         }
         // After a long pause, the remaining delay is not caught up.
         self.tick = now;
+        self.next = None;
         None
     }
 
@@ -173,10 +183,12 @@ impl Generator {
             Due::PulseEnd => {
                 self.high = false;
                 self.ready = self.ready.max(now.after(self.timing.pulse_us.into()));
+                // Computed here, so that the call that makes the step takes less time.
+                self.next_step();
                 self.wake = if self.moving { now } else { Instant::NEVER };
             }
             Due::Step { forward } => {
-                let nominal = self.next_step().unwrap_or(now);
+                let nominal = self.next.flatten().unwrap_or(now);
                 self.next = None;
                 self.steps = self.steps.wrapping_add(if forward { 1 } else { -1 });
                 self.high = true;
@@ -184,12 +196,14 @@ impl Generator {
                 self.wake = now.after(self.timing.pulse_us.into());
                 let late = now.as_micros().saturating_sub(nominal.as_micros());
                 self.tick = self.tick.after(late);
-                if self.is_held_up(late) {
-                    while self.is_held_up(late) {
-                        let position = parts(self.steps.into());
-                        self.profile.held_up(position, self.limits);
-                    }
-                    self.begin_tick(now);
+                let halvings = self.halvings(late);
+                if halvings > 0 {
+                    let position = parts(self.steps.into());
+                    self.profile.held_up(position, halvings, self.limits);
+                    // Rests for a tick.
+                    self.tick = now;
+                    self.travel = 0;
+                    self.next = Some(None);
                 }
             }
         }
@@ -206,6 +220,11 @@ impl Generator {
     /// When to call [`due`](Self::due) next.
     pub(super) const fn wake(&self) -> Instant {
         self.wake
+    }
+
+    /// Whether the direction pin has to change before the next step.
+    fn turns(&self) -> bool {
+        self.travel > 0 && self.direction != Some(self.profile.is_forward())
     }
 
     fn begin_tick(&mut self, begin: Instant) {
@@ -243,11 +262,13 @@ impl Generator {
         Some(self.tick.after(micros.into()))
     }
 
-    /// Whether a step that was this late took more than twice its time.
-    fn is_held_up(&self, late_us: u64) -> bool {
+    /// How often to halve the speed after a step that was this late: until the delay is less than the duration of a step.
+    // Without a loop, which would take too long within a critical section.
+    fn halvings(&self, late_us: u64) -> u32 {
         let speed = u64::from(self.profile.speed(self.limits));
         let late = late_us.min(u32::MAX.into());
-        late * speed > u64::from(PARTS) * u64::from(TICK_US)
+        let steps = (late * speed / (u64::from(PARTS) * u64::from(TICK_US))) as u32;
+        u32::BITS - steps.leading_zeros()
     }
 }
 

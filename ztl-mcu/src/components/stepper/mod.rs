@@ -46,8 +46,8 @@ use crate::parameters::Tunable;
 /// the motor slows down and accelerates again, so that one long turn of the loop does not lose steps.
 ///
 /// For higher or more even rates, let a timer's interrupt make the steps: put the [`StepMotor`] behind a
-/// `critical_section::Mutex`, call [`StepMotor::tick`] in the interrupt (every 25 µs for 20,000 steps a second, or at the
-/// time that it returns), and pass the component a reference to the mutex.
+/// `critical_section::Mutex`, call [`StepMotor::tick`] in the interrupt (every 25 µs for 19,500 steps a second, or at the
+/// time that it returns; at least every millisecond), and pass the component a reference to the mutex.
 ///
 /// ```
 /// use core::cell::RefCell;

@@ -190,9 +190,15 @@ where
     H: Limit,
 {
     /// Sets one pin, if one is due, and returns when to call it next. A call that comes too early costs one
-    /// comparison.
+    /// comparison. A late call takes no longer than others, but the next one may be due at once.
     pub fn tick(&mut self, now: Instant) -> Instant {
-        if let Some(due) = self.generator.due(now) {
+        let due = self.generator.due(now);
+        self.make(now, due)
+    }
+
+    /// Makes the change that is due, if there is one, and returns when to call it next.
+    fn make(&mut self, now: Instant, due: Option<Due>) -> Instant {
+        if let Some(due) = due {
             match self.act(due) {
                 Ok(true) => self.generator.done(now, due),
                 Ok(false) => self.end(Motion::Limit),
@@ -267,7 +273,8 @@ where
     }
 
     fn drive(&mut self, now: Instant) -> Instant {
-        self.tick(now)
+        let due = self.generator.due_caught_up(now);
+        self.make(now, due)
     }
 
     fn state(&self) -> (Motion, i32) {

@@ -1,6 +1,7 @@
 //! A motor that counts its steps and minds what its driver demands, on virtual time.
 
 mod axis;
+mod interrupt;
 
 use super::*;
 use axis::{Axis, Bench};
@@ -496,23 +497,6 @@ fn goals_and_positions_can_use_another_unit() {
     assert_eq!(bench.go("180", &Calls::OnTime), failed);
     let refused = Err("slide takes -360 to 360 degrees, or home".into());
     assert_eq!(bench.start("360.001"), refused);
-}
-
-#[test]
-fn a_motor_behind_a_mutex_is_driven_by_its_interrupt_alone() {
-    let mut bench = Bench::with_interrupt(CONFIG);
-    bench.start("3").unwrap();
-    for _ in 0..1000 {
-        assert_eq!(bench.poll(), (Run::Running, "0".into()));
-        bench.pass(1000);
-    }
-    assert_eq!(bench.position(), 0, "the interrupt was not called");
-    for _ in 0..100_000 {
-        bench.interrupt();
-        bench.pass(25);
-    }
-    assert_eq!(bench.poll(), completed("3"));
-    assert_eq!(bench.position(), 3);
 }
 
 proptest! {

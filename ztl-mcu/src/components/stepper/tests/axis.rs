@@ -240,10 +240,12 @@ impl Bench {
         self.stepper.make_safe(now);
     }
 
-    pub(super) fn interrupt(&mut self) {
+    /// Returns when to call it next.
+    pub(super) fn interrupt(&mut self) -> u64 {
         let now = self.now();
         let motor = self.interrupt.expect("one behind a mutex");
-        critical_section::with(|token| motor.borrow(token).borrow_mut().tick(now));
+        let wake = critical_section::with(|token| motor.borrow(token).borrow_mut().tick(now));
+        wake.as_micros()
     }
 
     pub(super) fn fail(&mut self, pin: &'static str) {
