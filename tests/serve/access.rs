@@ -1,6 +1,6 @@
 //! Who may use a server by address, and how secret keys are kept.
 
-use ztl_tests::lab::{Ended, Keys, Process, Scratch, Server, our_client_at, ztl};
+use ztl_tests::lab::{Ended, Keys, PATIENCE, Process, Scratch, Server, our_client_at, ztl};
 
 /// A gateway with a simulated gripper, and these options.
 #[track_caller]
@@ -115,6 +115,7 @@ scopes: {/test: {p: {
         assert_eq!(ended.code, Some(0), "{ended:?}");
         told(&ended.stderr);
         let server = Server::start(ztl().args(["serve", &file, "-p", "0"]));
-        told(&server.process.stderr());
+        server.process.signal("TERM");
+        told(&server.process.end(PATIENCE).stderr);
     }
 }

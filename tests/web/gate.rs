@@ -325,7 +325,8 @@ fn a_private_key_that_others_can_read_causes_a_warning() {
         let said = format!(
             "ztl: warning: {key}: others can use this secret key (mode {mode:03o}); run: chmod 600 {key}\n"
         );
-        let told = process.stderr();
+        process.signal("TERM");
+        let told = process.end(PATIENCE).stderr;
         assert_eq!(told.contains(&said), warned, "{told}");
     }
 }
