@@ -41,7 +41,7 @@ use crate::message::Message;
 use crate::reply::{NEVER_SEEN, RESERVED_SCOPE};
 use crate::sink::{Sink, put_decimal};
 
-pub use answer::{Answer, is_abort_rejected, is_no_scope};
+pub use answer::{Answer, is_abort_rejected, is_no_scope, is_unknown_outcome};
 
 /// What a client knows about its server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 use ztl_core::Message;
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_core::client::is_unknown_outcome;
 use ztl_fleet::caller::Caller;
 use ztl_fleet::config::EndpointConfig;
 use ztl_fleet::session;
@@ -364,7 +364,7 @@ impl Select {
                     return Ok(code(false));
                 }
                 Some(State::Failed) if !has_failed => has_failed = true,
-                Some(State::Failed) if text.starts_with(UNKNOWN_OUTCOME) => {
+                Some(state) if is_unknown_outcome(state, text) => {
                     line(format_args!("{id}  /{scope}  may still run: {text}"))?;
                     return Ok(code(false));
                 }
@@ -406,7 +406,8 @@ impl Task {
 
     /// Whether it runs, or its server could not learn its end.
     fn may_run(&self) -> bool {
-        self.runs() || self.state == Some(State::Failed) && self.text.starts_with(UNKNOWN_OUTCOME)
+        let is_unknown = |state| is_unknown_outcome(state, &self.text);
+        self.runs() || self.state.is_some_and(is_unknown)
     }
 }
 

@@ -5,7 +5,7 @@ use serde_json::Value;
 use ztl_core::{State, TaskSpec};
 
 use crate::remote_id::RemoteId;
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_core::client::is_unknown_outcome;
 
 /// Longest payload that is kept for the list, in bytes: base64, so a multiple of four.
 const MAX_PAYLOAD: usize = 400;
@@ -40,7 +40,8 @@ impl ListedTask {
     /// Whether the task ended as FAILED because the server could not learn its end. It may still run.
     #[must_use]
     pub fn end_is_unknown(&self) -> bool {
-        self.state == State::Failed.code() && self.text.starts_with(UNKNOWN_OUTCOME)
+        let state = State::from_code(i64::from(self.state));
+        state.is_some_and(|state| is_unknown_outcome(state, &self.text))
     }
 
     /// Whether the list says that it runs, or does not say for certain that it has ended.

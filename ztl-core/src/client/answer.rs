@@ -138,8 +138,10 @@ fn is_about(asked: &Message<'_>, answer: &Message<'_>) -> bool {
     asked.scope == RESERVED_SCOPE || same() == Some(true)
 }
 
-/// Whether a server ended the task without knowing its outcome.
-fn is_unknown_outcome(state: State, text: &str) -> bool {
+/// Whether a task with this state and text ended without its server knowing the outcome
+/// ([`UNKNOWN_OUTCOME`]): it may still run.
+#[must_use]
+pub fn is_unknown_outcome(state: State, text: &str) -> bool {
     state == State::Failed && text.starts_with(UNKNOWN_OUTCOME)
 }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde::Deserialize;
 use tracing::{error, info, warn};
-use ztl_core::dispatcher::UNKNOWN_OUTCOME;
+use ztl_core::client::is_unknown_outcome;
 use ztl_core::{Message, State};
 
 use super::Shared;
@@ -217,8 +217,8 @@ fn list(answer: &[u8]) -> Option<Running> {
         ..Running::default()
     };
     for task in list.tasks {
-        let is_doubtful =
-            task.state == State::Failed.code() && task.text.starts_with(UNKNOWN_OUTCOME);
+        let state = State::from_code(task.state.into());
+        let is_doubtful = state.is_some_and(|state| is_unknown_outcome(state, &task.text));
         let tasks = match task.state < 2 {
             true => &mut running.tasks,
             false if is_doubtful => &mut running.doubtful,
