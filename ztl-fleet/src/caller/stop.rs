@@ -138,7 +138,7 @@ impl Told {
 
 impl Caller {
     /// Tells agents to stop all tasks, again and again until they have confirmed it or the limit has passed. `told` is called
-    /// for each of them, by its place in the list, as soon as its answer is known; the others wait for its end.
+    /// for each of them, by its place in the list, as soon as its answer is known. Until `told` returns, no other robot is told again.
     pub fn stop_all(
         &self,
         agents: &[(String, String)],

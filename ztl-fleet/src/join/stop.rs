@@ -191,9 +191,9 @@ impl Shared {
             is_silent = answer.is_err();
             let state = answer.ok().and_then(|answer| {
                 let message = Message::parse(&answer).ok()?;
-                message.state.parse::<u8>().ok()
+                State::from_code(message.state.parse().ok()?)
             });
-            state.is_none_or(|state| state <= 1)
+            runs(state)
         });
         self.started().0.retain(|task| running.contains(task));
         let unknown = "its server cannot list tasks that were not started through the fleet";
@@ -203,6 +203,11 @@ impl Shared {
             ..Running::default()
         })
     }
+}
+
+/// Whether a task in this state runs. One in a state that ZTL does not define may run.
+fn runs(state: Option<State>) -> bool {
+    state.is_none_or(|state| !state.is_final())
 }
 
 /// What runs by a list.
@@ -219,7 +224,7 @@ fn list(answer: &[u8]) -> Option<Running> {
     for task in list.tasks {
         let state = State::from_code(task.state.into());
         let is_doubtful = state.is_some_and(|state| is_unknown_outcome(state, &task.text));
-        let tasks = match task.state < 2 {
+        let tasks = match runs(state) {
             true => &mut running.tasks,
             false if is_doubtful => &mut running.doubtful,
             false => continue,
@@ -251,6 +256,12 @@ mod tests {
             (failed, "", 0, None),
             (lost, "", 0, Some(doubtful.to_owned())),
             (runs, "", 1, None),
+            (
+                r#"{"id":9,"scope":"/t","state":6,"text":"dancing"}"#,
+                "",
+                1,
+                None,
+            ),
             (
                 lost,
                 ",\"elsewhere\":2",

@@ -122,7 +122,7 @@ impl Printer {
 
     fn line(&self, text: String) {
         if let Err(unsent) = self.lines.send(text) {
-            // There is no thread, or nobody reads.
+            // There is no thread that prints, or its output is closed.
             let _ = line(unsent.0);
         }
     }

@@ -383,7 +383,7 @@ impl<S: Storage> JournalRecords<S> {
         useless == 0
     }
 
-    /// Ends what an earlier gateway carried out by itself and nobody goes on with.
+    /// Ends the requests that an earlier gateway was carrying out by itself, but for updates with which this one goes on.
     fn end_cut(&mut self, now: Moment) {
         let open = self.tasks.values().filter(|line| !line.state.is_final());
         let ended = |line: &TaskEntry| Some(line.ended_as(now, State::Failed, line.cut()?));
