@@ -2,9 +2,10 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
+use std::thread;
 use std::time::{Duration, Instant};
 
-use ztl_std::{Limits, TaskServer};
+use ztl_std::{Limits, TaskServer, Transport};
 use ztl_tests::lab::{PATIENCE, Server, port_of, shake_hands, until};
 
 use crate::socket::{Socket, assert_serves, in_time_for_the_original};
@@ -35,6 +36,41 @@ fn a_connection_without_a_handshake_is_closed() {
             Err(error) if error.kind() == ErrorKind::ConnectionReset => {}
             Err(error) => panic!("{said:?}: the connection lives: {error}"),
         }
+    }
+}
+
+/// A stream that has shaken hands as a REQ socket of libzmq 3.2 does: ZMTP 2.0 (RFC 15).
+fn shake_hands_as_zmtp_2(port: u16) -> TcpStream {
+    let mut stream = connect(port);
+    stream.set_read_timeout(Some(PATIENCE)).expect("a time");
+    let greeting = b"\xff\0\0\0\0\0\0\0\x01\x7f\x01\x03\0\0";
+    stream.write_all(greeting).expect("to write");
+    let mut theirs = [0xA5; 14];
+    stream.read_exact(&mut theirs).expect("their greeting");
+    // A ROUTER without an identity.
+    assert_eq!(theirs[11..], [6, 0, 0]);
+    stream
+}
+
+#[test]
+fn an_old_peer_is_not_closed_after_the_time_for_a_handshake() {
+    let mut limits = Limits::default();
+    limits.handshake = Duration::from_millis(500);
+    for (name, transport) in Transport::ALL {
+        let server = TaskServer::builder().limits(limits).transport(*transport);
+        let server = server.bind("tcp://127.0.0.1:*").expect("a port");
+        let server = server.spawn().expect("a thread");
+        let port = port_of(server.endpoint());
+        // On a busy machine, a handshake may take longer than that.
+        let mut stream = until("a quick handshake", PATIENCE, || {
+            let start = Instant::now();
+            let stream = shake_hands_as_zmtp_2(port);
+            (start.elapsed() < limits.handshake).then_some(stream)
+        });
+        thread::sleep(2 * limits.handshake);
+        stream.write_all(ASK).expect("to write");
+        let answered = stream.read_exact(&mut [0; ANSWER]);
+        answered.unwrap_or_else(|error| panic!("{name}: {error}"));
     }
 }
 

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use tracing::warn;
 
 use super::connections::Connections;
-use super::sockets;
+use super::{NO_HANDSHAKE_LIMIT, sockets};
 use crate::keys::PublicKey;
 use crate::log_targets::TASKS;
 use crate::server::{Access, CurrentAccess, Limits, Sender};
@@ -48,19 +48,23 @@ enum Decision {
 }
 
 impl Authenticator {
-    /// Prepares a socket that is bound afterwards, for at most `connections` connections.
+    /// Prepares a socket that is bound afterwards, with these limits for its connections.
     pub(crate) fn new(
         access: Access,
-        connections: usize,
+        limits: Limits,
         context: &zmq::Context,
         socket: &zmq::Socket,
     ) -> Result<Self, zmq::Error> {
         // ZeroMQ asks only if there is a domain. With one, it rejects peers older than ZMTP 3.0 (libzmq 3,
         // JeroMQ 0.3), which cannot authenticate.
-        let asks = !access.is_open() || connections < Limits::default().connections;
+        let asks = !access.is_open() || limits.connections < Limits::default().connections;
+        let mut handshake = NO_HANDSHAKE_LIMIT;
         if asks {
             socket.set_zap_domain("ztl")?;
+            let millis = i32::try_from(limits.handshake.as_millis());
+            handshake = millis.unwrap_or(i32::MAX).max(1);
         }
+        socket.set_handshake_ivl(handshake)?;
         if let Some(keys) = access.keys() {
             socket.set_curve_server(true)?;
             socket.set_curve_secretkey(keys.secret())?;
@@ -76,7 +80,7 @@ impl Authenticator {
         let worker = Worker {
             access: access.clone(),
             requests,
-            connections: Connections::of(socket, context, connections)?,
+            connections: Connections::of(socket, context, limits.connections)?,
             end: ended,
         };
         let thread = std::thread::Builder::new()

@@ -4,7 +4,7 @@ use std::io;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use super::{io_error, sockets};
+use super::{NO_HANDSHAKE_LIMIT, io_error, sockets};
 use crate::keys::{KeyPair, PublicKey};
 use crate::transport::RETRY;
 
@@ -82,6 +82,8 @@ fn open(
         socket.set_curve_publickey(own.public().as_bytes())?;
         socket.set_curve_secretkey(own.secret())?;
         socket.set_curve_serverkey(server.as_bytes())?;
+    } else {
+        socket.set_handshake_ivl(NO_HANDSHAKE_LIMIT)?;
     }
     // RFC 6761: this name is this machine, even if the system has no hosts file. ZeroMQ would ask a name
     // server.

@@ -8,6 +8,10 @@ pub(crate) mod sockets;
 
 use std::io;
 
+/// No limit for the handshake, where peers older than ZMTP 3.0 may connect: libzmq 4.3.4 forgets to end its timer for
+/// them, and would close their connections after that time, with any answer under way.
+const NO_HANDSHAKE_LIMIT: i32 = 0;
+
 /// Whether this libzmq can encrypt.
 pub(crate) fn can_encrypt() -> bool {
     zmq::has("curve") == Some(true)

@@ -140,7 +140,7 @@ fn prepare(
     let socket = context.socket(zmq::ROUTER)?;
     socket.set_linger(0)?;
     apply(limits, &socket)?;
-    let authenticator = Authenticator::new(access, limits.connections, context, &socket)?;
+    let authenticator = Authenticator::new(access, limits, context, &socket)?;
     // Wake-ups arrive among the requests.
     socket.bind(WAKE_UPS)?;
     let waking = context.socket(zmq::DEALER)?;
@@ -149,16 +149,13 @@ fn prepare(
     Ok((socket, authenticator, Waking(Mutex::new(waking))))
 }
 
-/// Applies the limits that ZeroMQ enforces to a socket that is bound afterwards.
+/// Applies the limits of messages to a socket that is bound afterwards.
 fn apply(limits: Limits, socket: &zmq::Socket) -> zmq::Result<()> {
     let message = limits.longest_message();
     socket.set_maxmsgsize(i64::try_from(message).unwrap_or(i64::MAX))?;
     let queue = i32::try_from(limits.queue.max(1)).unwrap_or(i32::MAX);
     socket.set_rcvhwm(queue)?;
-    socket.set_sndhwm(queue)?;
-    let handshake = i32::try_from(limits.handshake.as_millis()).unwrap_or(i32::MAX);
-    // For ZeroMQ, 0 means no limit.
-    socket.set_handshake_ivl(handshake.max(1))
+    socket.set_sndhwm(queue)
 }
 
 #[cfg(test)]
