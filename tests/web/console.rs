@@ -3,7 +3,9 @@
 use std::fs;
 use std::process::Command;
 
-use ztl_tests::lab::{PATIENCE, Process, SCOPE, Scratch, Server, node_packages, reserve_port, ztl};
+use ztl_tests::lab::{
+    PATIENCE, Process, SCOPE, Scratch, Server, node_packages, reserve_port, until, ztl,
+};
 
 /// A robot whose tasks can be aborted: `test:echo`, `test:sleep`, and `test:mark`, which leaves a mark for each start.
 pub(crate) const ROBOT: &str = "\
@@ -131,9 +133,10 @@ impl Console {
         self.robot = robot(&self.files, ROBOT, self.robot.port);
     }
 
-    /// How often `test:mark` was started.
-    pub(crate) fn marks(&self) -> usize {
-        marks(&self.files)
+    /// Checks how often `test:mark` was started.
+    #[track_caller]
+    pub(crate) fn has_marks(&self, expected: usize) {
+        has_marks(&self.files, expected);
     }
 
     /// The address of its socket.
@@ -150,10 +153,15 @@ pub(crate) fn port(url: &str) -> u16 {
     digits.parse().expect("a number")
 }
 
-/// How often the `test:mark` of a robot was started.
-pub(crate) fn marks(files: &Scratch) -> usize {
-    let marks = fs::read_to_string(files.path("marks"));
-    marks.unwrap_or_default().lines().count()
+/// Checks how often the `test:mark` of a robot was started. A task that runs may not have left its mark yet.
+#[track_caller]
+pub(crate) fn has_marks(files: &Scratch, expected: usize) {
+    let marks = until("the marks", PATIENCE, || {
+        let marks = fs::read_to_string(files.path("marks"));
+        let marks = marks.unwrap_or_default().lines().count();
+        (marks >= expected).then_some(marks)
+    });
+    assert_eq!(marks, expected);
 }
 
 /// The part of a printed link from its port on.

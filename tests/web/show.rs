@@ -87,9 +87,11 @@ fn told(client: &mut Client, service: &str, args: &Value) -> (bool, String) {
     (answer["result"] == true, answer["values"].to_string())
 }
 
+/// Waits until a task runs. `test:mark` has left its mark then.
 fn runs(client: &mut Client, name: &str) {
     client.subscribe("/ztl/tasks");
-    client.task(|task| task["runs"] == true && task["task"].as_str().expect("a name") == name);
+    let begun = |task: &Value| !name.starts_with("test:mark") || task["text"] == "begun";
+    client.task(|task| task["runs"] == true && task["task"] == name && begun(task));
 }
 
 /// Whether a list of tasks has this one.
@@ -117,11 +119,11 @@ fn no_step_starts_after_stop_and_the_show_stays() {
     let show = client.call("/ztl/show", &json!({}));
     assert_eq!(show["plays"], false);
     assert_eq!(show["scenes"][0]["state"], "stopped");
-    assert_eq!(stage.console.marks(), 0);
+    stage.console.has_marks(0);
     // It can go on, and nothing of before comes later.
     assert!(command(&mut client, "start", &question).0);
     runs(&mut client, "test:mark:one");
-    assert_eq!(stage.console.marks(), 1);
+    stage.console.has_marks(1);
     let stopped = client.call("/ztl/stop", &json!({}));
     assert_eq!(stopped["robots"][0]["confirmed"], true, "{stopped}");
 }
@@ -204,7 +206,7 @@ fn impatient_presses_play_a_scene_or_a_cue_once() {
     client.call("/ztl/operate", &json!({}));
     assert!(!told(&mut client, "/ztl/show/cue", &hold).0);
     assert!(!command(&mut client, "start", &question).0);
-    assert_eq!(stage.console.marks(), 2);
+    stage.console.has_marks(2);
     // The scene stops, the cue goes on.
     assert!(told(&mut client, "/ztl/show/stop_scene", &json!({})).0);
     asked_after(&mut client, 1, &question);
@@ -296,7 +298,7 @@ fn a_press_that_reaches_the_show_too_late_does_nothing() {
     }
     let show = client.call("/ztl/show", &json!({}));
     assert_eq!(show["plays"], false, "{show}");
-    assert_eq!(stage.console.marks(), 0);
+    stage.console.has_marks(0);
 }
 
 #[test]
@@ -368,7 +370,7 @@ fn a_cue_that_a_killed_console_started_is_not_started_again() {
         told(&mut client, "/ztl/show/cue", &hold).0.then_some(())
     });
     runs(&mut client, "test:mark:cue");
-    assert_eq!(stage.console.marks(), 2);
+    stage.console.has_marks(2);
 }
 
 #[test]
@@ -534,5 +536,5 @@ fn a_scene_that_is_stopped_and_played_again_on_a_robot_that_hangs_runs_once() {
     driver.write_line("done");
     let ended = driver.end(PATIENCE * 3);
     assert!(ended.stdout.contains("passed"), "{ended:?}");
-    assert_eq!(stage.console.marks(), 2);
+    stage.console.has_marks(2);
 }

@@ -28,7 +28,7 @@ fn malformed_messages_harm_no_other_client() {
 fn too_many_goals_are_refused_and_one_id_starts_one_task() {
     let console = Console::of_one();
     passes("many", &console.socket());
-    assert_eq!(console.marks(), 1);
+    console.has_marks(1);
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn a_watcher_stops_and_starts_nothing() {
 fn one_client_at_a_time_starts_tasks_until_another_takes_over() {
     let console = Console::of_one();
     passes("operators", &console.socket());
-    assert_eq!(console.marks(), 0);
+    console.has_marks(0);
 }
 
 #[test]
@@ -83,5 +83,5 @@ fn a_task_of_a_restarted_server_is_unknown_and_not_started_again() {
     client.write_line("done");
     let ended = client.end(PATIENCE);
     assert!(ended.stdout.contains("passed"), "{ended:?}");
-    assert_eq!(console.marks(), 1);
+    console.has_marks(1);
 }
